@@ -1,0 +1,1 @@
+"""The service: acquisition, bridge, control and motion, and the command line that starts them."""

@@ -1,0 +1,57 @@
+"""Time as the service knows it: monotonic seconds for intervals, UTC seconds for stamps."""
+
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Everything in the service that needs the time is given one of these."""
+
+    def monotonic(self) -> float:
+        """Seconds on a clock that never steps; the same clock as the event loop's timers."""
+
+    def utc(self) -> float:
+        """Seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
+
+
+class SystemClock:
+    """The machine's own clocks."""
+
+    def monotonic(self) -> float:
+        """Seconds of the machine's monotonic clock."""
+        return time.monotonic()
+
+    def utc(self) -> float:
+        """Seconds of the machine's real-time clock."""
+        return time.time()
+
+
+class LoopClock:
+    """A clock that follows an event loop whose time is scaled or virtual.
+
+    Parameters
+    ----------
+    loop_time
+        The loop's ``time`` method.
+    start_utc_s
+        UTC at the moment of construction.
+    """
+
+    def __init__(self, loop_time: Callable[[], float], start_utc_s: float) -> None:
+        self._loop_time = loop_time
+        self._offset_s = start_utc_s - loop_time()
+
+    def monotonic(self) -> float:
+        """Seconds of the loop's time."""
+        return self._loop_time()
+
+    def utc(self) -> float:
+        """The start plus what the loop's time has run since."""
+        return self._loop_time() + self._offset_s
+
+
+def iso_utc(utc_s: float) -> str:
+    """Return a UTC instant [s] as ISO 8601 with milliseconds and Z."""
+    return datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,208 @@
+"""What flows through the house: one frozen record per kind, passed on unchanged.
+
+Every record carries UTC [s since 1970] for stamps; those that time a measurement carry monotonic time [s] as well.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+FACES = ("east", "south", "west", "zenith")
+
+
+class Quality(StrEnum):
+    """How far one face's reading can be trusted."""
+
+    OK = "ok"
+    OVER_RANGE = "over-range"
+    STALE = "stale"
+    IMPLAUSIBLE = "implausible"
+    LATE = "late"
+    SELF_TEST_FAILED = "self-test-failed"
+    MISSING = "missing"
+
+
+class Mode(StrEnum):
+    """What the tracker is doing."""
+
+    STARTING = "starting"
+    TRACKING = "tracking"
+    FALLBACK = "fallback"
+    NIGHT = "night"
+    HOLD = "hold"
+    STOW = "stow"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True)
+class FaceReading:
+    """Irradiance on one face of the cube.
+
+    Attributes
+    ----------
+    irradiance_w_m2
+        Calibrated; NaN where there is no number.
+    quality
+        Only ``ok`` readings reach a pointing law.
+    time_utc_s, time_monotonic_s
+        When the conversion ended, on the cube's clocks.
+    """
+
+    irradiance_w_m2: float
+    quality: Quality
+    time_utc_s: float
+    time_monotonic_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One pass over the four faces.
+
+    Attributes
+    ----------
+    source, session, sequence
+        Which cube, which run of its program, and the count of scans in that run, from 0.
+    time_utc_s, time_monotonic_s
+        End of the scan: on the cube's clocks as sent; the receiver replaces the monotonic time by its own.
+    simulated
+        True when the cube is a simulation.
+    """
+
+    source: str
+    session: str
+    sequence: int
+    time_utc_s: float
+    time_monotonic_s: float
+    east: FaceReading
+    south: FaceReading
+    west: FaceReading
+    zenith: FaceReading
+    simulated: bool = False
+
+    @property
+    def faces(self) -> tuple[FaceReading, FaceReading, FaceReading, FaceReading]:
+        """East, south, west, zenith."""
+        return self.east, self.south, self.west, self.zenith
+
+    @property
+    def ok(self) -> bool:
+        """Whether all four faces are good."""
+        return all(face.quality is Quality.OK for face in self.faces)
+
+
+@dataclass(frozen=True, slots=True)
+class Irradiances:
+    """Time-weighted mean irradiance of each face over one window [W/m2].
+
+    Attributes
+    ----------
+    coverage
+        Share of the window that readings stand for, 0..1; the worst face counts.
+    """
+
+    east_w_m2: float
+    south_w_m2: float
+    west_w_m2: float
+    zenith_w_m2: float
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where to point, inside the limits, and why."""
+
+    a_deg: float
+    b_deg: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """One run of the pointing law and what came of it.
+
+    Attributes
+    ----------
+    law
+        Name of the law that spoke.
+    direction_azimuth_deg, direction_elevation_deg
+        Where the law wants to look before limits; NaN when it has no direction.
+    sun_azimuth_deg, sun_elevation_deg
+        Ephemeris at that instant, apparent elevation.
+    moved
+        Whether a move was ordered.
+    """
+
+    time_utc_s: float
+    time_monotonic_s: float
+    mode: Mode
+    law: str
+    irradiances: Irradiances | None
+    direction_azimuth_deg: float
+    direction_elevation_deg: float
+    sun_azimuth_deg: float
+    sun_elevation_deg: float
+    target: Target
+    moved: bool
+
+
+class MoveOutcome(StrEnum):
+    """How a move ended."""
+
+    ARRIVED = "arrived"
+    INTERRUPTED = "interrupted"
+    REFUSED = "refused"
+    STALLED = "stalled"
+    OVERSHOT = "overshot"
+    TIMED_OUT = "timed-out"
+    LINK_LOST = "link-lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One move of the tracker, from order to end."""
+
+    time_utc_s: float
+    time_monotonic_s: float
+    duration_s: float
+    from_a_deg: float
+    from_b_deg: float
+    target_a_deg: float
+    target_b_deg: float
+    end_a_deg: float
+    end_b_deg: float
+    outcome: MoveOutcome
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the tracker truly stands, from its own telemetry."""
+
+    time_utc_s: float
+    time_monotonic_s: float
+    a_deg: float
+    b_deg: float
+    moving: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChange:
+    """A transition of the state machine and its reason."""
+
+    time_utc_s: float
+    time_monotonic_s: float
+    before: Mode
+    after: Mode
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth telling that is none of the other records: a device lost or back, a clock step, a command."""
+
+    time_utc_s: float
+    time_monotonic_s: float
+    subject: str
+    text: str
+
+
+Record = Scan | Decision | Move | Pose | ModeChange | Event

@@ -1,0 +1,130 @@
+"""What the service asks of an instrument, real or simulated.
+
+Every method may raise a child of :class:`drivers.errors.DeviceError` and nothing else. ``open`` may be called again
+after ``close``; it always identifies and configures the instrument anew. Times are on the service's monotonic clock.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+Axis = Literal["a", "b"]
+
+
+class Multiplexer(Protocol):
+    """Routes one of several inputs to the voltmeter."""
+
+    async def open(self) -> str:
+        """Connect and return a sentence that identifies the instrument."""
+
+    async def close(self) -> None:
+        """Release the instrument. Never raises."""
+
+    async def select(self, channel: int) -> None:
+        """Route input `channel` to the output; returns once the address is on the lines, not yet settled."""
+
+
+class Voltmeter(Protocol):
+    """Measures DC voltage."""
+
+    async def open(self) -> str:
+        """Connect, identify and configure; return the instrument's identity."""
+
+    async def close(self) -> None:
+        """Release the instrument. Never raises."""
+
+    async def read_voltage(self) -> float:
+        """Return one conversion [V] that began after the call; `OverRangeError` where there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionerIdentity:
+    """Who the positioner says it is.
+
+    Attributes
+    ----------
+    board, firmware, serial
+        As the unit prints them.
+    simulated
+        True for a simulated unit that is known to be one.
+    """
+
+    board: str
+    firmware: str
+    serial: str
+    simulated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """One look at the positioner.
+
+    Attributes
+    ----------
+    time_monotonic_s
+        When the oldest fast value of this look was received.
+    a_deg, b_deg
+        Measured angles: A -50 East .. +50 West, B 90 flat .. 15.
+    position_a, position_b, destination_a, destination_b
+        In the unit's own position units (impulse, mm or degree).
+    supply_v
+        Motor supply.
+    faults
+        Names of latched faults, such as ``a_overcurrent``; empty when there are none.
+    was_reset
+        The unit reports that it restarted since its status was last cleared: its reference is in doubt.
+    button_pressed
+        A button on the box has been used since the status was last cleared.
+    homing
+        A homing run is on.
+    autonomous
+        The unit's own sun tracking, wind or snow mode may move the axes.
+    mode_text
+        The unit's own words for its mode.
+    """
+
+    time_monotonic_s: float
+    a_deg: float
+    b_deg: float
+    position_a: float
+    position_b: float
+    destination_a: float
+    destination_b: float
+    supply_v: float
+    faults: tuple[str, ...] = ()
+    was_reset: bool = False
+    button_pressed: bool = False
+    homing: bool = False
+    autonomous: bool = False
+    mode_text: str = ""
+
+
+class Positioner(Protocol):
+    """Two motor axes with telemetry."""
+
+    async def open(self) -> PositionerIdentity:
+        """Connect and identify; sends nothing that could move an axis."""
+
+    async def close(self) -> None:
+        """Release the instrument. Never raises, and does not stop a move."""
+
+    async def read_telemetry(self) -> Telemetry:
+        """Return the present state; `LinkLostError` when the unit has gone silent."""
+
+    async def disable_autonomy(self) -> None:
+        """Switch the unit's own sun tracking off; `RefusedError` if it stays on."""
+
+    async def move_to(self, a_deg: float, b_deg: float) -> None:
+        """Start a move and return once the unit has taken the target.
+
+        Raises `ValueError` for a target outside the driver's own limits (NaN included) and `RefusedError` if the unit
+        does not take it.
+        """
+
+    async def stop(self) -> None:
+        """Send stop at once, before anything that waits; the axes run out on their ramps."""
+
+    async def home(self, axis: Axis) -> None:
+        """Start a reference run of one axis to its low end switch and return once it has begun."""
+
+    async def clear_faults(self) -> None:
+        """Clear latched faults and the reset mark."""

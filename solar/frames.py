@@ -1,0 +1,101 @@
+"""The tracker's frame and its two angles.
+
+Axes, right-handed in the northern hemisphere: i South, j East, k Up. In the southern hemisphere the equator-facing
+direction is North; the frame is mirrored here, once, so that i always points to the equator's side and every formula
+of the paper holds as printed. A is the rotation about the secondary axis (negative East, positive West), B the
+elevation of the secondary axis' normal (90 deg: secondary axis horizontal).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Angles(NamedTuple):
+    """A pair of tracker angles [deg]."""
+
+    a_deg: float
+    b_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The permitted range of each angle [deg], ends included."""
+
+    a_min_deg: float = -50.0
+    a_max_deg: float = 50.0
+    b_min_deg: float = 15.0
+    b_max_deg: float = 90.0
+
+    def contain(self, a_deg: float, b_deg: float) -> bool:
+        """Tell whether both angles are inside; NaN is outside."""
+        return self.a_min_deg <= a_deg <= self.a_max_deg and self.b_min_deg <= b_deg <= self.b_max_deg
+
+    def clip(self, a_deg: float, b_deg: float) -> Angles:
+        """Bring each angle to the nearest permitted value; raises `ValueError` for NaN or infinity."""
+        if not (np.isfinite(a_deg) and np.isfinite(b_deg)):
+            raise ValueError(f"angles must be finite numbers, not A={a_deg}, B={b_deg}")
+        return Angles(
+            min(max(a_deg, self.a_min_deg), self.a_max_deg), min(max(b_deg, self.b_min_deg), self.b_max_deg)
+        )
+
+    def __str__(self) -> str:
+        return f"A {self.a_min_deg:g}..{self.a_max_deg:g} deg, B {self.b_min_deg:g}..{self.b_max_deg:g} deg"
+
+
+def normal_from_angles(a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
+    """Return the module's unit normal(s), shape (..., 3), for tracker angles [deg] that broadcast together.
+
+    Andriamahefa et al. (2023), equation (13).
+    """
+    a, b = np.radians(a_deg), np.radians(b_deg)
+    components = np.broadcast_arrays(np.cos(a) * np.cos(b), -np.sin(a), np.cos(a) * np.sin(b))
+    return np.stack(components, axis=-1)
+
+
+def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
+    """Return (a_deg, b_deg) that point the normal along `direction`, shape (..., 3), of any positive length.
+
+    Andriamahefa et al. (2023), equation (14), with the sign of A that follows from (13) (the printed (15) lost it).
+    B runs from 0 to 180 deg here; limits are not applied. A direction that is zero, NaN or infinite gives NaN.
+    """
+    vector = np.asarray(direction, dtype=np.float64)
+    south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt(south * south + east * east + up * up)
+        valid = np.isfinite(length) & (length > 0)
+        sine = np.divide(-east, length, out=np.full(length.shape, np.nan), where=valid)
+        a_deg = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+        b_deg = np.where(valid, np.degrees(np.arctan2(up, south)), np.nan)
+    return a_deg, b_deg
+
+
+def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, latitude_deg: float) -> Array:
+    """Return unit vector(s), shape (..., 3), of an azimuth (from North, clockwise) and an elevation [deg]."""
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    equatorward = -_hemisphere(latitude_deg) * np.cos(azimuth) * np.cos(elevation)
+    components = np.broadcast_arrays(equatorward, np.sin(azimuth) * np.cos(elevation), np.sin(elevation))
+    return np.stack(components, axis=-1)
+
+
+def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[Array, Array]:
+    """Return (azimuth_deg from North clockwise, elevation_deg) of vector(s) of shape (..., 3)."""
+    vector = np.asarray(direction, dtype=np.float64)
+    north = -_hemisphere(latitude_deg) * vector[..., 0]
+    azimuth = np.degrees(np.arctan2(vector[..., 1], north)) % 360.0
+    elevation = np.degrees(np.arctan2(vector[..., 2], np.hypot(vector[..., 0], vector[..., 1])))
+    return azimuth, elevation
+
+
+def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
+    """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
+    u, v = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), np.sum(u * v, axis=-1)))
+
+
+def _hemisphere(latitude_deg: float) -> float:
+    return 1.0 if latitude_deg >= 0 else -1.0

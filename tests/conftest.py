@@ -1,0 +1,46 @@
+"""Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
+
+import gc
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(autouse=True)
+def nothing_leaks():
+    """Fail a test that leaves a thread or a file descriptor behind."""
+    threads = set(threading.enumerate())
+    descriptors = _descriptors()
+    yield
+    gc.collect()
+    left = [t for t in threading.enumerate() if t not in threads and t.is_alive()]
+    for thread in left:
+        thread.join(timeout=1.0)
+    assert not [t.name for t in left if t.is_alive()], "the test left threads running"
+    opened = {number: target for number, target in _descriptors().items() if number not in descriptors}
+    assert not opened, f"the test left file descriptors open: {opened}"
+
+
+def _descriptors() -> dict[str, str]:
+    found = {}
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            target = os.readlink(entry)
+        except OSError:
+            continue
+        # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.
+        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or "/tmp" in target:
+            found[entry.name] = target
+    return found
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """The folder of measured weather beside the repository."""
+    if not MEASURED.is_dir():
+        pytest.skip(f"the measured data is not at {MEASURED}")
+    return MEASURED
