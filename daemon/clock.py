@@ -10,21 +10,21 @@ class Clock(Protocol):
     """Everything in the service that needs the time is given one of these."""
 
     def monotonic(self) -> float:
-        """Seconds on a clock that never steps; the same clock as the event loop's timers."""
+        """Return seconds on a clock that never steps; the same clock as the event loop's timers."""
 
     def utc(self) -> float:
-        """Seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
+        """Return seconds since 1970-01-01T00:00Z; may step when the machine's clock is set."""
 
 
 class SystemClock:
     """The machine's own clocks."""
 
     def monotonic(self) -> float:
-        """Seconds of the machine's monotonic clock."""
+        """Return seconds of the machine's monotonic clock."""
         return time.monotonic()
 
     def utc(self) -> float:
-        """Seconds of the machine's real-time clock."""
+        """Return seconds of the machine's real-time clock."""
         return time.time()
 
 
@@ -44,11 +44,11 @@ class LoopClock:
         self._offset_s = start_utc_s - loop_time()
 
     def monotonic(self) -> float:
-        """Seconds of the loop's time."""
+        """Return seconds of the loop's time."""
         return self._loop_time()
 
     def utc(self) -> float:
-        """The start plus what the loop's time has run since."""
+        """Return the start plus what the loop's time has run since."""
         return self._loop_time() + self._offset_s
 
 

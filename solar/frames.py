@@ -39,9 +39,7 @@ class Limits:
         """Bring each angle to the nearest permitted value; raises `ValueError` for NaN or infinity."""
         if not (np.isfinite(a_deg) and np.isfinite(b_deg)):
             raise ValueError(f"angles must be finite numbers, not A={a_deg}, B={b_deg}")
-        return Angles(
-            min(max(a_deg, self.a_min_deg), self.a_max_deg), min(max(b_deg, self.b_min_deg), self.b_max_deg)
-        )
+        return Angles(min(max(a_deg, self.a_min_deg), self.a_max_deg), min(max(b_deg, self.b_min_deg), self.b_max_deg))
 
     def __str__(self) -> str:
         return f"A {self.a_min_deg:g}..{self.a_max_deg:g} deg, B {self.b_min_deg:g}..{self.b_max_deg:g} deg"

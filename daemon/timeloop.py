@@ -1,0 +1,116 @@
+"""Event loops whose time is not the machine's: scaled for watching a rig, virtual for days in seconds.
+
+Virtual time stands still while the program computes and while a job is out in a thread; when nothing is left to do it
+jumps to the next timer. Datagrams on loopback arrive within the send call, so they are always seen before a jump.
+"""
+
+import asyncio
+import selectors
+import time
+from asyncio import AbstractEventLoop, Future
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from math import ceil
+from typing import Any, TypeVarTuple, cast
+
+Arguments = TypeVarTuple("Arguments")
+
+_DEADLOCK_AFTER_S = 10.0
+
+
+class _DelegatingSelector(selectors.BaseSelector):
+    """A real selector with its waiting replaced by a subclass."""
+
+    def __init__(self) -> None:
+        self._real = selectors.DefaultSelector()
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._real.register(fileobj, events, data)
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        return self._real.unregister(fileobj)
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._real.modify(fileobj, events, data)
+
+    def get_map(self) -> Mapping[Any, selectors.SelectorKey]:
+        return cast("Mapping[Any, selectors.SelectorKey]", self._real.get_map())
+
+    def close(self) -> None:
+        self._real.close()
+
+
+class _ScaledSelector(_DelegatingSelector):
+    def __init__(self, speed: float) -> None:
+        super().__init__()
+        self._speed = speed
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        return self._real.select(None if timeout is None else timeout / self._speed)
+
+
+class ScaledTimeLoop(asyncio.SelectorEventLoop):
+    """An event loop whose clock runs `speed` times as fast as the machine's."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+        super().__init__(_ScaledSelector(speed))
+
+    def time(self) -> float:
+        """Scaled seconds, equal to the machine's monotonic clock at construction."""
+        return self._start_s + (time.monotonic() - self._start_s) * self._speed
+
+
+class _VirtualSelector(_DelegatingSelector):
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_ns = 0
+        self.jobs = 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        events = self._real.select(0)
+        if events or timeout == 0:
+            return events
+        if self.jobs or timeout is None:
+            events = self._real.select(_DEADLOCK_AFTER_S)
+            if not events:
+                raise RuntimeError(
+                    f"nothing happened for {_DEADLOCK_AFTER_S:g} s of real time and no timer is set: "
+                    "the program waits for something that virtual time cannot bring"
+                )
+            return events
+        self.now_ns += ceil(timeout * 1e9)
+        return events
+
+
+class VirtualTimeLoop(asyncio.SelectorEventLoop):
+    """An event loop that never waits: its time starts at 0 and jumps from timer to timer."""
+
+    def __init__(self) -> None:
+        self._virtual = _VirtualSelector()
+        super().__init__(self._virtual)
+
+    def time(self) -> float:
+        """Virtual seconds since construction."""
+        return self._virtual.now_ns / 1e9
+
+    def run_in_executor(
+        self,
+        executor: Executor | None,
+        func: Callable[[*Arguments], Any],
+        *args: *Arguments,
+    ) -> Future[Any]:
+        """Run a job in a thread; virtual time stands still until its result has been taken in."""
+        future = super().run_in_executor(executor, func, *args)
+        self._virtual.jobs += 1
+        future.add_done_callback(self._job_done)
+        return future
+
+    def _job_done(self, _future: Future[Any]) -> None:
+        self._virtual.jobs -= 1
+
+
+def new_loop(speed: float) -> AbstractEventLoop:
+    """Return an ordinary event loop for speed 1 and a scaled one otherwise."""
+    return asyncio.SelectorEventLoop() if speed == 1.0 else ScaledTimeLoop(speed)

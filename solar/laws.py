@@ -1,0 +1,87 @@
+"""Pointing laws: where to look, from the four faces of the cube or from the sun.
+
+Faces come as arrays of shape (..., 4) in the order east, south, west, zenith [W/m2]; directions go out with shape
+(..., 3) in the frame of :mod:`solar.frames`, of any length. NaN in every component means 'no direction'.
+Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solar.frames import Array
+
+ZENITH = np.array([0.0, 0.0, 1.0])
+
+
+def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
+    """Return mu', equation (12), with I_min = min(I_E, I_W).
+
+    Parameters
+    ----------
+    faces
+        Irradiances [W/m2], shape (..., 4).
+    uniform_threshold
+        I_S - I_min counts as zero (B = 90 deg) unless it is more than this share of I_Z: under a uniform sky it is
+        noise about zero. The jump of B at the threshold is atan(uniform_threshold).
+
+    Returns
+    -------
+    Directions [W/m2], shape (..., 3); NaN where a face is not finite or I_Z is not positive.
+    """
+    east, south, west, zenith, valid = _split(faces)
+    equatorward = _beyond(south - np.minimum(east, west), uniform_threshold * zenith)
+    return _direction(equatorward, east - west, zenith, valid)
+
+
+def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: float = 0.01) -> Array:
+    """Return s, equation (11), with the better DHI = 2 I_min - albedo I_Z that the paper offers; its length is BNI.
+
+    Where the three components together are no more than `uniform_threshold` of I_Z there is no beam to point at, and
+    the direction is the zenith, where a uniform sky is best collected. A negative vertical component counts as zero.
+
+    Parameters
+    ----------
+    faces
+        Irradiances [W/m2], shape (..., 4).
+    albedo
+        Of the ground around the cube.
+    uniform_threshold
+        Share of I_Z below which a difference between faces is noise.
+
+    Returns
+    -------
+    Directions [W/m2], shape (..., 3); NaN where a face is not finite or I_Z is not positive.
+    """
+    east, south, west, zenith, valid = _split(faces)
+    least = np.minimum(east, west)
+    equatorward = _beyond(south - least, uniform_threshold * zenith)
+    up = np.maximum(zenith - (2 * least - albedo * zenith), 0.0)
+    beam = np.sqrt(equatorward**2 + (east - west) ** 2 + up**2)
+    sees_sun = beam > uniform_threshold * zenith
+    return _direction(
+        np.where(sees_sun, equatorward, ZENITH[0]),
+        np.where(sees_sun, east - west, ZENITH[1]),
+        np.where(sees_sun, up, ZENITH[2]),
+        valid,
+    )
+
+
+def chronometric(sun_direction: ArrayLike) -> Array:
+    """Return the sun's direction(s), shape (..., 3), and NaN where the sun is below the horizon."""
+    sun = np.asarray(sun_direction, dtype=np.float64)
+    return np.where(sun[..., 2:] > 0, sun, np.nan)
+
+
+def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
+    readings = np.asarray(faces, dtype=np.float64)
+    valid = np.isfinite(readings).all(axis=-1) & (readings[..., 3] > 0)
+    clean = np.where(valid[..., None], readings, 0.0)
+    return clean[..., 0], clean[..., 1], clean[..., 2], clean[..., 3], valid
+
+
+def _beyond(difference: Array, threshold: Array) -> Array:
+    return np.where(difference > threshold, difference, 0.0)
+
+
+def _direction(equatorward: Array, east: Array, up: Array, valid: np.ndarray) -> Array:
+    return np.where(valid[..., None], np.stack([equatorward, east, up], axis=-1), np.nan)
