@@ -60,4 +60,5 @@ class Window:
                 return None
             means.append(total / weight)
             coverage = min(coverage, weight / self._mean_s)
-        return Irradiances(*means, coverage=coverage)
+        east, south, west, zenith = means
+        return Irradiances(east, south, west, zenith, coverage)

@@ -92,7 +92,9 @@ def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[A
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
     """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
     u, v = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    return np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), np.sum(u * v, axis=-1)))
+    across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
+    along: Array = np.sum(u * v, axis=-1)
+    return np.degrees(np.arctan2(across, along))
 
 
 def _hemisphere(latitude_deg: float) -> float:

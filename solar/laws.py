@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from solar.frames import Array
 
+_ABSURD_W_M2 = 1e6
+
 ZENITH = np.array([0.0, 0.0, 1.0])
 
 
@@ -26,7 +28,7 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
 
     Returns
     -------
-    Directions [W/m2], shape (..., 3); NaN where a face is not finite or I_Z is not positive.
+    Directions [W/m2], shape (..., 3); NaN where a face is no possible number or I_Z is not positive.
     """
     east, south, west, zenith, valid = _split(faces)
     equatorward = _beyond(south - np.minimum(east, west), uniform_threshold * zenith)
@@ -50,7 +52,7 @@ def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: floa
 
     Returns
     -------
-    Directions [W/m2], shape (..., 3); NaN where a face is not finite or I_Z is not positive.
+    Directions [W/m2], shape (..., 3); NaN where a face is no possible number or I_Z is not positive.
     """
     east, south, west, zenith, valid = _split(faces)
     least = np.minimum(east, west)
@@ -74,7 +76,8 @@ def chronometric(sun_direction: ArrayLike) -> Array:
 
 def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
     readings = np.asarray(faces, dtype=np.float64)
-    valid = np.isfinite(readings).all(axis=-1) & (readings[..., 3] > 0)
+    # Written so that NaN fails; the bound keeps squares finite, no irradiance comes near it.
+    valid = (np.abs(readings) < _ABSURD_W_M2).all(axis=-1) & (readings[..., 3] > 0)
     clean = np.where(valid[..., None], readings, 0.0)
     return clean[..., 0], clean[..., 1], clean[..., 2], clean[..., 3], valid
 

@@ -1,0 +1,374 @@
+"""The tracker's role: from the cube's scans to a target, by way of the state machine."""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daemon.clock import Clock
+from daemon.clockwatch import ClockWatch
+from daemon.config import Settings
+from daemon.modes import Data, Situation, next_mode
+from daemon.motion import Motion
+from daemon.pointing import Pointing
+from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
+from daemon.stow import OperatorStow, StowSource
+from daemon.window import Window
+from drivers.errors import DeviceError
+from solar.frames import normal_from_angles, separation_deg
+
+log = logging.getLogger("heliocube.control")
+
+_TICK_S = 5.0
+# A parked tracker that is not where it should be is sent there again this often.
+_REPARK_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class ControlState:
+    """What control shows of itself.
+
+    Attributes
+    ----------
+    mode, why, since_utc_s
+        The present mode, its reason and its beginning.
+    scan
+        The newest scan that was accepted, good or bad.
+    scan_age_s
+        Age of the newest scan with four good faces; infinite before the first.
+    irradiances
+        Mean over the window, or None.
+    decision
+        The last one.
+    next_decision_s
+        Seconds until the next; NaN in modes that do not decide.
+    """
+
+    mode: Mode
+    why: str
+    since_utc_s: float
+    scan: Scan | None
+    scan_age_s: float
+    irradiances: Irradiances | None
+    decision: Decision | None
+    next_decision_s: float
+
+
+class Control:
+    """Decides what the tracker does, every few seconds, and where it points, every few minutes.
+
+    Parameters
+    ----------
+    settings
+        The whole configuration.
+    clock
+        The service's time.
+    motion
+        The only way to the axes.
+    pointing
+        The laws, the sun and the limits.
+    sun_elevation_deg
+        Of UTC [s], to tell night from day.
+    stow_sources
+        Everything besides the operator that may ask for stow.
+    publish
+        Called with decisions, mode changes and events.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        motion: Motion,
+        pointing: Pointing,
+        sun_elevation_deg: Callable[[float], float],
+        stow_sources: Sequence[StowSource],
+        publish: Callable[[Record], None],
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._motion = motion
+        self._pointing = pointing
+        self._sun_elevation_deg = sun_elevation_deg
+        self._clock_watch = ClockWatch(clock)
+        self._operator = OperatorStow()
+        self._stow_sources = (self._operator, *stow_sources)
+        self._publish = publish
+        self._window = Window(
+            settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
+        )
+        self._wake = asyncio.Event()
+        self._hold_why: str | None = None
+        self._hold_at: Target | None = None
+        self._mode = Mode.STARTING
+        self._why = "starting"
+        self._since_utc_s = clock.utc()
+        self._started_s = clock.monotonic()
+        self._scan: Scan | None = None
+        self._good_s = -math.inf
+        self._night = False
+        self._due_s = -math.inf
+        self._parked_s = -math.inf
+        self._decision: Decision | None = None
+        self._last_why = ""
+        self.last_tick_s = clock.monotonic()
+
+    # Doors for the bridge, for motion and for operators.
+
+    def receive(self, scan: Scan) -> None:
+        """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
+        self._scan = scan
+        self._window.add(scan)
+        if scan.ok:
+            self._good_s = scan.time_monotonic_s
+        self._publish(scan)
+
+    def look_again(self) -> None:
+        """Ask for an immediate look at the situation."""
+        self._wake.set()
+
+    def stow(self, why: str) -> None:
+        """Go to the stow position and stay until released."""
+        self._operator.ask(why)
+        self._wake.set()
+
+    def hold(self, why: str) -> None:
+        """Stay where the tracker is; a move in progress is stopped."""
+        self._hold_why, self._hold_at = why, None
+        self._wake.set()
+
+    def goto(self, a_deg: float, b_deg: float, why: str) -> None:
+        """Go to a position and hold there; `ValueError` outside the limits."""
+        limits = self._settings.limits.limits()
+        if not limits.contain(a_deg, b_deg):
+            raise ValueError(f"A {a_deg:g}, B {b_deg:g} deg is outside the limits ({limits})")
+        self._hold_why, self._hold_at = why, Target(a_deg, b_deg, why)
+        self._parked_s = -math.inf
+        self._wake.set()
+
+    def auto(self) -> None:
+        """Release stow and hold that an operator asked for."""
+        self._operator.release()
+        self._hold_why, self._hold_at = None, None
+        self._wake.set()
+
+    async def stop(self, why: str) -> None:
+        """Stop the axes at once and hold; raises `DeviceError` when the positioner cannot be reached."""
+        self.hold(why)
+        await self._motion.stop()
+
+    def home(self) -> None:
+        """Start a reference run of both axes."""
+        self._motion.home()
+        self._wake.set()
+
+    def clear_faults(self) -> None:
+        """Clear latched faults and doubts about the reference."""
+        self._motion.clear_faults()
+        self._wake.set()
+
+    @property
+    def state(self) -> ControlState:
+        """A snapshot for displays."""
+        now_s = self._clock.monotonic()
+        deciding = self._mode in (Mode.TRACKING, Mode.FALLBACK)
+        return ControlState(
+            self._mode,
+            self._why,
+            self._since_utc_s,
+            self._scan,
+            now_s - self._good_s,
+            self._window.mean(now_s),
+            self._decision,
+            max(self._due_s - now_s, 0.0) if deciding else math.nan,
+        )
+
+    async def run(self) -> None:
+        """Look at the situation every few seconds, and at once when asked to, until cancelled."""
+        while True:
+            self._wake.clear()
+            self.tick()
+            try:
+                async with asyncio.timeout(self._until_next_tick()):
+                    await self._wake.wait()
+            except TimeoutError:
+                pass
+
+    def _until_next_tick(self) -> float:
+        if self._mode in (Mode.TRACKING, Mode.FALLBACK):
+            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))
+        return _TICK_S
+
+    def tick(self) -> None:
+        """Look at the situation once, change mode if it calls for that, and act in the mode."""
+        now_s = self._clock.monotonic()
+        self._watch_clock()
+        mean = self._window.mean(now_s)
+        mode, why = next_mode(self._mode, self._situation(now_s, mean))
+        if mode is not self._mode:
+            self._enter(mode, why, now_s)
+        self._why = why
+        self._act(now_s, mean)
+        self.last_tick_s = now_s
+
+    def _watch_clock(self) -> None:
+        step_s = self._clock_watch.step_s()
+        if step_s is not None:
+            text = f"the clock was set by {step_s:+.1f} s"
+            log.warning(text)
+            self._tell(text)
+
+    def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
+        data, data_why = self._judge_data(now_s, mean)
+        night_why = self._judge_night(data, mean)
+        if night_why is None and data is Data.FRESH and mean is not None and self._too_dark(mean):
+            data, data_why = Data.BAD, f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2 in daylight"
+        return Situation(
+            connected=self._motion.connected,
+            blocked_why=self._motion.blocked,
+            doubt_why=self._motion.doubt,
+            homing=self._motion.homing,
+            stow_why=next((why for source in self._stow_sources if (why := source.reason(now_s))), None),
+            hold_why=self._hold_why,
+            night_why=night_why,
+            data=data,
+            data_why=data_why,
+        )
+
+    def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
+        age_s = now_s - self._good_s
+        covered = mean is not None and mean.coverage >= self._settings.windows.minimum_coverage
+        if age_s <= self._settings.safety.scan_stale_s and covered:
+            return Data.FRESH, "the cube's readings are good"
+        since_s = now_s - max(self._good_s, self._started_s)
+        if since_s > self._settings.safety.fallback_after_s:
+            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}"
+        return Data.WAITING, "waiting for the cube's readings"
+
+    def _bad_faces(self) -> str:
+        if self._scan is None or self._scan.ok:
+            return ""
+        names = ("east", "south", "west", "zenith")
+        bad = [f"{n} {f.quality}" for n, f in zip(names, self._scan.faces, strict=True) if f.quality != "ok"]
+        return f" ({', '.join(bad)})"
+
+    def _too_dark(self, mean: Irradiances) -> bool:
+        return not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
+
+    def _judge_night(self, data: Data, mean: Irradiances | None) -> str | None:
+        safety = self._settings.safety
+        sun_deg = self._sun_elevation_deg(self._clock.utc())
+        if data is Data.FRESH and mean is not None:
+            threshold = safety.night_above_w_m2 if self._night else safety.night_below_w_m2
+            self._night = mean.zenith_w_m2 < threshold and sun_deg <= safety.night_highest_sun_deg
+            why = f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2"
+        else:
+            self._night = sun_deg < (0.5 if self._night else 0.0)
+            why = f"the sun stands at {sun_deg:.1f} deg"
+        return why if self._night else None
+
+    def _enter(self, mode: Mode, why: str, now_s: float) -> None:
+        utc_s = self._clock.utc()
+        log.info("%s -> %s: %s", self._mode, mode, why, extra={"fields": {"mode": mode}})
+        self._publish(ModeChange(utc_s, now_s, self._mode, mode, why))
+        self._mode = mode
+        self._since_utc_s = utc_s
+        self._due_s = now_s
+        self._parked_s = -math.inf
+
+    def _act(self, now_s: float, mean: Irradiances | None) -> None:
+        if self._mode is Mode.STOW:
+            self._park(Target(self._settings.safety.stow_a_deg, self._settings.safety.stow_b_deg, self._why), now_s)
+        elif self._mode is Mode.NIGHT:
+            self._park(Target(self._settings.safety.night_a_deg, self._settings.safety.night_b_deg, "night"), now_s)
+        elif self._mode is Mode.HOLD:
+            self._hold(now_s)
+        elif self._mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s:
+            self._decide(now_s, mean)
+
+    def _hold(self, now_s: float) -> None:
+        if self._hold_at is not None:
+            self._park(self._hold_at, now_s)
+        elif self._motion.moving:
+            self._motion.rest()
+
+    def _park(self, target: Target, now_s: float) -> None:
+        """Bring the tracker to a fixed position and keep it there."""
+        if now_s - self._parked_s < _REPARK_S:
+            return
+        heading = self._motion.target
+        if heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg):
+            return
+        pose = self._motion.pose
+        tolerance = self._settings.motion.tolerance_deg
+        if heading is None and pose is not None and not self._motion.homing:
+            apart = max(abs(pose.a_deg - target.a_deg), abs(pose.b_deg - target.b_deg))
+            if apart <= tolerance:
+                return
+        self._parked_s = now_s
+        self._order(target)
+
+    def _decide(self, now_s: float, mean: Irradiances | None) -> None:
+        rested_s = now_s - self._motion.last_move_started_s
+        if rested_s < self._settings.motion.minimum_interval_s:
+            self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
+            return
+        self._due_s = now_s + self._settings.windows.decide_every_s
+        utc_s = self._clock.utc()
+        law = self._settings.law.name if self._mode is Mode.TRACKING else "chronometric"
+        aim = self._pointing.aim(law, mean, utc_s)
+        if law == "chronometric" and not self._clock_watch.trusted:
+            aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
+        target = aim.target or self._standing(aim.why)
+        moved = aim.target is not None and self._worth_moving(aim.target) and self._order(aim.target)
+        log.info("%s", "moving" if moved else "staying", extra={"fields": _told(law, target)})
+        self._decision = Decision(
+            utc_s,
+            now_s,
+            self._mode,
+            law,
+            mean,
+            aim.azimuth_deg,
+            aim.elevation_deg,
+            aim.sun.azimuth_deg,
+            aim.sun.elevation_deg,
+            target,
+            moved,
+        )
+        self._publish(self._decision)
+
+    def _standing(self, why: str) -> Target:
+        pose = self._motion.pose
+        return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
+
+    def _worth_moving(self, target: Target) -> bool:
+        pose = self._motion.pose
+        if pose is None:
+            return False
+        apart = separation_deg(
+            normal_from_angles(pose.a_deg, pose.b_deg), normal_from_angles(target.a_deg, target.b_deg)
+        )
+        return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
+
+    def _order(self, target: Target) -> bool:
+        try:
+            self._motion.order(target, stow=self._mode is Mode.STOW)
+        except (DeviceError, ValueError) as error:
+            text = str(error)
+            if text != self._last_why:
+                log.warning("no move: %s", text)
+                self._tell(f"no move: {text}")
+            self._last_why = text
+            return False
+        self._last_why = ""
+        return True
+
+    def _tell(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "control", text))
+
+
+def _told(law: str, target: Target) -> dict[str, str]:
+    return {"law": law, "a_deg": f"{target.a_deg:.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}

@@ -1,0 +1,109 @@
+"""The laws by name: from the window's mean and the sun to a target inside the limits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daemon.config import Law, LawName, Site
+from daemon.records import Irradiances, Target
+from solar import laws
+from solar.ephemeris import SunPosition, sun_position
+from solar.frames import Array, Limits, angles_from_direction, azimuth_from_direction, direction_from_azimuth
+
+_SUN_EVERY_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Aim:
+    """What a law says.
+
+    Attributes
+    ----------
+    azimuth_deg, elevation_deg
+        Of the direction before limits; NaN when there is none.
+    sun
+        Ephemeris of the same instant.
+    target
+        Inside the limits; None when there is no direction.
+    why
+        In words.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+    sun: SunPosition[float]
+    target: Target | None
+    why: str
+
+
+class SunElevation:
+    """The sun's apparent elevation [deg] for decisions by the minute, computed once a minute.
+
+    Parameters
+    ----------
+    site
+        Where.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        self._asked_utc_s = -np.inf
+        self._elevation_deg = np.nan
+
+    def __call__(self, utc_s: float) -> float:
+        """Return the elevation at this UTC [s], not older than a minute (0.25 deg of the sun's path)."""
+        if not (abs(utc_s - self._asked_utc_s) < _SUN_EVERY_S):
+            self._asked_utc_s = utc_s
+            site = self._site
+            self._elevation_deg = sun_position(
+                utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m
+            ).elevation_deg
+        return self._elevation_deg
+
+
+class Pointing:
+    """Applies a law at a site.
+
+    Parameters
+    ----------
+    site
+        Where the tracker stands.
+    law
+        Parameters of the laws.
+    limits
+        Of the tracker.
+    """
+
+    def __init__(self, site: Site, law: Law, limits: Limits) -> None:
+        self._site = site
+        self._law = law
+        self._limits = limits
+
+    def sun(self, utc_s: float) -> SunPosition[float]:
+        """Return the sun's position at this UTC [s]."""
+        return sun_position(utc_s, self._site.latitude_deg, self._site.longitude_deg, self._site.altitude_m)
+
+    def aim(self, name: LawName, mean: Irradiances | None, utc_s: float) -> Aim:
+        """Return what the law `name` says of the window's mean at this UTC [s]."""
+        sun = self.sun(utc_s)
+        direction = self._direction(name, mean, sun)
+        if not np.isfinite(direction).all():
+            return Aim(np.nan, np.nan, sun, None, f"{name} has no direction")
+        a_deg, b_deg = angles_from_direction(direction)
+        angles = self._limits.clip(float(a_deg), float(b_deg))
+        azimuth, elevation = azimuth_from_direction(direction, self._site.latitude_deg)
+        return Aim(float(azimuth), float(elevation), sun, Target(*angles, name), name)
+
+    def _direction(self, name: LawName, mean: Irradiances | None, sun: SunPosition[float]) -> Array:
+        if name == "flat":
+            return laws.ZENITH
+        if name == "chronometric":
+            latitude = self._site.latitude_deg
+            return laws.chronometric(direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude))
+        if mean is None:
+            return np.full(3, np.nan)
+        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
+        threshold = self._law.uniform_threshold
+        if name == "sun-vector":
+            return laws.sun_vector(faces, albedo=self._law.albedo, uniform_threshold=threshold)
+        return laws.mu_prime(faces, uniform_threshold=threshold)

@@ -1,0 +1,252 @@
+"""The running service: which parts a role consists of, how they start, and how they stop."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from enum import StrEnum
+from random import Random
+from typing import Any
+
+from daemon.acquisition import Acquisition
+from daemon.bridge.receiver import BridgeReceiver
+from daemon.bridge.sender import BridgeSender
+from daemon.bus import Bus
+from daemon.clock import Clock
+from daemon.config import Settings
+from daemon.control import Control
+from daemon.motion import Motion
+from daemon.pointing import Pointing, SunElevation
+from daemon.records import Event, Scan
+from daemon.sd_notify import Notifier
+from daemon.stow import StowSource, WindStow
+from daemon.watchdog import Watchdog
+from drivers.errors import DeviceError
+from drivers.interfaces import Multiplexer, Positioner, Voltmeter
+
+log = logging.getLogger("heliocube.service")
+
+_STOP_WITHIN_S = 2.0
+
+
+class Role(StrEnum):
+    """What one process does."""
+
+    CUBE = "cube"
+    TRACKER = "tracker"
+    BOTH = "both"
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """The instruments of one process, real or simulated.
+
+    Attributes
+    ----------
+    multiplexer, voltmeter, positioner
+        None where the role has no use for them.
+    wind_speed_m_s
+        Latest wind speed [m/s]; None where there is no wind sensor at all.
+    simulated
+        True if any of it is a simulation.
+    sky_text
+        One line about the simulated sky for displays, or None.
+    """
+
+    multiplexer: Multiplexer | None
+    voltmeter: Voltmeter | None
+    positioner: Positioner | None
+    wind_speed_m_s: Callable[[], float | None] | None
+    simulated: bool
+    sky_text: Callable[[], str] | None = None
+
+
+class Service:
+    """One process of heliocube in one role.
+
+    Parameters
+    ----------
+    settings, role
+        What to run.
+    rig
+        The instruments.
+    clock, random
+        Time and randomness for everything inside.
+    bus
+        Where records go.
+    key
+        Of the bridge; None for an insecure one.
+    notifier
+        To the service manager.
+    speed
+        How many times as fast as the machine's the clock runs, for the watchdog.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        role: Role,
+        rig: Rig,
+        clock: Clock,
+        random: Random,
+        bus: Bus,
+        key: bytes | None,
+        notifier: Notifier,
+        speed: float = 1.0,
+    ) -> None:
+        self.settings = settings
+        self.role = role
+        self.rig = rig
+        self.clock = clock
+        self.bus = bus
+        self._random = random
+        self._key = key
+        self._notifier = notifier
+        self.sun_elevation_deg = SunElevation(settings.site)
+        self.receiver: BridgeReceiver | None = None
+        self.sender: BridgeSender | None = None
+        self.acquisition: Acquisition | None = None
+        self.motion: Motion | None = None
+        self.control: Control | None = None
+        if role is not Role.CUBE:
+            self._build_tracker()
+        if role is not Role.TRACKER:
+            self._build_cube()
+        self._watchdog = Watchdog(clock, notifier, self.control, self.acquisition, speed)
+
+    def _build_cube(self) -> None:
+        settings, rig = self.settings, self.rig
+        if rig.multiplexer is None or rig.voltmeter is None:
+            raise ValueError("the cube's role needs a multiplexer and a voltmeter")
+        self.acquisition = Acquisition(
+            settings.cube,
+            settings.instruments.multiplexer.settle_s,
+            rig.multiplexer,
+            rig.voltmeter,
+            self.clock,
+            self._random,
+            self._send,
+            self.bus.publish,
+            self.sun_elevation_deg,
+            rig.simulated,
+        )
+
+    def _build_tracker(self) -> None:
+        settings, rig = self.settings, self.rig
+        if rig.positioner is None:
+            raise ValueError("the tracker's role needs a positioner")
+        limits = settings.limits.limits()
+        sources: list[StowSource] = []
+        if rig.wind_speed_m_s is not None:
+            sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
+        self.motion = Motion(
+            rig.positioner,
+            limits,
+            settings.motion,
+            settings.instruments.positioner,
+            self.clock,
+            self._random,
+            self.bus.publish,
+            self._look_again,
+        )
+        self.control = Control(
+            settings,
+            self.clock,
+            self.motion,
+            Pointing(settings.site, settings.law, limits),
+            self.sun_elevation_deg,
+            sources,
+            self.bus.publish,
+        )
+        self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
+
+    def _look_again(self) -> None:
+        if self.control is not None:
+            self.control.look_again()
+
+    async def run(self, stop: asyncio.Event, *companions: Coroutine[Any, Any, None]) -> None:
+        """Run until `stop` is set; motion is stopped before anything else ends.
+
+        Parameters
+        ----------
+        stop
+            Ends the service.
+        companions
+            Displays and the like, which live and die with the service.
+
+        Raises
+        ------
+        BridgeError
+            The bridge's address cannot be used; nothing has been started then.
+        """
+        try:
+            await self._open_bridge()
+            try:
+                async with asyncio.TaskGroup() as group:
+                    tasks = [
+                        group.create_task(self._named(name, work), name=name) for name, work in self._work(companions)
+                    ]
+                    self._notifier.ready()
+                    await stop.wait()
+                    self._notifier.stopping()
+                    await self._stop_motion()
+                    for task in tasks:
+                        task.cancel()
+            except BaseException:
+                await self._stop_motion()
+                raise
+        finally:
+            if self.sender is not None:
+                await self.sender.close()
+            if self.receiver is not None:
+                await self.receiver.close()
+            for companion in companions:
+                companion.close()
+
+    async def _open_bridge(self) -> None:
+        bridge = self.settings.bridge
+        if self.receiver is not None:
+            await self.receiver.open()
+        if self.role is Role.TRACKER:
+            return
+        if self.receiver is not None:
+            # Both roles in one process still talk over the bridge, to wherever the receiver really listens.
+            own = self.receiver.address
+            others = tuple(target for target in bridge.send_to if target != bridge.listen)
+            bridge = bridge.model_copy(update={"send_to": (own, *others)})
+        self.sender = BridgeSender(bridge, self._key, self.clock)
+        await self.sender.open()
+
+    def _send(self, scan: Scan) -> None:
+        if self.sender is not None:
+            self.sender.send(scan)
+        if self.role is Role.CUBE:
+            self.bus.publish(scan)
+
+    def _work(self, companions: tuple[Coroutine[Any, Any, None], ...]) -> list[tuple[str, Awaitable[None]]]:
+        work: list[tuple[str, Awaitable[None]]] = [("watchdog", self._watchdog.run())]
+        if self.motion is not None and self.control is not None:
+            work += [("motion", self.motion.run()), ("control", self.control.run())]
+        if self.acquisition is not None:
+            work.append(("acquisition", self.acquisition.run()))
+        work += [(getattr(companion, "__name__", "companion"), companion) for companion in companions]
+        return work
+
+    async def _named(self, name: str, work: Awaitable[None]) -> None:
+        """Tell which part died before the whole service stops for it."""
+        try:
+            await work
+        except Exception:
+            log.exception("the task '%s' died; the service stops", name)
+            self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", f"the task '{name}' died"))
+            raise
+
+    async def _stop_motion(self) -> None:
+        if self.motion is None or not self.motion.moving:
+            return
+        try:
+            async with asyncio.timeout(_STOP_WITHIN_S):
+                await self.motion.stop()
+            log.info("motion stopped")
+        except (DeviceError, TimeoutError) as error:
+            log.warning("motion could not be stopped: %s", error or "no answer in time")

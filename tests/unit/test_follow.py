@@ -1,0 +1,86 @@
+"""Judging a move from telemetry."""
+
+import math
+
+from daemon.config import Motion, PositionerSettings
+from daemon.follow import Follow, Progress
+from daemon.records import Pose, Target
+from drivers.interfaces import Telemetry
+from solar.frames import Limits
+
+
+def look(a, b, faults=()):
+    return Telemetry(
+        time_monotonic_s=0.0,
+        a_deg=a,
+        b_deg=b,
+        position_a=a * 3.7 + 200,
+        position_b=b * 3.7,
+        destination_a=0.0,
+        destination_b=0.0,
+        supply_v=24.0,
+        faults=faults,
+    )
+
+
+def follow(a=20.0, b=60.0, start=(0.0, 90.0)):
+    return Follow(
+        Target(a, b, "test"),
+        Pose(0.0, 0.0, *start, moving=False),
+        Limits(),
+        Motion(tolerance_deg=0.8),
+        PositionerSettings(slowest_deg_per_s=0.5),
+        now_s=0.0,
+    )
+
+
+def test_a_move_has_arrived_when_it_is_there_and_still():
+    move = follow()
+    assert move.judge(look(10, 90), 1)[0] is Progress.GOING
+    assert move.judge(look(20.3, 60.2), 2)[0] is Progress.GOING, "there, but perhaps still moving"
+    assert move.judge(look(20.3, 60.2), 3)[0] is Progress.ARRIVED
+
+
+def test_standing_still_short_of_the_target_is_a_stall():
+    move = follow()
+    move.judge(look(5, 90), 1)
+    assert move.judge(look(5, 90), 6)[0] is Progress.GOING
+    verdict, why = move.judge(look(5, 90), 8)
+    assert verdict is Progress.STALLED
+    assert "no movement" in why
+    assert "24.0 V" in why
+
+
+def test_going_past_the_target_is_seen():
+    move = follow()
+    assert move.judge(look(21.5, 90), 1)[0] is Progress.GOING
+    assert move.judge(look(21.7, 90), 2)[0] is Progress.OVERSHOT
+
+
+def test_leaving_the_limits_is_seen_even_short_of_the_target():
+    move = follow(a=50, b=90)
+    assert move.judge(look(30, 92), 1)[0] is Progress.OVERSHOT
+
+
+def test_an_axis_that_starts_outside_the_limits_may_come_back_in():
+    move = follow(a=40, b=60, start=(55.0, 60.0))
+    assert move.judge(look(54, 60), 1)[0] is Progress.GOING
+    assert move.judge(look(57, 60), 2)[0] is Progress.OVERSHOT
+
+
+def test_angles_that_are_no_numbers_end_the_move():
+    assert follow().judge(look(math.nan, 90), 1)[0] is Progress.OVERSHOT
+
+
+def test_a_fault_ends_the_move_and_is_named():
+    assert follow().judge(look(5, 90, ("a_overcurrent",)), 1) == (
+        Progress.STALLED,
+        "the positioner reports a_overcurrent",
+    )
+
+
+def test_creeping_slower_than_agreed_runs_out_of_time():
+    move = follow(a=20, b=90)
+    verdicts = [move.judge(look(now * 0.1, 90), now)[0] for now in range(1, 70)]
+    assert verdicts[-1] is Progress.TIMED_OUT
+    assert verdicts.index(Progress.TIMED_OUT) == 60, "40 s for 20 degrees at 0.5 deg/s, and 20 s to spare"

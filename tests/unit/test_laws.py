@@ -1,0 +1,92 @@
+"""Pointing laws against hand-worked skies."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from solar.frames import angles_from_direction, direction_from_azimuth, separation_deg
+from solar.laws import chronometric, mu_prime, sun_vector
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def isotropic_faces(dni, dhi, azimuth_deg, elevation_deg, albedo=0.2):
+    """East, south, west, zenith under equations (2)-(7)."""
+    sun = direction_from_azimuth(azimuth_deg, elevation_deg, 48.7)
+    ghi = dni * sun[2] + dhi
+    vertical = dhi / 2 + albedo * ghi / 2
+    return np.array(
+        [
+            dni * max(sun[1], 0) + vertical,
+            dni * max(sun[0], 0) + vertical,
+            dni * max(-sun[1], 0) + vertical,
+            ghi,
+        ]
+    )
+
+
+def test_mu_prime_of_a_hand_worked_morning():
+    # I_min is the west face: (400 - 100, 500 - 100, 600), equations (12) and (14).
+    a_deg, b_deg = angles_from_direction(mu_prime([500, 400, 100, 600]))
+    assert a_deg == pytest.approx(math.degrees(math.asin(-400 / math.sqrt(300**2 + 400**2 + 600**2))))
+    assert b_deg == pytest.approx(math.degrees(math.atan2(600, 300)))
+    assert a_deg < 0, "a morning sun is east, and east is negative"
+
+
+def test_mu_prime_lies_flat_under_a_uniform_sky():
+    a_deg, b_deg = angles_from_direction(mu_prime(isotropic_faces(0, 200, 180, 30)))
+    assert (a_deg, b_deg) == (pytest.approx(0), pytest.approx(90))
+
+
+def test_noise_under_a_uniform_sky_does_not_tilt_the_tracker_south():
+    noise = np.random.default_rng(3).normal(0, 0.3, (500, 4))
+    _, b_deg = angles_from_direction(mu_prime(isotropic_faces(0, 200, 180, 30) + noise))
+    assert (b_deg == 90).all()
+
+
+def test_a_sun_north_of_the_east_west_plane_sets_b_to_90():
+    _, b_deg = angles_from_direction(mu_prime(isotropic_faces(600, 80, 70, 20)))
+    assert b_deg == 90
+
+
+@pytest.mark.parametrize("azimuth", [100, 135, 180, 225, 260])
+def test_sun_vector_with_the_true_albedo_points_at_the_sun_of_an_isotropic_sky(azimuth):
+    faces = isotropic_faces(800, 100, azimuth, 35)
+    vector = sun_vector(faces, albedo=0.2, uniform_threshold=0.0)
+    assert separation_deg(vector, direction_from_azimuth(azimuth, 35, 48.7)) == pytest.approx(0, abs=1e-5)
+    assert np.linalg.norm(vector) == pytest.approx(800)
+
+
+def test_mu_prime_points_above_the_sun():
+    faces = isotropic_faces(800, 100, 180, 35)
+    _, b_deg = angles_from_direction(mu_prime(faces))
+    assert 35 < b_deg < 45
+
+
+def test_sun_vector_without_a_beam_looks_at_the_zenith():
+    assert sun_vector(isotropic_faces(0, 200, 150, 40)) == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+@given(faces=st.tuples(anything, anything, anything, anything))
+def test_every_law_gives_a_direction_or_none_but_never_half_a_number(law, faces):
+    direction = law(faces)
+    assert np.isfinite(direction).all() or np.isnan(direction).all()
+    if not np.isfinite(faces).all() or not faces[3] > 0:
+        assert np.isnan(direction).all()
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+def test_laws_work_on_arrays(law):
+    faces = np.stack([isotropic_faces(700, 90, azimuth, 30) for azimuth in (100, 180, 250)])
+    together = law(faces.reshape(3, 1, 4))
+    assert together.shape == (3, 1, 3)
+    assert together[1, 0] == pytest.approx(law(faces[1]))
+
+
+def test_chronometric_has_no_direction_at_night():
+    assert chronometric([0.5, 0.5, 0.7]) == pytest.approx([0.5, 0.5, 0.7])
+    assert np.isnan(chronometric([0.5, 0.5, -0.1])).all()

@@ -1,0 +1,54 @@
+"""The state machine as a table."""
+
+from dataclasses import replace
+
+import pytest
+
+from daemon.modes import Data, Situation, next_mode
+from daemon.records import Mode
+
+GOOD = Situation(
+    connected=True,
+    blocked_why=None,
+    doubt_why=None,
+    homing=False,
+    stow_why=None,
+    hold_why=None,
+    night_why=None,
+    data=Data.FRESH,
+    data_why="fresh",
+)
+EVERY = list(Mode)
+
+
+@pytest.mark.parametrize("mode", EVERY)
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, Mode.TRACKING),
+        ({"data": Data.BAD}, Mode.FALLBACK),
+        ({"night_why": "dark"}, Mode.NIGHT),
+        ({"hold_why": "asked", "night_why": "dark"}, Mode.HOLD),
+        ({"doubt_why": "reset", "hold_why": "asked"}, Mode.FAULT),
+        ({"homing": True, "doubt_why": "reset"}, Mode.STARTING),
+        ({"stow_why": "wind", "homing": True, "doubt_why": "reset", "hold_why": "x", "night_why": "x"}, Mode.STOW),
+        ({"blocked_why": "lost", "connected": False, "stow_why": "wind"}, Mode.FAULT),
+        ({"connected": False, "stow_why": "wind"}, Mode.STARTING),
+    ],
+)
+def test_the_situation_decides_whatever_the_mode_was(mode, change, expected):
+    assert next_mode(mode, replace(GOOD, **change))[0] is expected
+
+
+@pytest.mark.parametrize("mode", EVERY)
+def test_while_data_may_yet_come_only_tracking_and_fallback_go_on(mode):
+    after, _ = next_mode(mode, replace(GOOD, data=Data.WAITING))
+    assert after is (mode if mode in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [({"stow_why": "wind 16 m/s"}, "wind 16 m/s"), ({"blocked_why": "unplugged"}, "unplugged"), ({}, "fresh")],
+)
+def test_every_mode_comes_with_its_reason(change, why):
+    assert next_mode(Mode.TRACKING, replace(GOOD, **change))[1] == why

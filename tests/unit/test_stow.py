@@ -1,0 +1,65 @@
+"""Reasons to stow."""
+
+import math
+
+from daemon.config import Safety
+from daemon.stow import OperatorStow, WindStow
+
+SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
+
+
+class Wind:
+    def __init__(self):
+        self.speed = 3.0
+        self.source = WindStow(SAFETY, lambda: self.speed)
+
+    def at(self, now, speed):
+        self.speed = speed
+        return self.source.reason(now)
+
+
+def test_strong_wind_stows_and_says_how_strong():
+    wind = Wind()
+    assert wind.at(0, 14.9) is None
+    assert "15.0 m/s" in wind.at(5, 15.0)
+
+
+def test_stow_stays_until_the_wind_has_been_low_for_the_minimum_time():
+    wind = Wind()
+    wind.at(0, 20)
+    assert wind.at(100, 12)
+    assert wind.at(900, 9.9)
+    assert wind.at(999, 9.9)
+    assert wind.at(1000, 9.9) is None
+
+
+def test_a_gust_during_the_stay_begins_it_anew():
+    wind = Wind()
+    wind.at(0, 20)
+    wind.at(800, 11)
+    assert wind.at(1000, 5)
+    assert wind.at(1700, 5) is None
+
+
+def test_a_silent_or_garbled_wind_sensor_counts_as_strong_wind():
+    for bad in (None, math.nan, -1.0):
+        wind = Wind()
+        assert wind.at(0, 2) is None
+        assert wind.at(300, bad) is None
+        assert "no wind reading" in wind.at(301, bad)
+        assert wind.at(302, 2), "one reading after the silence does not end the stay"
+
+
+def test_a_sensor_that_never_spoke_counts_as_strong_wind_after_its_time():
+    wind = Wind()
+    assert wind.at(0, None) is None
+    assert wind.at(400, None)
+
+
+def test_an_operators_stow_is_latched_until_released():
+    stow = OperatorStow()
+    assert stow.reason(0) is None
+    stow.ask("storm coming")
+    assert stow.reason(1e9) == "storm coming"
+    stow.release()
+    assert stow.reason(1e9) is None

@@ -1,0 +1,93 @@
+"""Scaled and virtual time."""
+
+import asyncio
+import socket
+import time
+
+import pytest
+
+from daemon.timeloop import ScaledTimeLoop, VirtualTimeLoop
+
+
+def test_a_virtual_day_of_timers_passes_at_once_and_in_order():
+    async def day():
+        loop = asyncio.get_running_loop()
+        seen = []
+
+        async def tick(period):
+            while True:
+                await asyncio.sleep(period)
+                seen.append((round(loop.time(), 6), period))
+
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(tick(period)) for period in (3600.0, 5400.0)]
+            await asyncio.sleep(86400.0 + 1)
+            for task in tasks:
+                task.cancel()
+        return seen, loop.time()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        seen, end = runner.run(day())
+    assert end == pytest.approx(86401.0)
+    assert len(seen) == 24 + 16
+    assert seen == sorted(seen, key=lambda entry: entry[0])
+
+
+def test_a_datagram_on_loopback_arrives_before_virtual_time_jumps():
+    async def exchange():
+        loop = asyncio.get_running_loop()
+        arrivals = []
+
+        class Receiver(asyncio.DatagramProtocol):
+            def datagram_received(self, data, addr):
+                arrivals.append((loop.time(), data))
+
+        transport, _ = await loop.create_datagram_endpoint(Receiver, local_addr=("127.0.0.1", 0))
+        address = transport.get_extra_info("sockname")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for number in range(50):
+                sender.sendto(b"%d" % number, address)
+                await asyncio.sleep(5.0)
+        transport.close()
+        return arrivals
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        arrivals = runner.run(exchange())
+    assert [data for _, data in arrivals] == [b"%d" % number for number in range(50)]
+    assert [when for when, _ in arrivals] == pytest.approx([5.0 * number for number in range(50)])
+
+
+def test_virtual_time_stands_still_while_a_thread_works():
+    async def work():
+        async with asyncio.timeout(1.0):
+            await asyncio.to_thread(time.sleep, 0.05)
+        return asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(work()) < 0.001
+
+
+def test_a_program_that_waits_for_nothing_is_told_so(monkeypatch):
+    monkeypatch.setattr("daemon.timeloop._DEADLOCK_AFTER_S", 0.05)
+
+    async def hang():
+        await asyncio.Event().wait()
+
+    loop = VirtualTimeLoop()
+    task = loop.create_task(hang())
+    with pytest.raises(RuntimeError, match="virtual time cannot bring"):
+        loop.run_until_complete(task)
+    task.cancel()
+    loop.run_until_complete(asyncio.gather(task, return_exceptions=True))
+    loop.close()
+
+
+def test_a_scaled_minute_passes_in_a_moment():
+    async def minute():
+        loop = asyncio.get_running_loop()
+        before = loop.time()
+        await asyncio.sleep(60.0)
+        return loop.time() - before
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(6000.0)) as runner:
+        assert runner.run(minute()) >= 60.0

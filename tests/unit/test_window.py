@@ -1,0 +1,80 @@
+"""The time-weighted mean."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daemon.records import FaceReading, Quality, Scan
+from daemon.window import Window
+
+
+def scan(now_s, value, quality=Quality.OK, number=0):
+    face = FaceReading(value if quality is Quality.OK else math.nan, quality, now_s, now_s)
+    return Scan("cube", "s", number, now_s, now_s, face, face, face, face)
+
+
+def test_two_minutes_at_five_seconds_are_the_plain_mean_of_the_last_24_samples():
+    window = Window(120, nominal_s=5, longest_s=60)
+    for i in range(100):
+        window.add(scan(5.0 * i, float(i)))
+    mean = window.mean(5.0 * 99)
+    assert mean.zenith_w_m2 == pytest.approx(sum(range(76, 100)) / 24)
+    assert mean.coverage == pytest.approx(1.0)
+
+
+def test_samples_weigh_by_the_time_they_stand_for():
+    window = Window(120, nominal_s=5, longest_s=60)
+    window.add(scan(100, 1000))
+    window.add(scan(130, 200))
+    window.add(scan(140, 600))
+    # 1000 stands for the nominal 5 s, 200 for 30 s, 600 for 10 s.
+    assert window.mean(140).east_w_m2 == pytest.approx((1000 * 5 + 200 * 30 + 600 * 10) / 45)
+    assert window.mean(140).coverage == pytest.approx(45 / 120)
+
+
+def test_the_oldest_reading_counts_only_as_far_as_it_reaches_into_the_window():
+    window = Window(20, nominal_s=10, longest_s=60)
+    for now, value in ((0, 100), (10, 200), (20, 300), (25, 400)):
+        window.add(scan(now, value))
+    # The window (5, 25]: 5 s of the second reading, 10 s of the third, 5 s of the fourth.
+    assert window.mean(25).west_w_m2 == pytest.approx((200 * 5 + 300 * 10 + 400 * 5) / 20)
+
+
+def test_bad_readings_stand_for_nothing():
+    window = Window(60, nominal_s=5, longest_s=60)
+    for i in range(12):
+        window.add(scan(5.0 * i, 500.0, Quality.OK if i < 6 else Quality.OVER_RANGE))
+    mean = window.mean(55)
+    assert mean.south_w_m2 == pytest.approx(500)
+    assert mean.coverage == pytest.approx(0.5)
+
+
+def test_a_reading_after_a_long_gap_does_not_stand_for_the_gap():
+    window = Window(600, nominal_s=5, longest_s=60)
+    window.add(scan(0, 100))
+    window.add(scan(300, 900))
+    assert window.mean(300).east_w_m2 == pytest.approx(500)
+
+
+def test_no_readings_no_mean():
+    window = Window(120, 5, 60)
+    assert window.mean(0) is None
+    window.add(scan(0, 100))
+    assert window.mean(500) is None
+    window.add(scan(500, 100))
+    window.clear()
+    assert window.mean(500) is None
+
+
+@given(st.lists(st.tuples(st.floats(0.5, 90), st.floats(-20, 1500)), min_size=1, max_size=80))
+def test_the_mean_lies_between_its_readings_and_covers_no_more_than_the_window(steps):
+    window, now = Window(120, 5, 60), 0.0
+    for step, value in steps:
+        now += step
+        window.add(scan(now, value))
+    mean = window.mean(now)
+    values = [value for _, value in steps]
+    assert min(values) - 1e-9 <= mean.east_w_m2 <= max(values) + 1e-9
+    assert 0 < mean.coverage <= 1
