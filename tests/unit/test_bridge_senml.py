@@ -174,7 +174,7 @@ def test_a_base_name_that_is_no_source_is_refused(base_name):
         b"{}",
         b"[1]",
         b"\xff\xfe[]",
-        b'[{"bn":"a/","bn":"b/"}]',
+        pack().replace(b'"n": "zenith",', b'"n": "zenith", "v": 1.0,'),
         pack() + b"x",
         pack().decode().encode("utf-16"),
         b'[{"bn":"cube/","bt":' + b"9" * 2000 + b"}]",
