@@ -4,8 +4,8 @@ import asyncio
 import gzip
 import math
 from datetime import datetime
+from random import Random
 
-import numpy as np
 import pytest
 
 from daemon.bridge.addresses import BridgeError
@@ -71,7 +71,7 @@ def sent(path, ahead_s=7200.0, **options):
                 settings,
                 KEY,
                 clock,
-                np.random.default_rng(1),
+                Random(1),
                 on_progress=lambda done, total: progress.append((done, total)),
                 **options,
             )
