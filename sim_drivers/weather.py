@@ -100,9 +100,8 @@ class GeneratedWeather:
             pressure=alt2pres(self._site.altitude_m),
             dni_extra=extraterrestrial_dni(utc_s),
         )
-        up = elevation_deg > 0.0
-        sine = np.where(up, np.sin(np.radians(elevation_deg)), 0.0)
-        clear_dni, clear_dhi = np.where(up, clear["dni"], 0.0), np.where(up, clear["dhi"], 0.0)
+        clear_dni, clear_dhi = clear["dni"], clear["dhi"]
+        sine = np.maximum(np.sin(np.radians(elevation_deg)), 0.0)
         clear_ghi = clear_dni * sine + clear_dhi
         thick_dhi = clear_ghi * (0.1 + 0.25 * self._noise.fractal("thickness", utc_s, (2400.0, 600.0), (0.7, 0.3)))
         if self._kind == "clear":
