@@ -21,8 +21,8 @@ from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import load_weather, site_mismatch
 from solar.ephemeris import Site
 
-# A day of the paper's measuring campaign, in full daylight: what a visitor sees first.
-DEFAULT_START = datetime(2022, 10, 12, 9, 0, tzinfo=UTC)
+# A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
+DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 
 def site_of(settings: Settings) -> Site:
