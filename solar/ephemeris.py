@@ -23,6 +23,7 @@ REFRACTION_AT_HORIZON_DEG = 0.5667
 RISE_ELEVATION_DEG = -0.8333
 HOUR_S = 3600.0
 DAY_S = 86400.0
+REMEMBERED_HOURS = 128
 
 Number = TypeVar("Number", float, Array)
 
@@ -154,29 +155,24 @@ def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitu
 def _geocentric(utc_s: Array) -> Array:
     """Sidereal time, right ascension, declination [deg] and distance [au] of instants (n,): shape (4, n)."""
     hours = np.floor(utc_s / HOUR_S).astype(np.int64)
-    share = utc_s / HOUR_S - hours
-    if hours.size == 1:
-        before, rise = _hour(int(hours[0]))
-        return before[:, None] + rise[:, None] * share
     whole, position = np.unique(hours, return_inverse=True)
-    before, rise = _hours(whole)
-    return before[:, position] + rise[:, position] * share
-
-
-@lru_cache(maxsize=256)
-def _hour(hour: int) -> tuple[Array, Array]:
-    before, rise = _hours(np.array([hour]))
-    return before[:, 0], rise[:, 0]
-
-
-def _hours(hours: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Geocentric quantities at the beginning of whole hours, and by how much they rise until the next."""
-    begin_s = hours.astype(np.float64) * HOUR_S
-    before, after = _geocentric_exact(begin_s), _geocentric_exact(begin_s + HOUR_S)
-    rise = after - before
+    before = _at_hours(whole)
+    rise = _at_hours(whole + 1) - before
     # Right ascension wraps once a year; sidereal time advances by 15.04 deg in an hour and wraps once a day.
     rise[:2] = (rise[:2] + 180.0) % 360.0 - 180.0
-    return before, rise
+    return before[:, position] + rise[:, position] * (utc_s / HOUR_S - hours)
+
+
+def _at_hours(hours: NDArray[np.int64]) -> Array:
+    """Geocentric quantities at whole hours since 1970, shape (4, n); from memory if they are the hours of a day."""
+    if hours.size > REMEMBERED_HOURS // 4:
+        return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
+    return np.stack([_at_hour(hour) for hour in hours.tolist()], axis=-1)
+
+
+@lru_cache(maxsize=REMEMBERED_HOURS)
+def _at_hour(hour: int) -> Array:
+    return _geocentric_exact(np.array([hour * HOUR_S]))[:, 0]
 
 
 def _geocentric_exact(utc_s: Array) -> Array:

@@ -171,11 +171,12 @@ def normal_from_tilt(tilt_deg: ArrayLike, azimuth_deg: ArrayLike, latitude_deg: 
 
 
 def _perez_coefficients(sine: Array, dni: Array, dhi: Array, extra: Array) -> tuple[Array, Array]:
-    """Circumsolar and horizon coefficients F1 and F2 of Perez et al. (1990), F1 within 0..1."""
+    """Circumsolar and horizon coefficients F1 and F2 of Perez et al. (1990)."""
     zenith = np.arccos(sine)
     # Relative air mass of Kasten & Young (1989), Applied Optics 28, 4735.
     air_mass = 1.0 / (sine + 0.50572 * (96.07995 - np.degrees(zenith)) ** -1.6364)
-    brightness = dhi * air_mass / extra
+    # A fitted model: skies brighter than any that it was fitted to are taken as the brightest.
+    brightness = np.minimum(dhi * air_mass / extra, 1.0)
     weight = _PEREZ_KAPPA * zenith**3
     # Clearness is ((DHI + DNI)/DHI + k z^3)/(1 + k z^3). Without diffuse light its bin does not matter.
     ratio = np.divide(dni, dhi, out=np.zeros(dhi.shape), where=dhi > _NO_DIFFUSE_W_M2)
@@ -183,7 +184,7 @@ def _perez_coefficients(sine: Array, dni: Array, dhi: Array, extra: Array) -> tu
     row: NDArray[np.float64] = _PEREZ[np.digitize(clearness, _CLEARNESS_BOUNDS)]
     f1 = row[..., 0] + row[..., 1] * brightness + row[..., 2] * zenith
     f2 = row[..., 3] + row[..., 4] * brightness + row[..., 5] * zenith
-    return np.clip(f1, 0.0, 1.0), f2
+    return np.maximum(f1, 0.0), f2
 
 
 def _cosine(normals: ArrayLike, sun: Array) -> Array:

@@ -5,10 +5,14 @@ import re
 import socket
 from dataclasses import dataclass
 
+from daemon.errors import UserError
+
 _FORM = re.compile(r"\[(?P<v6>[^\[\]]*)\]:(?P<port6>[0-9]{1,5})|(?P<v4>[^:\[\]]*):(?P<port4>[0-9]{1,5})", re.ASCII)
 
+ANY_INTERFACE = "0.0.0.0"  # noqa: S104 - the kernel's word for its own choice
 
-class BridgeError(Exception):
+
+class BridgeError(UserError):
     """The bridge cannot work as it is set up; the message is one sentence for the operator."""
 
 
@@ -23,6 +27,13 @@ class Address:
     def ip(self) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
         """The host as a number."""
         return ipaddress.ip_address(self.host)
+
+    @property
+    def reachable(self) -> "Address":
+        """Where this machine reaches what listens here: loopback for an address that stands for all networks."""
+        if not self.ip.is_unspecified:
+            return self
+        return Address("::1" if self.ip.version == 6 else "127.0.0.1", self.port)
 
     @property
     def family(self) -> socket.AddressFamily:
@@ -59,34 +70,6 @@ def parse_address(text: str) -> Address:
             " (host names and link-local zones are not resolved)"
         )
     return Address(str(ip), port)
-
-
-def address_of(key: str, text: str) -> Address:
-    """Return the address that the settings have under `key`; `BridgeError` names the key."""
-    try:
-        return parse_address(text)
-    except ValueError as error:
-        raise BridgeError(f"{key}: {error}") from None
-
-
-def group_of(text: str, interface: str | None) -> tuple[Address, str]:
-    """Return a multicast group and the local address to reach it by (``0.0.0.0``: the system's choice).
-
-    IPv4 only. Raises `BridgeError` for anything else.
-    """
-    group = address_of("bridge.multicast_group", text)
-    if not (group.ip.version == 4 and group.ip.is_multicast and group.port):
-        raise BridgeError(
-            f"bridge.multicast_group: {text!r} is not an IPv4 multicast group and a port, such as 239.255.20.71:20571"
-        )
-    try:
-        local = ipaddress.IPv4Address(interface or "0.0.0.0")  # noqa: S104 - the kernel's word for 'you choose'
-    except ValueError:
-        raise BridgeError(
-            f"bridge.multicast_interface: {interface!r} is not the IPv4 address of a network interface of this"
-            " machine, such as 192.168.1.20"
-        ) from None
-    return group, str(local)
 
 
 def require_key(key: bytes | None, *, insecure: bool) -> None:

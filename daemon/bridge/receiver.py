@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import Address, BridgeError, address_of, group_of, require_key
+from daemon.bridge.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
 from daemon.bridge.order import Follower
 from daemon.bridge.refusals import Refusal, RefusedError, Statistics, Tally
 
@@ -41,7 +41,8 @@ class BridgeReceiver(asyncio.DatagramProtocol):
     Raises
     ------
     BridgeError
-        When the settings have a wrong address, or neither a key nor ``insecure``.
+        When the multicast group cannot be heard where the settings listen, or there is neither a key nor
+        ``insecure``.
     """
 
     def __init__(
@@ -51,11 +52,12 @@ class BridgeReceiver(asyncio.DatagramProtocol):
         self._key = key
         self._clock = clock
         self._on_scan = on_scan
-        self._listen = address_of("bridge.listen", settings.listen)
-        self._group: tuple[Address, str] | None = None
+        self._listen = parse_address(settings.listen)
+        self._group: Address | None = None
+        self._interface = settings.multicast_interface or ANY_INTERFACE
         if settings.multicast_group is not None:
-            self._group = group_of(settings.multicast_group, settings.multicast_interface)
-            self._check_group(self._group[0])
+            self._group = parse_address(settings.multicast_group)
+            self._check_group(self._group)
         self._accept_from = frozenset(_ip_of(text) for text in settings.accept_from)
         self._follower = Follower(settings.clock_skew_s, settings.late_after_s)
         self._tally = Tally()
@@ -63,12 +65,12 @@ class BridgeReceiver(asyncio.DatagramProtocol):
         self._gone = asyncio.Event()
 
     @property
-    def address(self) -> Address:
-        """Where the receiver listens; the true port once it is open."""
-        if self._transport is None:
-            return self._listen
-        host, port = self._transport.get_extra_info("sockname")[:2]
-        return Address(host, port)
+    def address(self) -> str:
+        """Where a sender on this machine reaches the receiver; the true port once it is open."""
+        bound = self._listen
+        if self._transport is not None:
+            bound = Address(*self._transport.get_extra_info("sockname")[:2])
+        return str(bound.reachable)
 
     @property
     def statistics(self) -> Statistics:
@@ -133,7 +135,7 @@ class BridgeReceiver(asyncio.DatagramProtocol):
             raise BridgeError(
                 f"bridge.listen: port {self._listen.port} and that of bridge.multicast_group {group} must be the same"
             )
-        if self._listen.host not in {"0.0.0.0", group.host}:  # noqa: S104 - named, not bound
+        if self._listen.host not in {ANY_INTERFACE, group.host}:
             raise BridgeError(
                 f"bridge.listen: {self._listen} cannot hear the multicast group {group}: listen on 0.0.0.0:{group.port}"
             )
@@ -147,14 +149,13 @@ class BridgeReceiver(asyncio.DatagramProtocol):
             bound.close()
             raise BridgeError(f"bridge.listen: {self._listen} {_why_not_bound(error)}") from None
         if self._group is not None:
-            group, local = self._group
             try:
-                membership = socket.inet_aton(group.host) + socket.inet_aton(local)
+                membership = socket.inet_aton(self._group.host) + socket.inet_aton(self._interface)
                 bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
             except OSError as error:
                 bound.close()
                 raise BridgeError(
-                    f"bridge.multicast_group: {group} cannot be joined ({error.strerror}): set"
+                    f"bridge.multicast_group: {self._group} cannot be joined ({error.strerror}): set"
                     " bridge.multicast_interface to this machine's address in the network of the cube"
                 ) from None
         return bound
@@ -172,8 +173,5 @@ def _why_not_bound(error: OSError) -> str:
 
 def _ip_of(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """Return an address of the allow-list or of a sender; IPv4 within IPv6 is IPv4."""
-    try:
-        ip = ipaddress.ip_address(text.partition("%")[0])
-    except ValueError:
-        raise BridgeError(f"bridge.accept_from: {text!r} is not a numeric IP address, such as 192.168.1.10") from None
+    ip = ipaddress.ip_address(text.partition("%")[0])
     return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip

@@ -77,6 +77,11 @@ class Statistics:
     last_refusal: str = ""
     last_refusal_utc_s: float | None = None
 
+    @property
+    def refused(self) -> int:
+        """Datagrams refused, of all kinds."""
+        return sum(getattr(self, kind) for kind in Refusal)
+
 
 class Tally:
     """Counts scans and refusals and logs what an operator needs.

@@ -17,7 +17,7 @@ from daemon.bridge.sender import BridgeSender
 from daemon.records import FACES, FaceReading, Quality, Scan
 
 if TYPE_CHECKING:
-    import numpy as np
+    from random import Random
 
     from daemon.clock import Clock
     from daemon.config import Bridge
@@ -63,7 +63,7 @@ async def send_csv(
     settings: "Bridge",
     key: bytes | None,
     clock: "Clock",
-    rng: "np.random.Generator",
+    rng: "Random",
     *,
     speed: float = 1.0,
     keep_times: bool = False,
@@ -98,7 +98,7 @@ async def send_csv(
         raise BridgeError(f"the speed must be a number greater than 0, not {speed:g}")
     sender = BridgeSender(settings, key, clock)
     rows = read_csv(path)
-    session = senml.new_session(rng)
+    session = f"{rng.getrandbits(64):016x}"
     await sender.open()
     try:
         start_s = clock.monotonic()

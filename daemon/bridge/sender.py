@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import Address, BridgeError, address_of, group_of, require_key
+from daemon.bridge.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
+from daemon.outage import Outage
 
 if TYPE_CHECKING:
     from daemon.clock import Clock
@@ -15,9 +16,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("heliocube.bridge")
 
-FIRST_HOLD_S = 60.0
-LONGEST_HOLD_S = 3600.0
-FORGIVEN_AFTER_S = 6 * 3600.0
+# A target counts as back after this long without an error, so that one that comes and goes is one outage.
+BACK_AFTER_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class BridgeSender:
     Raises
     ------
     BridgeError
-        When the settings name no target, a wrong address, or neither a key nor ``insecure``.
+        When the settings name no target, or neither a key nor ``insecure``.
     """
 
     def __init__(self, settings: "Bridge", key: bytes | None, clock: "Clock") -> None:
@@ -66,17 +66,14 @@ class BridgeSender:
         self._key = key
         self._clock = clock
         self._open = False
-        self._targets = [_Target(address_of("bridge.send_to", text)) for text in settings.send_to]
+        self._targets = [_Target(parse_address(text)) for text in settings.send_to]
         if settings.multicast_group is not None:
-            group, local = group_of(settings.multicast_group, settings.multicast_interface)
-            self._targets.append(_Target(group, local, settings.multicast_ttl))
+            local = socket.inet_aton(settings.multicast_interface or ANY_INTERFACE)
+            self._targets.append(_Target(parse_address(settings.multicast_group), local, settings.multicast_ttl))
         if not self._targets:
             raise BridgeError(
                 "bridge.send_to is empty and bridge.multicast_group is not set: name at least one tracker"
             )
-        for target in self._targets:
-            if not target.address.port:
-                raise BridgeError(f"bridge.send_to: {str(target.address)!r} has port 0, which nothing can listen on")
 
     @property
     def statistics(self) -> tuple[TargetStatistics, ...]:
@@ -106,9 +103,9 @@ class BridgeSender:
 
 
 class _Target:
-    """One destination: a connected socket, opened when needed, and the story of its outages."""
+    """One destination: a connected socket, opened when needed, and what became of the datagrams."""
 
-    def __init__(self, address: Address, multicast_from: str | None = None, multicast_ttl: int = 1) -> None:
+    def __init__(self, address: Address, multicast_from: bytes | None = None, multicast_ttl: int = 1) -> None:
         self.address = address
         self._multicast_from = multicast_from
         self._multicast_ttl = multicast_ttl
@@ -117,7 +114,8 @@ class _Target:
         self._failed = 0
         self._last_error = ""
         self._failing = False
-        self._outage = _OutageLog(str(address))
+        self._outage = Outage(_log, f"the way of the scans to {address}")
+        self._last_error_s = 0.0
 
     @property
     def statistics(self) -> TargetStatistics:
@@ -140,11 +138,12 @@ class _Target:
                 # A socket stays bound to the address that this machine had; a new one learns the new address.
                 self.close()
         self._failing = error is not None
-        if error is None:
-            self._outage.good(now_s)
-        else:
+        if error is not None:
             self._last_error = error.strerror or str(error)
-            self._outage.bad(now_s, self._last_error)
+            self._last_error_s = now_s
+            self._outage.down(now_s, self._last_error)
+        elif now_s - self._last_error_s >= BACK_AFTER_S:
+            self._outage.up(self._last_error_s)
 
     def close(self) -> None:
         if self._socket is not None:
@@ -158,47 +157,10 @@ class _Target:
                 opened.setblocking(False)
                 if self._multicast_from is not None:
                     opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self._multicast_ttl)
-                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(self._multicast_from))
+                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, self._multicast_from)
                 opened.connect((self.address.host, self.address.port))
             except OSError:
                 opened.close()
                 raise
             self._socket = opened
         return self._socket
-
-
-class _OutageLog:
-    """Says once that a target is down and once that it is up again, also for one that comes and goes.
-
-    Up is said after a stretch without errors; the stretch doubles from outage to outage, to an hour at most, and
-    begins anew after six good hours.
-    """
-
-    def __init__(self, target: str) -> None:
-        self._target = target
-        self._hold_s = FIRST_HOLD_S / 2
-        self._began_s: float | None = None
-        self._last_bad_s: float | None = None
-        self._errors = 0
-
-    def bad(self, now_s: float, reason: str) -> None:
-        if self._began_s is None:
-            if self._last_bad_s is not None and now_s - self._last_bad_s >= FORGIVEN_AFTER_S:
-                self._hold_s = FIRST_HOLD_S / 2
-            self._hold_s = min(2 * self._hold_s, LONGEST_HOLD_S)
-            self._began_s, self._errors = now_s, 0
-            _log.warning("scans do not reach %s: %s", self._target, reason)
-        self._errors += 1
-        self._last_bad_s = now_s
-
-    def good(self, now_s: float) -> None:
-        if self._began_s is None or self._last_bad_s is None or now_s - self._last_bad_s < self._hold_s:
-            return
-        _log.info(
-            "scans go out to %s again: %d errors within %.0f s, none for the last %.0f s",
-            self._target,
-            self._errors,
-            self._last_bad_s - self._began_s,
-            now_s - self._last_bad_s,
-        )
-        self._began_s = None

@@ -5,8 +5,6 @@ import math
 import re
 from typing import Any
 
-import numpy as np
-
 from daemon.bridge.refusals import Refusal, RefusedError
 from daemon.records import FACES, FaceReading, Quality, Scan
 
@@ -32,11 +30,6 @@ _LABELS = {
 }
 
 _encoder = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
-
-
-def new_session(rng: np.random.Generator) -> str:
-    """Return a name for one run of a sender: 64 random bits as 16 hexadecimal digits."""
-    return rng.bytes(8).hex()
 
 
 def encode(scan: Scan) -> bytes:
