@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config
+from daemon import cli_bridge, cli_config, cli_energy
+from daemon.cli_options import parse_site
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
+app.command("energy")(cli_energy.energy)
 
 
 class RoleChoice(StrEnum):
@@ -143,14 +145,8 @@ def _settings(
 
 
 def _site(text: str) -> dict[str, Any]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
-    altitude = numbers[2] if len(numbers) == 3 else 0.0
-    return {"name": text, "latitude_deg": numbers[0], "longitude_deg": numbers[1], "altitude_m": altitude}
+    latitude, longitude, altitude = parse_site(text)
+    return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
 
 
 def _instant(text: str, option: str) -> datetime:

@@ -76,7 +76,8 @@ class Weather:
 
     def by_day(self, power_w_m2: Array) -> Array:
         """Return the insolation [kWh/m2] of each day, shape (days,), from irradiance of shape (n,)."""
-        return np.bincount(self.day, power_w_m2, self.shape[1]) * (self.step_s / 3.6e6)
+        total: Array = np.bincount(self.day, power_w_m2, self.shape[1]).astype(np.float64)
+        return total * (self.step_s / 3.6e6)
 
     def day_types(self) -> NDArray[np.intp]:
         """Return each day's type, shape (days,): index into DAY_TYPES by the daily diffuse fraction; -1 if no light."""

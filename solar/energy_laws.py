@@ -15,28 +15,36 @@ PAPER_MEAN_S = 120.0
 
 
 def fixed(weather: Weather, tilt_deg: float) -> Steer:
-    """A plane that never moves after dawn, tilted towards the equator; the limits do not hold for it."""
+    """Stand still: a plane that never moves after dawn, tilted towards the equator; the limits do not hold for it."""
     days = weather.shape[1]
     return lambda _step, _a, _b: (np.zeros(days), np.full(days, 90.0 - tilt_deg))
 
 
 def chronometric(weather: Weather, limits: Limits) -> Steer:
-    """The sun itself, at every step."""
+    """Follow the sun itself, at every step."""
     a_deg, b_deg = _clipped(weather.gridded(weather.sun, np.nan), limits)
     return lambda step, a, b: _or_stay(a_deg[step], b_deg[step], a, b)
 
 
 def from_faces(
-    weather: Weather, faces: Array, limits: Limits, law: str, every_s: float = PAPER_EVERY_S, mean_s: float = PAPER_MEAN_S
+    weather: Weather,
+    faces: Array,
+    limits: Limits,
+    law: str,
+    every_s: float = PAPER_EVERY_S,
+    mean_s: float = PAPER_MEAN_S,
 ) -> Steer:
-    """The paper's cycle: every `every_s`, from the mean of the last `mean_s`, in force from the next step on."""
+    """Run the paper's cycle: every `every_s`, from the mean of the last `mean_s`, in force from the next step on."""
     grid = weather.gridded(faces, np.nan)
     count = max(round(mean_s / weather.step_s), 1)
     mean = grid.copy()
     for back in range(1, count):
         mean[back:] += grid[:-back]
     mean /= count
-    direction = laws.mu_prime(mean) if law == "mu-prime" else laws.sun_vector(mean)
+    if law == "mu-prime":
+        direction = laws.mu_prime(mean)
+    else:
+        direction = laws.complete_poleward(laws.sun_vector(mean), weather.gridded(weather.sun, np.nan))
     a_deg, b_deg = _clipped(direction, limits)
     every = max(round(every_s / weather.step_s), 1)
 
@@ -49,8 +57,8 @@ def from_faces(
 def optimal(
     weather: Weather, faces: Array, limits: Limits, settings: OptimalSettings, start: Learned | None = None
 ) -> Steer:
-    """The law of :mod:`solar.optimal_law`; what each day teaches of the site serves the days after it."""
-    steps, days = weather.shape
+    """Run the law of :mod:`solar.optimal_law`; what each day teaches of the site serves the days after it."""
+    days = weather.shape[1]
     grid = weather.gridded(faces, np.nan)
     sun = weather.gridded(weather.sun, 0.0)
     ahead = weather.gridded(sun_direction(weather.utc_s + settings.lead_s, *weather.site), 0.0)
@@ -65,7 +73,6 @@ def optimal(
         choice = law.decide(a, b, ahead[step - 1], left[step - 1])
         return choice.a_deg, choice.b_deg
 
-    del steps
     return steer
 
 
@@ -78,7 +85,7 @@ def learned_by_day(weather: Weather, faces: Array, start: Learned | None = None)
     usable = usable_faces(faces, weather.sun)
     sums = sums_of(faces, weather.sun, usable, weather.step_s)
     days = weather.shape[1]
-    by_day = DaySums(*(np.bincount(weather.day, part, days) for part in sums))
+    by_day = DaySums(*(np.bincount(weather.day, part, days).astype(np.float64) for part in sums))
     known = [start or Learned()]
     for day in range(days - 1):
         known.append(step(known[-1], DaySums(*(part[day] for part in by_day))))

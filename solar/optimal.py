@@ -11,8 +11,8 @@ Four readings, three unknowns: no model of the sky is assumed. On a plane that s
     I(n) = B s.n + D (1 + n_z)/2 + H sqrt(1 - n_z^2) + rho G (1 - n_z)/2 = M.n + constant
     M = B s + (D - rho G)/2 k + H h,     h horizontal, towards the sun's azimuth
 
-in the sun's vertical plane, where the best normal lies: it is M's direction, found without a search. Because I is linear
-in B, D and H, the best pose for an uncertain future is the best pose for their expected values.
+in the sun's vertical plane, where the best normal lies: it is M's direction, found without a search. Because I is
+linear in B, D and H, the best pose for an uncertain future is the best pose for their expected values.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from solar.frames import Array, Limits
 
 # How firmly H is taken to be nothing, against one face reading of the same size: it decides where faces are missing.
-_HORIZON_PRIOR = 5e-3
+_HORIZON_PRIOR = 0.02
+_RIDGE = 1e-6
 _SMALLEST = 1e-4
 _HORIZON_RANGE = (-0.3, 0.7)
 _LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
@@ -77,7 +78,9 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     return possible & np.stack(believed, axis=-1)
 
 
-def light_from_faces(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2, usable: ArrayLike | None = None) -> Light:
+def light_from_faces(
+    faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2, usable: ArrayLike | None = None
+) -> Light:
     """Return the light that explains the faces best, by least squares, within what is physically possible.
 
     Parameters
@@ -153,9 +156,9 @@ def _solve(
     weight: Array, readings: Array, beam_share: list[Array], diffuse_share: Array, height: Array
 ) -> tuple[Array, Array, Array]:
     """Weighted least squares for (B, D, H), by Cramer's rule on the symmetric 3 x 3 normal equations."""
-    bb = weight[..., 3] * height * height + _SMALLEST
+    bb = weight[..., 3] * height * height + _RIDGE
     bd = weight[..., 3] * height
-    dd = weight[..., 3] + _SMALLEST
+    dd = weight[..., 3] + _RIDGE
     bh = np.zeros_like(bb)
     yb = weight[..., 3] * height * readings[..., 3]
     yd = weight[..., 3] * readings[..., 3]
@@ -184,7 +187,9 @@ def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: list
     beam, uniform, horizon = solution
     zenith = np.maximum(beam * height + uniform, 0.0)
     vertical = 0.5 * uniform + horizon
-    kept = np.minimum(np.maximum(beam, 0.0), np.divide(zenith, height, out=np.zeros_like(zenith), where=height > _SMALLEST))
+    kept = np.minimum(
+        np.maximum(beam, 0.0), np.divide(zenith, height, out=np.zeros_like(zenith), where=height > _SMALLEST)
+    )
     verticals = np.maximum(weight[..., :3].sum(axis=-1), 1.0)
     mean_share = sum((weight[..., face] * share for face, share in enumerate(towards)), np.zeros_like(beam)) / verticals
     uniform = np.maximum(zenith - kept * height, 0.0)

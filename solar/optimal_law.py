@@ -24,6 +24,9 @@ from solar.optimal_site import Learned, SiteLearning
 Flags = NDArray[np.bool_]
 
 _FACES_NEEDED = 3
+_SUNNY_W_M2 = 500.0
+_LEAST_LEFT = 1e-3
+_MOST_PRESSURE = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,24 +44,28 @@ class OptimalSettings:
         How far ahead of the last reading the sun is taken.
     price_per_degree_w_m2, price_per_move_w_m2
         Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
+    thrift
+        What both prices are multiplied by: the one knob between harvest and wear. A varying sky is also taken at its
+        slower mean, the more so the thriftier.
     travel_per_day_deg, moves_per_day
         The day's budget.
     pacing
-        How steeply the price rises when the budget is used faster than the daylight.
+        How steeply prices rise when the budget is used faster than the daylight.
     forget_after_s
         A gap in the readings after which the memory starts again.
     """
 
     quick_half_life_s: float = 90.0
     slow_half_life_s: float = 600.0
-    unrest_weight: float = 1.0
+    unrest_weight: float = 0.6
     slow_share_max: float = 0.8
     lead_s: float = 240.0
     price_per_degree_w_m2: float = 0.02
     price_per_move_w_m2: float = 0.2
+    thrift: float = 1.0
     travel_per_day_deg: float = 1300.0
     moves_per_day: int = 250
-    pacing: float = 4.0
+    pacing: float = 6.0
     forget_after_s: float = 900.0
 
 
@@ -170,12 +177,12 @@ class OptimalLaw:
         self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
         self.site.observe(read, sun, usable, elapsed)
 
-    def expect(self) -> Expectation:
-        """Return what is expected of the sky."""
+    def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
+        """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
         settings = self._settings
         # The scale keeps the unrest of a sky without beam at zero instead of at the noise of the sensors.
         unrest = self._deviation / (self._slow[0] + 0.1 * self._slow[1] + 10.0)
-        share = np.minimum(settings.unrest_weight * unrest, settings.slow_share_max)
+        share = np.minimum(settings.unrest_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
         light = Light(*((1.0 - share) * self._quick + share * self._slow))
         return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
 
@@ -191,7 +198,8 @@ class OptimalLaw:
         daylight_left
             Share of the day's light hours that is still to come, 0..1.
         """
-        expected = self.expect()
+        thrift = self._thrift(np.asarray(daylight_left, dtype=np.float64))
+        expected = self.expect(thrift)
         a, b = np.asarray(a_deg, dtype=np.float64), np.asarray(b_deg, dtype=np.float64)
         sun = np.asarray(sun, dtype=np.float64)
         vector = aim_vector(expected.light, sun, self.site.learned.albedo)
@@ -200,29 +208,27 @@ class OptimalLaw:
         best_a, best_b = best_angles(vector, self._limits)
         distance = np.abs(best_a - a) + np.abs(best_b - b)
         gain = product(vector, best_a, best_b) - product(vector, a, b)
-        price = self._price(distance, np.asarray(daylight_left, dtype=np.float64))
+        price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
         move = (gain > price) & (sun[..., 2] > 0.0) & self._affordable(distance)
         self._travelled_deg = self._travelled_deg + np.where(move, distance, 0.0)
         self._moves = self._moves + move
         return Choice(np.where(move, best_a, a), np.where(move, best_b, b), move, gain, price)
 
-    def _price(self, distance: Array, daylight_left: Array) -> Array:
+    def _thrift(self, daylight_left: Array) -> Array:
+        """Return what prices are multiplied by: the setting, and more when the daylight outlasts the budget."""
         settings = self._settings
-        base = settings.price_per_move_w_m2 + settings.price_per_degree_w_m2 * distance
         spent = np.maximum(
             self._travelled_deg / settings.travel_per_day_deg, self._moves / max(settings.moves_per_day, 1)
         )
-        ahead = spent - (1.0 - np.clip(daylight_left, 0.0, 1.0))
-        return base * np.exp(settings.pacing * np.maximum(ahead, 0.0) / np.maximum(1.0 - spent, 0.05))
+        left = np.maximum(1.0 - spent, _LEAST_LEFT)
+        pressure = np.clip(np.clip(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
+        return settings.thrift * pressure**settings.pacing
 
     def _affordable(self, distance: Array) -> Flags:
         settings = self._settings
         return (self._travelled_deg + distance <= settings.travel_per_day_deg) & (
             self._moves + 1 <= settings.moves_per_day
         )
-
-
-_SUNNY_W_M2 = 500.0
 
 
 def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:

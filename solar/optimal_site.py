@@ -7,10 +7,11 @@ In steady beam the sun's known direction fixes what the lit faces must read rela
 so the gains of east and west relative to south are seen; their common factor is not, and is set so that the three
 multiply to 1. The vertical intercept h (what a face without beam reads) and the zenith face give the albedo,
 
-    rho = (2 h - (I_Z - B s_z))/I_Z
+    rho = (2 h - 1.2 (I_Z - B s_z))/I_Z
 
-with the zenith sensor's gain and the horizon's mean brightness in it: one equation cannot tell them apart, and for
-pointing it need not. Sums of a day are taken over at its end, a small step at a time, inside bounds.
+where a tenth of the diffuse light is left to the horizon, which is brighter than the vault under a clear sky. The
+zenith sensor's gain is in rho too: one equation cannot tell them apart, and for pointing it need not. Sums of a day
+are taken over at its end, a small step at a time, inside bounds.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,8 @@ GAIN_RANGE = (0.93, 1.07)
 _STEP = 0.2
 _ENOUGH_S = 3600.0
 _BEAM_W_M2 = 300.0
-_BEAM_SHARE = 0.6
+_BEAM_SHARE = 0.7
+_HORIZON_SHARE = 0.1
 _LIT_COSINE = 0.3
 _LIGHT_W_M2 = 50.0
 
@@ -134,7 +136,8 @@ def sums_of(faces: Array, sun: Array, usable: NDArray[np.bool_], elapsed_s: Arra
     east_s, east_log = _log_ratio(east - west, south - west, sun[..., 1], sun[..., 0], seconds)
     west_s, west_log = _log_ratio(west - east, south - east, -sun[..., 1], sun[..., 0], seconds)
     shaded = np.minimum(east, west)
-    albedo = (2.0 * shaded - (zenith - beam * height)) / np.maximum(zenith, _LIGHT_W_M2)
+    diffuse = zenith - beam * height
+    albedo = (2.0 * (shaded - _HORIZON_SHARE * diffuse) - diffuse) / np.maximum(zenith, _LIGHT_W_M2)
     return DaySums(seconds, seconds * albedo, east_s, east_s * east_log, west_s, west_s * west_log)
 
 
