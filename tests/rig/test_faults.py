@@ -4,10 +4,11 @@ import asyncio
 import itertools
 import logging
 import math
+from pathlib import Path
 
 import pytest
 
-from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose
+from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
@@ -339,7 +340,6 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
 
 def test_every_way_to_move_goes_through_one_guard(run_rig):
     """R24: the only caller of the positioner's move and home commands is Motion."""
-    from pathlib import Path
 
     callers = {
         path.name
@@ -352,7 +352,6 @@ def test_every_way_to_move_goes_through_one_guard(run_rig):
 def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
     async def scenario(bench):
         await asyncio.sleep(5)
-        from daemon.records import Target
 
         with pytest.raises(RefusedError, match="cannot move"):
             bench.motion.order(Target(0, 60, "test"))
@@ -405,7 +404,7 @@ def test_after_a_step_the_chronometric_law_waits(run_rig):
 
 @pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
 def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, caplog, part):
-    class Broken(Exception):
+    class BrokenError(Exception):
         pass
 
     def breaking(bench):
@@ -419,7 +418,7 @@ def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, c
             }[part]
 
             def fail(*_args):
-                raise Broken(part)
+                raise BrokenError(part)
 
             setattr(*owner, fail)
             await asyncio.sleep(60)
