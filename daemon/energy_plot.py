@@ -33,7 +33,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     bars.axhline(0.0, color="black", linewidth=0.8)
     bars.set_ylabel("gain over ideal chronometric [%]")
     bars.set_title(f"Gain by type of day, sky {sky_name}")
-    bars.legend(frameon=False)
+    if shown:
+        bars.legend(frameon=False)
     for index, name in enumerate(dict.fromkeys(row.sky for row in rows)):
         _draw_wear(wear, [row for row in rows if row.sky == name], name, f"C{index}")
     wear.axhline(100.0, color="0.6", linewidth=0.8)
@@ -42,7 +43,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     wear.set_xlabel("travel, A and B added [deg/day]")
     wear.set_ylabel("share of what the bound gains [%]")
     wear.set_title("Harvest against wear (line: optimal; cross: mu-prime)")
-    wear.legend(frameon=False, loc="lower right")
+    if wear.has_data() and wear.get_legend_handles_labels()[0]:
+        wear.legend(frameon=False, loc="lower right")
     figure.savefig(path, dpi=120)
 
 

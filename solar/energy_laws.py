@@ -5,10 +5,10 @@ import numpy as np
 from solar import laws
 from solar.energy import Steer, Weather
 from solar.ephemeris import sun_direction
-from solar.frames import Array, Limits, angles_from_direction
+from solar.frames import Array, Limits, angles_within
 from solar.optimal import usable_faces
 from solar.optimal_law import OptimalLaw, OptimalSettings
-from solar.optimal_site import DaySums, Learned, step, sums_of
+from solar.optimal_site import Learned, SiteLearning
 
 PAPER_EVERY_S = 300.0
 PAPER_MEAN_S = 120.0
@@ -22,7 +22,7 @@ def fixed(weather: Weather, tilt_deg: float) -> Steer:
 
 def chronometric(weather: Weather, limits: Limits) -> Steer:
     """Follow the sun itself, at every step."""
-    a_deg, b_deg = _clipped(weather.gridded(weather.sun, np.nan), limits)
+    a_deg, b_deg = angles_within(weather.gridded(weather.sun, np.nan), limits)
     return lambda step, a, b: _or_stay(a_deg[step], b_deg[step], a, b)
 
 
@@ -45,7 +45,7 @@ def from_faces(
         direction = laws.mu_prime(mean)
     else:
         direction = laws.complete_poleward(laws.sun_vector(mean), weather.gridded(weather.sun, np.nan))
-    a_deg, b_deg = _clipped(direction, limits)
+    a_deg, b_deg = angles_within(direction, limits)
     every = max(round(every_s / weather.step_s), 1)
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
@@ -79,26 +79,19 @@ def optimal(
 def learned_by_day(weather: Weather, faces: Array, start: Learned | None = None) -> Learned:
     """Return what is known of the site on the morning of each day, arrays of shape (days,).
 
-    What the faces teach does not depend on where the tracker points: the sums of all days are found at once, and only
-    the steps from day to day one after the other.
+    What the faces teach does not depend on where the tracker points, so this can be known before it is driven.
     """
-    usable = usable_faces(faces, weather.sun)
-    sums = sums_of(faces, weather.sun, usable, weather.step_s)
-    days = weather.shape[1]
-    by_day = DaySums(*(np.bincount(weather.day, part, days).astype(np.float64) for part in sums))
-    known = [start or Learned()]
-    for day in range(days - 1):
-        known.append(step(known[-1], DaySums(*(part[day] for part in by_day))))
-    fields = ("albedo", "gain_east", "gain_south", "gain_west")
-    return Learned(*(np.array([float(getattr(each, name)) for each in known]) for name in fields))
-
-
-def _clipped(direction: Array, limits: Limits) -> tuple[Array, Array]:
-    a_deg, b_deg = angles_from_direction(direction)
-    return (
-        np.clip(a_deg, limits.a_min_deg, limits.a_max_deg),
-        np.clip(b_deg, limits.b_min_deg, limits.b_max_deg),
-    )
+    site = SiteLearning(learned=start)
+    known = [site.learned]
+    order = np.argsort(weather.day, kind="stable")
+    ends = np.cumsum(np.bincount(weather.day, minlength=weather.shape[1]))[:-1]
+    for rows in np.split(order, ends)[:-1]:
+        sun = weather.sun[rows]
+        corrected = site.corrected(faces[rows])
+        site.observe(corrected, sun, usable_faces(corrected, sun), np.full(len(rows), weather.step_s))
+        site.end_of_day()
+        known.append(site.learned)
+    return Learned(*(np.array([float(getattr(each, name)) for each in known]) for name in Learned.__slots__))
 
 
 def _or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:

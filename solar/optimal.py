@@ -11,7 +11,8 @@ Four readings, three unknowns: no model of the sky is assumed. On a plane that s
     I(n) = B s.n + D (1 + n_z)/2 + H sqrt(1 - n_z^2) + rho G (1 - n_z)/2 = M.n + constant
     M = B s + (D - rho G)/2 k + H h,     h horizontal, towards the sun's azimuth
 
-in the sun's vertical plane, where the best normal lies: it is M's direction, found without a search. Because I is
+in the sun's vertical plane, where the best normal lies: it is M's direction, found without a search,
+and brought inside the tracker's limits by :func:`solar.frames.angles_within`, which is exact. Because I is
 linear in B, D and H, the best pose for an uncertain future is the best pose for their expected values.
 """
 
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array, Limits
+from solar.frames import Array
 
 # How firmly H is taken to be nothing, against one face reading of the same size: it decides where faces are missing.
 _HORIZON_PRIOR = 0.02
@@ -122,19 +123,6 @@ def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     outward = np.maximum(light.beam * across + light.horizon, 0.0) / np.maximum(across, _SMALLEST)
     up = np.maximum(light.beam * height + 0.5 * (light.uniform - np.asarray(albedo) * total), 1e-3 * total)
     return np.stack([outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9)], axis=-1)
-
-
-def best_angles(vector: ArrayLike, limits: Limits) -> tuple[Array, Array]:
-    """Return the angles (a_deg, b_deg) inside the limits whose normal has the largest product with `vector`.
-
-    The best B does not depend on A, since cos A is positive, and the best A follows from it: both are exact.
-    """
-    vector = np.asarray(vector, dtype=np.float64)
-    south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
-    b_deg = np.clip(np.degrees(np.arctan2(up, south)), limits.b_min_deg, limits.b_max_deg)
-    b = np.radians(b_deg)
-    a_deg = np.degrees(np.arctan2(-east, south * np.cos(b) + up * np.sin(b)))
-    return np.clip(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
 
 
 def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array, Limits
-from solar.optimal import Light, aim_vector, best_angles, light_from_faces, product, usable_faces
+from solar.frames import Array, Limits, angles_within
+from solar.optimal import Light, aim_vector, light_from_faces, product, usable_faces
 from solar.optimal_site import Learned, SiteLearning
 
 Flags = NDArray[np.bool_]
@@ -163,7 +163,7 @@ class OptimalLaw:
         `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN.
         """
         sun = np.asarray(sun, dtype=np.float64)
-        read, faces = np.asarray(faces, dtype=np.float64), self.site.corrected(faces)
+        faces = self.site.corrected(faces)
         elapsed = np.broadcast_to(np.asarray(elapsed_s, dtype=np.float64), self._shape)
         usable = usable_faces(faces, sun)
         good = (usable.sum(axis=-1) >= _FACES_NEEDED) & (sun[..., 2] > 0.0)
@@ -175,7 +175,7 @@ class OptimalLaw:
         pace = elapsed / self._settings.slow_half_life_s
         self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
         self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
-        self.site.observe(read, sun, usable, elapsed)
+        self.site.observe(faces, sun, usable, elapsed)
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
         """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
@@ -205,7 +205,7 @@ class OptimalLaw:
         vector = aim_vector(expected.light, sun, self.site.learned.albedo)
         # Without faces the sun is followed, at the price of a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
-        best_a, best_b = best_angles(vector, self._limits)
+        best_a, best_b = angles_within(vector, self._limits)
         distance = np.abs(best_a - a) + np.abs(best_b - b)
         gain = product(vector, best_a, best_b) - product(vector, a, b)
         price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
@@ -218,7 +218,8 @@ class OptimalLaw:
         """Return what prices are multiplied by: the setting, and more when the daylight outlasts the budget."""
         settings = self._settings
         spent = np.maximum(
-            self._travelled_deg / settings.travel_per_day_deg, self._moves / max(settings.moves_per_day, 1)
+            self._travelled_deg / max(settings.travel_per_day_deg, _LEAST_LEFT),
+            self._moves / max(settings.moves_per_day, 1),
         )
         left = np.maximum(1.0 - spent, _LEAST_LEFT)
         pressure = np.clip(np.clip(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)

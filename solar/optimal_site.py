@@ -105,9 +105,11 @@ class SiteLearning:
         return result
 
     def observe(self, faces: Array, sun: Array, usable: NDArray[np.bool_], elapsed_s: Array) -> None:
-        """Add faces as they were read to the day's sums."""
+        """Add corrected faces to the day's sums."""
         added = sums_of(faces, sun, usable, elapsed_s)
-        self._sums = DaySums(*(total + part for total, part in zip(self._sums, added, strict=True)))
+        # Readings of many instants at once, shape (n, *shape), are summed too.
+        extra = tuple(range(np.ndim(added.albedo) - len(self._shape)))
+        self._sums = DaySums(*(total + part.sum(axis=extra) for total, part in zip(self._sums, added, strict=True)))
 
     def end_of_day(self) -> None:
         """Take a step towards what the day showed, and begin another."""
@@ -144,8 +146,10 @@ def sums_of(faces: Array, sun: Array, usable: NDArray[np.bool_], elapsed_s: Arra
 def step(learned: Learned, sums: DaySums) -> Learned:
     """Return what is known after a day with these sums: at most a fifth of the way to what it showed."""
     albedo = _step(np.asarray(learned.albedo), sums.albedo_s, sums.albedo)
-    east = _step(np.log(learned.gain_east / learned.gain_south), sums.east_s, sums.east)
-    west = _step(np.log(learned.gain_west / learned.gain_south), sums.west_s, sums.west)
+    # The readings were corrected: what they show of the gains is what is left to correct.
+    east = np.log(learned.gain_east / learned.gain_south)
+    west = np.log(learned.gain_west / learned.gain_south)
+    east, west = _step(east, sums.east_s, sums.east, east), _step(west, sums.west_s, sums.west, west)
     south = -(east + west) / 3.0
     low, high = GAIN_RANGE
     return Learned(
@@ -156,11 +160,11 @@ def step(learned: Learned, sums: DaySums) -> Learned:
     )
 
 
-def _step(now: Array, seconds: Array, total: Array) -> Array:
-    """Go from `now` towards the day's mean, by a share that grows with the seconds behind it."""
+def _step(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -> Array:
+    """Go from `now` towards `base` plus the day's mean, by a share that grows with the seconds behind it."""
     mean = np.divide(total, seconds, out=np.zeros_like(total), where=seconds > 0.0)
     share = _STEP * np.minimum(seconds / _ENOUGH_S, 1.0)
-    result: Array = now + share * (np.where(seconds > 0.0, mean, now) - now)
+    result: Array = now + share * np.where(seconds > 0.0, base + mean - now, 0.0)
     return result
 
 
