@@ -6,7 +6,7 @@ from solar import laws
 from solar.energy import Steer, Weather
 from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
-from solar.optimal import usable_faces
+from solar.optimal import light_from_faces, usable_faces
 from solar.optimal_law import OptimalLaw, OptimalSettings
 from solar.optimal_site import Learned, SiteLearning
 
@@ -88,7 +88,9 @@ def learned_by_day(weather: Weather, faces: Array, start: Learned | None = None)
     for rows in np.split(order, ends)[:-1]:
         sun = weather.sun[rows]
         corrected = site.corrected(faces[rows])
-        site.observe(corrected, sun, usable_faces(corrected, sun), np.full(len(rows), weather.step_s))
+        usable = usable_faces(corrected, sun)
+        beam = light_from_faces(corrected, sun, site.learned.albedo, usable).beam
+        site.observe(corrected, sun, usable, beam, weather.step_s)
         site.end_of_day()
         known.append(site.learned)
     return Learned(*(np.array([float(getattr(each, name)) for each in known]) for name in Learned.__slots__))

@@ -175,7 +175,7 @@ class OptimalLaw:
         pace = elapsed / self._settings.slow_half_life_s
         self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
         self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
-        self.site.observe(faces, sun, usable, elapsed)
+        self.site.observe(faces, sun, usable, light[0], elapsed)
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
         """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""

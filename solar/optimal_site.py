@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
-from solar.optimal import light_from_faces
 
 ALBEDO_RANGE = (0.0, 0.9)
 GAIN_RANGE = (0.93, 1.07)
@@ -104,9 +103,14 @@ class SiteLearning:
         result: Array = readings / gains
         return result
 
-    def observe(self, faces: Array, sun: Array, usable: NDArray[np.bool_], elapsed_s: Array) -> None:
-        """Add corrected faces to the day's sums."""
-        added = sums_of(faces, sun, usable, elapsed_s)
+    def observe(
+        self, faces: Array, sun: Array, usable: NDArray[np.bool_], beam_w_m2: Array, elapsed_s: ArrayLike
+    ) -> None:
+        """Add corrected faces, with the beam they were found to show, to the day's sums."""
+        clear = usable.all(axis=-1) & (beam_w_m2 > _BEAM_W_M2) & (beam_w_m2 * sun[..., 2] > _BEAM_SHARE * faces[..., 3])
+        if not clear.any():
+            return
+        added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
         # Readings of many instants at once, shape (n, *shape), are summed too.
         extra = tuple(range(np.ndim(added.albedo) - len(self._shape)))
         self._sums = DaySums(*(total + part.sum(axis=extra) for total, part in zip(self._sums, added, strict=True)))
@@ -127,18 +131,13 @@ def no_sums(shape: tuple[int, ...]) -> DaySums:
     return DaySums(*(np.zeros(shape) for _ in DaySums._fields))
 
 
-def sums_of(faces: Array, sun: Array, usable: NDArray[np.bool_], elapsed_s: ArrayLike) -> DaySums:
-    """Return what readings of shape (..., 4) add to a day's sums; zero where they teach nothing."""
-    readings = np.where(usable, faces, 0.0)
-    east, south, west, zenith = (readings[..., face] for face in range(4))
-    beam = light_from_faces(readings, sun, 0.2, usable).beam
-    height = sun[..., 2]
-    clear = usable.all(axis=-1) & (beam > _BEAM_W_M2) & (beam * height > _BEAM_SHARE * zenith)
-    seconds = np.where(clear, elapsed_s, 0.0)
+def _sums_of(faces: Array, sun: Array, beam: Array, seconds: Array) -> DaySums:
+    """Return what readings of shape (..., 4) add to a day's sums; zero where they stand for no seconds."""
+    east, south, west, zenith = (faces[..., face] for face in range(4))
     east_s, east_log = _log_ratio(east - west, south - west, sun[..., 1], sun[..., 0], seconds)
     west_s, west_log = _log_ratio(west - east, south - east, -sun[..., 1], sun[..., 0], seconds)
     shaded = np.minimum(east, west)
-    diffuse = zenith - beam * height
+    diffuse = zenith - beam * sun[..., 2]
     albedo = (2.0 * (shaded - _HORIZON_SHARE * diffuse) - diffuse) / np.maximum(zenith, _LIGHT_W_M2)
     return DaySums(seconds, seconds * albedo, east_s, east_s * east_log, west_s, west_s * west_log)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.optimal import usable_faces
+from solar.optimal import light_from_faces, usable_faces
 from solar.optimal_site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.sky import sky
 
@@ -24,7 +24,10 @@ def learn(days, albedo, gains=(1.0, 1.0, 1.0, 1.0), dni=800.0):
     faces = light.irradiance_on(NORMALS[:, None], albedo).T * np.array(gains)
     for _ in range(days):
         for row in range(0, len(sun), 10):
-            site.observe(faces[row], sun[row], usable_faces(faces[row], sun[row]), np.array(600.0))
+            corrected = site.corrected(faces[row])
+            usable = usable_faces(corrected, sun[row])
+            beam = light_from_faces(corrected, sun[row], site.learned.albedo, usable).beam
+            site.observe(corrected, sun[row], usable, beam, 600.0)
         site.end_of_day()
     return site.learned
 
