@@ -1,0 +1,161 @@
+"""What the receiver refused: the kinds, their counts, and a log of them that cannot flood."""
+
+import logging
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+
+_log = logging.getLogger("heliocube.bridge")
+
+HOUR_S = 3600.0
+QUIET_S = 6 * HOUR_S
+SILENCE_S = 60.0
+
+
+class Refusal(StrEnum):
+    """Why a datagram did not become a scan. The names are those of `Statistics`."""
+
+    OVERSIZED = "oversized"
+    REFUSED_SENDER = "refused_sender"
+    FORGED = "forged"
+    MALFORMED = "malformed"
+    OTHER_SOURCE = "other_source"
+    DUPLICATE = "duplicate"
+    REORDERED = "reordered"
+    REPLAYED = "replayed"
+    SKEWED = "skewed"
+    LATE = "late"
+
+
+class RefusedError(Exception):
+    """One datagram is refused.
+
+    Parameters
+    ----------
+    kind
+        Under which name it is counted.
+    reason
+        What is wrong and, where there is one, the remedy.
+    """
+
+    def __init__(self, kind: Refusal, reason: str) -> None:
+        super().__init__(reason)
+        self.kind = kind
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a receiver has seen since it was made.
+
+    Attributes
+    ----------
+    accepted
+        Scans passed on.
+    lost
+        Sequence numbers that a session left out and that did not come afterwards.
+    duplicate, reordered, late, skewed, malformed, forged, oversized, refused_sender, other_source, replayed
+        Datagrams refused, each counted once.
+    last_refusal
+        The latest refusal in one sentence; empty when there was none.
+    last_refusal_utc_s
+        When it came.
+    """
+
+    accepted: int = 0
+    lost: int = 0
+    duplicate: int = 0
+    reordered: int = 0
+    late: int = 0
+    skewed: int = 0
+    malformed: int = 0
+    forged: int = 0
+    oversized: int = 0
+    refused_sender: int = 0
+    other_source: int = 0
+    replayed: int = 0
+    last_refusal: str = ""
+    last_refusal_utc_s: float | None = None
+
+    @property
+    def refused(self) -> int:
+        """Datagrams refused, of all kinds."""
+        return sum(getattr(self, kind) for kind in Refusal)
+
+
+class Tally:
+    """Counts scans and refusals and logs what an operator needs.
+
+    A stretch of refusals gets one WARNING for the first of each kind, then summaries after 1, 2, 4... hours, and one
+    INFO when scans come through again after a gap. Six hours without a refusal end the stretch.
+    """
+
+    def __init__(self) -> None:
+        self._accepted = 0
+        self._refused: Counter[Refusal] = Counter()
+        self._last = ""
+        self._last_utc_s: float | None = None
+        self._last_monotonic_s = 0.0
+        self._told: set[Refusal] = set()
+        self._untold: Counter[Refusal] = Counter()
+        self._summary_at_s = 0.0
+        self._summary_every_s = HOUR_S
+        self._gap_began_s: float | None = None
+        self._gap_refusals = 0
+        self._recovery_told = False
+
+    def accept(self, now_monotonic_s: float) -> None:
+        """Count a scan that is passed on."""
+        self._accepted += 1
+        if self._gap_began_s is not None:
+            gap_s = now_monotonic_s - self._gap_began_s
+            if gap_s >= SILENCE_S and not self._recovery_told:
+                self._recovery_told = True
+                _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap_refusals)
+            self._gap_began_s = None
+
+    def refuse(self, refused: RefusedError, sender: str, utc_s: float, now_monotonic_s: float) -> None:
+        """Count a datagram that is not passed on, and log it if it is news."""
+        kind = refused.kind
+        if self._last_utc_s is None or now_monotonic_s - self._last_monotonic_s >= QUIET_S:
+            self._begin_stretch(now_monotonic_s)
+        if self._gap_began_s is None:
+            self._gap_began_s, self._gap_refusals = now_monotonic_s, 0
+        self._gap_refusals += 1
+        self._refused[kind] += 1
+        self._last = f"{kind.replace('_', ' ')}: a datagram from {sender} {refused.reason}"
+        self._last_utc_s = utc_s
+        self._last_monotonic_s = now_monotonic_s
+        if kind not in self._told:
+            self._told.add(kind)
+            _log.warning("%s; more of this kind are counted, not logged", self._last)
+            return
+        self._untold[kind] += 1
+        if now_monotonic_s >= self._summary_at_s:
+            self._summarise(now_monotonic_s)
+
+    def statistics(self, lost: int) -> Statistics:
+        """Return the counts so far; `lost` is counted where the order is known."""
+        counts = {kind.value: self._refused[kind] for kind in Refusal}
+        return Statistics(
+            accepted=self._accepted,
+            lost=lost,
+            last_refusal=self._last,
+            last_refusal_utc_s=self._last_utc_s,
+            **counts,
+        )
+
+    def _begin_stretch(self, now_monotonic_s: float) -> None:
+        self._told.clear()
+        self._untold.clear()
+        self._recovery_told = False
+        self._summary_every_s = HOUR_S
+        self._summary_at_s = now_monotonic_s + HOUR_S
+
+    def _summarise(self, now_monotonic_s: float) -> None:
+        counts = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(self._untold.items()))
+        _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last)
+        self._untold.clear()
+        # Doubling keeps a day of refusals under twenty lines, however many datagrams there are.
+        self._summary_every_s *= 2
+        self._summary_at_s = now_monotonic_s + self._summary_every_s

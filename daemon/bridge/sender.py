@@ -1,0 +1,166 @@
+"""Sends every scan at once to every tracker. A target that cannot be reached never holds up the others."""
+
+import logging
+import socket
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from daemon.bridge import senml, signing
+from daemon.bridge.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
+from daemon.outage import Outage
+
+if TYPE_CHECKING:
+    from daemon.clock import Clock
+    from daemon.config import Bridge
+    from daemon.records import Scan
+
+_log = logging.getLogger("heliocube.bridge")
+
+# A target counts as back after this long without an error, so that one that comes and goes is one outage.
+BACK_AFTER_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class TargetStatistics:
+    """What became of the datagrams to one target.
+
+    Attributes
+    ----------
+    target
+        Address and port.
+    sent, failed
+        Datagrams handed to the network, and those that it refused. UDP does not tell more.
+    last_error
+        Why the latest failed; empty when none did.
+    down
+        Whether the latest send met an error.
+    """
+
+    target: str
+    sent: int
+    failed: int
+    last_error: str
+    down: bool
+
+
+class BridgeSender:
+    """Sends scans to the unicast targets and the multicast group of the settings.
+
+    Parameters
+    ----------
+    settings
+        The table ``bridge`` of the configuration.
+    key
+        From `daemon.bridge.signing.load_key`; None sends plain, and only where the settings say ``insecure``.
+    clock
+        Times outages.
+
+    Raises
+    ------
+    BridgeError
+        When the settings name no target, or neither a key nor ``insecure``.
+    """
+
+    def __init__(self, settings: "Bridge", key: bytes | None, clock: "Clock") -> None:
+        require_key(key, insecure=settings.insecure)
+        self._key = key
+        self._clock = clock
+        self._open = False
+        self._targets = [_Target(parse_address(text)) for text in settings.send_to]
+        if settings.multicast_group is not None:
+            local = socket.inet_aton(settings.multicast_interface or ANY_INTERFACE)
+            self._targets.append(_Target(parse_address(settings.multicast_group), local, settings.multicast_ttl))
+        if not self._targets:
+            raise BridgeError(
+                "bridge.send_to is empty and bridge.multicast_group is not set: name at least one tracker"
+            )
+
+    @property
+    def statistics(self) -> tuple[TargetStatistics, ...]:
+        """One snapshot per target, in the order of the settings, the multicast group last."""
+        return tuple(target.statistics for target in self._targets)
+
+    async def open(self) -> None:
+        """Make ready to send. Raises nothing: a network that is not up yet is an outage like any other."""
+        self._open = True
+
+    async def close(self) -> None:
+        """Release the sockets. Never raises."""
+        self._open = False
+        for target in self._targets:
+            target.close()
+
+    def send(self, scan: "Scan") -> None:
+        """Send `scan` to every target, now and without waiting. Errors of the network are counted and logged."""
+        if not self._open:
+            raise RuntimeError("the bridge's sender is not open")
+        datagram = senml.encode(scan)
+        if self._key is not None:
+            datagram = signing.sign(datagram, self._key)
+        now_s = self._clock.monotonic()
+        for target in self._targets:
+            target.send(datagram, now_s)
+
+
+class _Target:
+    """One destination: a connected socket, opened when needed, and what became of the datagrams."""
+
+    def __init__(self, address: Address, multicast_from: bytes | None = None, multicast_ttl: int = 1) -> None:
+        self.address = address
+        self._multicast_from = multicast_from
+        self._multicast_ttl = multicast_ttl
+        self._socket: socket.socket | None = None
+        self._sent = 0
+        self._failed = 0
+        self._last_error = ""
+        self._failing = False
+        self._outage = Outage(_log, f"the way of the scans to {address}")
+        self._last_error_s = 0.0
+
+    @property
+    def statistics(self) -> TargetStatistics:
+        return TargetStatistics(str(self.address), self._sent, self._failed, self._last_error, self._failing)
+
+    def send(self, datagram: bytes, now_s: float) -> None:
+        error: OSError | None = None
+        try:
+            try:
+                self._connected().send(datagram)
+            except ConnectionRefusedError as refused:
+                # The kernel reports the datagram before by failing this one, so this one goes again.
+                error = refused
+                self._connected().send(datagram)
+            self._sent += 1
+        except OSError as failure:
+            error = failure
+            self._failed += 1
+            if not isinstance(failure, ConnectionRefusedError | BlockingIOError):
+                # A socket stays bound to the address that this machine had; a new one learns the new address.
+                self.close()
+        self._failing = error is not None
+        if error is not None:
+            self._last_error = error.strerror or str(error)
+            self._last_error_s = now_s
+            self._outage.down(now_s, self._last_error)
+        elif now_s - self._last_error_s >= BACK_AFTER_S:
+            self._outage.up(self._last_error_s)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _connected(self) -> socket.socket:
+        if self._socket is None:
+            opened = socket.socket(self.address.family, socket.SOCK_DGRAM)
+            try:
+                opened.setblocking(False)
+                if self._multicast_from is not None:
+                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self._multicast_ttl)
+                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, self._multicast_from)
+                opened.connect((self.address.host, self.address.port))
+            except OSError:
+                opened.close()
+                raise
+            self._socket = opened
+        return self._socket

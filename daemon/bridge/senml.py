@@ -1,0 +1,173 @@
+"""One scan as one SenML pack in JSON (RFC 8428), and back. The receiving side takes nothing on trust."""
+
+import json
+import math
+import re
+from typing import Any
+
+from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.records import FACES, FaceReading, Quality, Scan
+
+UNIT = "W/m2"
+EARLIEST_UTC_S = 2.0**28  # RFC 8428, section 4.5.3: smaller times are relative ones
+LATEST_UTC_S = 4102444800.0  # 2100-01-01
+OLDEST_FACE_S = 3600.0
+LARGEST_W_M2 = 10_000.0
+LARGEST_MONOTONIC_S = 1e10
+LARGEST_SEQUENCE = 2**53 - 1  # the largest count that every JSON library reads exactly
+
+_SOURCE = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/", re.ASCII)
+_SESSION = re.compile(r"[A-Za-z0-9_-]{1,32}", re.ASCII)
+_QUALITY_OF = {f"{face}/quality": face for face in FACES}
+_COMMON = ("sequence", "session", "monotonic", "simulated")
+_LABELS = {
+    **dict.fromkeys(FACES, frozenset({"n", "u", "v", "t"})),
+    **dict.fromkeys(_QUALITY_OF, frozenset({"n", "vs", "t"})),
+    "sequence": frozenset({"n", "u", "v"}),
+    "session": frozenset({"n", "vs"}),
+    "monotonic": frozenset({"n", "u", "v"}),
+    "simulated": frozenset({"n", "vb"}),
+}
+
+_encoder = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
+
+
+def encode(scan: Scan) -> bytes:
+    """Return `scan` as one SenML pack.
+
+    Irradiances are rounded to 0.001 W/m2 and times to 1 ms. A face whose irradiance is not a number, or larger than
+    any sun, is sent without one; its quality is then never ``ok``.
+    """
+    records: list[dict[str, Any]] = []
+    for name, reading in zip(FACES, scan.faces, strict=True):
+        offset_s = reading.time_monotonic_s - scan.time_monotonic_s
+        offset_s = round(max(min(offset_s, 0.0), -OLDEST_FACE_S), 3) if math.isfinite(offset_s) else -OLDEST_FACE_S
+        when = {"t": offset_s} if offset_s else {}
+        quality = reading.quality
+        if abs(reading.irradiance_w_m2) <= LARGEST_W_M2:
+            records.append({"n": name, "u": UNIT, "v": round(reading.irradiance_w_m2, 3), **when})
+        elif quality is Quality.OK:
+            quality = Quality.MISSING if math.isnan(reading.irradiance_w_m2) else Quality.IMPLAUSIBLE
+        if quality is not Quality.OK:
+            records.append({"n": f"{name}/quality", "vs": quality.value, **when})
+    records += (
+        {"n": "sequence", "u": "count", "v": scan.sequence},
+        {"n": "session", "vs": scan.session},
+        {"n": "monotonic", "u": "s", "v": round(scan.time_monotonic_s, 3)},
+        {"n": "simulated", "vb": scan.simulated},
+    )
+    records[0] = {"bn": f"{scan.source}/", "bt": round(scan.time_utc_s, 3), **records[0]}
+    return _encoder.encode(records).encode()
+
+
+def decode(payload: bytes) -> Scan:
+    """Return the scan in a SenML pack, its monotonic times on the sender's clock.
+
+    Raises
+    ------
+    RefusedError
+        Of kind ``malformed`` for everything that docs/bridge.md does not allow; nothing else is raised.
+    """
+    records = _records(payload)
+    source, time_utc_s = _base(records)
+    named: dict[str, dict[str, Any]] = {}
+    for record in records:
+        name = record.get("n") if isinstance(record, dict) else None
+        if not isinstance(name, str) or name not in _LABELS:
+            raise _malformed(f"has a record that the format does not know: {_shown(record)}")
+        if name in named:
+            raise _malformed(f"has two records named {name}")
+        if not _LABELS[name].issuperset(record):
+            raise _malformed(f"has labels in its record {name} that do not belong there: {_shown(record)}")
+        named[name] = record
+    for name in _COMMON:
+        if name not in named:
+            raise _malformed(f"has no record {name}")
+    sequence = named["sequence"].get("v")
+    if type(sequence) is not int or not (0 <= sequence <= LARGEST_SEQUENCE):
+        raise _malformed(f"has a sequence that is not a count: {_shown(sequence)}")
+    session = named["session"].get("vs")
+    if not isinstance(session, str) or _SESSION.fullmatch(session) is None:
+        raise _malformed(f"has a session that is not 1 to 32 letters, digits, '-' or '_': {_shown(session)}")
+    simulated = named["simulated"].get("vb")
+    if not isinstance(simulated, bool):
+        raise _malformed(f"has a record simulated that is neither true nor false: {_shown(simulated)}")
+    _unit(named["sequence"], "count")
+    _unit(named["monotonic"], "s")
+    monotonic_s = _number(named["monotonic"].get("v"), 0.0, LARGEST_MONOTONIC_S, "monotonic")
+    east, south, west, zenith = (_face(name, named, time_utc_s, monotonic_s) for name in FACES)
+    return Scan(source, session, sequence, time_utc_s, monotonic_s, east, south, west, zenith, simulated=simulated)
+
+
+def _records(payload: bytes) -> list[Any]:
+    try:
+        records = _decoder.decode(payload.decode())
+    except (ValueError, RecursionError) as error:
+        raise _malformed(f"is not JSON: {_shown(str(error))}") from None
+    if not isinstance(records, list) or not records or not isinstance(records[0], dict):
+        raise _malformed("is not a SenML pack, a JSON array of objects")
+    return records
+
+
+def _base(records: list[Any]) -> tuple[str, float]:
+    base_name = records[0].pop("bn", None)
+    found = _SOURCE.fullmatch(base_name) if isinstance(base_name, str) else None
+    if found is None:
+        raise _malformed(f"has a base name (bn) that is not the source and a slash: {_shown(base_name)}")
+    return found[1], _number(records[0].pop("bt", None), EARLIEST_UTC_S, LATEST_UTC_S, "base time (bt)")
+
+
+def _face(name: str, named: dict[str, dict[str, Any]], time_utc_s: float, monotonic_s: float) -> FaceReading:
+    value, flag = named.get(name), named.get(f"{name}/quality")
+    quality = Quality.OK
+    if flag is not None:
+        try:
+            quality = Quality(str(flag.get("vs")))
+        except ValueError:
+            raise _malformed(f"has an unknown quality for {name}: {_shown(flag.get('vs'))}") from None
+    if value is not None:
+        _unit(value, UNIT)
+        irradiance = _number(value.get("v"), -LARGEST_W_M2, LARGEST_W_M2, name)
+        timed = value
+    elif flag is not None and quality is not Quality.OK:
+        irradiance = math.nan
+        timed = flag
+    else:
+        raise _malformed(f"has no irradiance for {name} and no quality that says why")
+    offset_s = _number(timed.get("t", 0), -OLDEST_FACE_S, 0.0, f"time (t) of {name}")
+    return FaceReading(irradiance, quality, time_utc_s + offset_s, monotonic_s + offset_s)
+
+
+def _unit(record: dict[str, Any], unit: str) -> None:
+    if record.get("u") != unit:
+        raise _malformed(f"has {record['n']} in {_shown(record.get('u'))} and not in {unit}")
+
+
+def _number(value: object, low: float, high: float, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (low <= value <= high):
+        raise _malformed(f"has a {what} that is not a number from {low:g} to {high:g}: {_shown(value)}")
+    return float(value)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("a label occurs twice in one record")
+    return found
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is not a JSON number")
+
+
+_decoder = json.JSONDecoder(object_pairs_hook=_unique, parse_constant=_no_constant)
+
+
+def _shown(value: object) -> str:
+    """Return foreign content for a log line: one line, ASCII, short."""
+    text = ascii(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _malformed(reason: str) -> RefusedError:
+    return RefusedError(Refusal.MALFORMED, reason)

@@ -1,0 +1,134 @@
+"""The bridge's key and signature: a JWS in compact form (RFC 7515) with HMAC SHA-256 and nothing else."""
+
+import base64
+import json
+import os
+import re
+import secrets
+import stat
+from pathlib import Path
+
+import jwt
+
+from daemon.bridge.addresses import BridgeError
+from daemon.bridge.refusals import Refusal, RefusedError
+
+KEY_BYTES = 32
+EXAMPLE_KEY = bytes(range(KEY_BYTES))  # printed in docs/bridge.md, hence no secret
+HEADER = {"alg": "HS256", "typ": "heliocube-scan"}
+
+_KEY_LINE = re.compile(rb"[A-Za-z0-9_-]+={0,2}")
+_LONGEST_KEY_FILE = 1024
+# 32 bytes are 43 characters, the last of which has two bits to spare that must be zero.
+_SIGNATURE = re.compile(rb"[A-Za-z0-9_-]{42}[AEIMQUYcgkosw048]")
+_jws = jwt.PyJWS(algorithms=["HS256"])
+
+
+class KeyFileError(BridgeError):
+    """A key file cannot be used; the message names the file and the remedy."""
+
+
+def sign(payload: bytes, key: bytes) -> bytes:
+    """Return `payload` as a JWS in compact form, signed with `key`."""
+    return _jws.encode(payload, key, algorithm="HS256", headers=HEADER).encode("ascii")
+
+
+def verify(datagram: bytes, key: bytes) -> bytes:
+    """Return the payload of a JWS that was signed with `key`.
+
+    Raises
+    ------
+    RefusedError
+        ``malformed`` for what is no complete JWS, ``forged`` for one that is not of this kind or not of this key.
+    """
+    if datagram[:1] == b"[":
+        raise RefusedError(
+            Refusal.FORGED, "is not signed, and this receiver has a key: set bridge.key_file at the sender too"
+        )
+    parts = datagram.split(b".")
+    if len(parts) != 3:
+        raise RefusedError(Refusal.MALFORMED, "is not a signed scan, or is cut short")
+    if parts[0] != _HEADER_PART:
+        _check_header(parts[0])
+    if _SIGNATURE.fullmatch(parts[2]) is None:
+        raise RefusedError(Refusal.MALFORMED, "has no whole signature: it may be cut short")
+    try:
+        payload: bytes = _jws.decode(datagram, key, algorithms=["HS256"])
+    except jwt.InvalidSignatureError:
+        raise RefusedError(
+            Refusal.FORGED, "was not signed with this receiver's key: give both sides the same key file"
+        ) from None
+    except jwt.InvalidTokenError:
+        raise RefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS") from None
+    return payload
+
+
+def _check_header(part: bytes) -> None:
+    """Refuse every header but ours: no other algorithm, no ``none``, no extension marked critical."""
+    try:
+        header = json.loads(base64.urlsafe_b64decode(part + b"=" * (-len(part) % 4)))
+    except (ValueError, RecursionError):
+        raise RefusedError(Refusal.MALFORMED, "does not begin with the header of a JWS") from None
+    if header != HEADER:
+        raise RefusedError(
+            Refusal.FORGED,
+            f"has the header {ascii(header)[:80]} and not {json.dumps(HEADER)}",
+        )
+
+
+def generate_key() -> bytes:
+    """Return a new key of 32 bytes, from the operating system's generator: a seeded one would give it away."""
+    return secrets.token_bytes(KEY_BYTES)
+
+
+def write_key(path: Path, key: bytes) -> None:
+    """Write `key` to a new file that only its owner can read; never overwrites. Raises `KeyFileError`."""
+    line = base64.urlsafe_b64encode(key).rstrip(b"=") + b"\n"
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(line)
+    except FileExistsError:
+        raise KeyFileError(
+            f"the key file {path} exists and is not overwritten: move it away to make a new one"
+        ) from None
+    except OSError as error:
+        raise KeyFileError(f"the key file {path} cannot be written: {error.strerror}") from None
+
+
+def load_key(path: Path) -> bytes:
+    """Return the key in a file: one line, base64url, 32 bytes or more, readable by its owner only.
+
+    Raises
+    ------
+    KeyFileError
+        One sentence with the file and the remedy. Windows has no such file modes; there they are not looked at.
+    """
+    remedy = "write a new one with 'heliocube config init', or copy that of the cube"
+    try:
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            content = file.read(_LONGEST_KEY_FILE + 1)
+    except FileNotFoundError:
+        raise KeyFileError(f"the key file {path} does not exist: {remedy}") from None
+    except OSError as error:
+        raise KeyFileError(f"the key file {path} cannot be read: {error.strerror}") from None
+    if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
+        raise KeyFileError(f"the key file {path} can be read by others than its owner: run chmod 600 {path}")
+    line = content.strip()
+    if not line:
+        raise KeyFileError(f"the key file {path} is empty: {remedy}")
+    if len(content) > _LONGEST_KEY_FILE or _KEY_LINE.fullmatch(line) is None or len(line.rstrip(b"=")) % 4 == 1:
+        raise KeyFileError(f"the key file {path} is not one line of base64url: {remedy}")
+    text = line.rstrip(b"=")
+    key = base64.urlsafe_b64decode(text + b"=" * (-len(text) % 4))
+    if len(key) < KEY_BYTES:
+        raise KeyFileError(
+            f"the key in {path} is too short, {len(key)} bytes where {KEY_BYTES} are the least: {remedy}"
+        )
+    if key == EXAMPLE_KEY:
+        raise KeyFileError(f"the key in {path} is the example that docs/bridge.md prints for all to see: {remedy}")
+    return key
+
+
+_HEADER_PART = sign(b"", EXAMPLE_KEY).split(b".")[0]

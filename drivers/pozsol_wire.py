@@ -1,0 +1,263 @@
+"""The wire format of the POZSOL36A1 positioner over USB: a stream of telemetry out, commands in that nothing answers.
+
+Both directions carry ``$``, one byte that names the field, and the value as text up to the next ``$``. There is no line
+end, no length and no checksum. As seen in public firmware of the same product family; no protocol document is known.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from enum import IntEnum
+
+SEPARATOR = 0x24
+TERMINATOR = b"\r"
+MAXIMUM_PACKET = 64
+MAXIMUM_VALUE = 255
+COMMAND_SPACING_S = 0.06
+"""The unit looks at its input every 20 ms and a second packet in that time overwrites the first."""
+
+
+class Field(IntEnum):
+    """Fields by code. Those that exist per axis start with the axis' letter."""
+
+    BOARD = 37
+    VERSION = 38
+    SUPPLY = 39
+    CLOCK_HOUR = 40
+    CLOCK_MINUTE = 41
+    CLOCK_SECOND = 42
+    A_ANGLE = 44
+    A_POSITION = 45
+    A_DESTINATION = 46
+    A_CURRENT = 47
+    B_ANGLE = 48
+    B_POSITION = 49
+    B_DESTINATION = 50
+    B_CURRENT = 51
+    LATITUDE = 52
+    LONGITUDE = 53
+    TRACKING_INTERVAL = 54
+    REBOOT = 55
+    MODE = 56
+    ACTION = 57
+    SERVICE = 58
+    A_REMAIN = 63
+    B_REMAIN = 64
+    SERIAL = 87
+    LINK_COUNTER = 115
+    STATUS = 136
+    GMT_SECOND = 173
+    GMT_MINUTE = 174
+    GMT_HOUR = 175
+    GMT_DAY = 176
+    GMT_MONTH = 177
+    GMT_YEAR = 178
+
+
+DECIMALS = {
+    Field.A_ANGLE: 1,
+    Field.B_ANGLE: 1,
+    Field.A_POSITION: 4,
+    Field.B_POSITION: 4,
+    Field.A_DESTINATION: 4,
+    Field.B_DESTINATION: 4,
+    Field.A_REMAIN: 4,
+    Field.B_REMAIN: 4,
+    Field.A_CURRENT: 2,
+    Field.B_CURRENT: 2,
+    Field.SUPPLY: 1,
+}
+"""How many decimals the unit prints. Fewer or more means that bytes were lost."""
+
+_NUMBER = {decimals: re.compile(rb"-?\d{1,7}\.\d{%d}" % decimals) for decimals in set(DECIMALS.values())}
+_INTEGER = re.compile(r" *-?[0-9]{1,10} *")
+_LETTERS = {Field.MODE: ("N",), Field.ACTION: ("s", "5", "6"), Field.STATUS: ("0",)}
+_ANGLES = (Field.A_ANGLE, Field.B_ANGLE)
+_DESTINATIONS = (Field.A_DESTINATION, Field.B_DESTINATION)
+_LARGEST = 99_999.0
+
+TRACKING_OFF = "N"
+STOP = "s"
+HOME_A = "5"
+HOME_B = "6"
+CLEAR = "0"
+
+
+def encode_command(field: int, value: float | str) -> bytes:
+    """Return the one packet that carries a command.
+
+    Parameters
+    ----------
+    field
+        44 or 48 (angle [deg]), 46 or 50 (destination [whole position units]), 56 (only `TRACKING_OFF`), 57 (`STOP`,
+        `HOME_A`, `HOME_B`) or 136 (`CLEAR`). Everything else could reconfigure, move or reboot the unit.
+    value
+        A number for 44 to 50, one of the texts above otherwise.
+
+    Raises
+    ------
+    ValueError
+        The field is not on that list, the value is not one it may have, or the number is NaN, infinite, too large or,
+        for a destination, not whole.
+    """
+    if field in _LETTERS:
+        letters = _LETTERS[Field(field)]
+        if value not in letters:
+            raise ValueError(f"positioner command {field} may only carry {' or '.join(letters)}, not {value!r}")
+        text = str(value)
+    elif field in _ANGLES or field in _DESTINATIONS:
+        if isinstance(value, str) or not (-_LARGEST <= value <= _LARGEST):
+            raise ValueError(f"positioner command {field} needs a number of at most {_LARGEST:g}, not {value!r}")
+        if field in _DESTINATIONS and not math.floor(value) == value:
+            raise ValueError(f"positioner command {field} takes whole position units, not {value!r}")
+        text = f"{value:.4f}" if field in _ANGLES else f"{value:.0f}"
+    else:
+        raise ValueError(f"positioner command {field} is not allowed: it could reconfigure or reboot the unit")
+    # The unit keeps the end of a longer earlier command behind a shorter one, so the value must be closed.
+    return bytes((SEPARATOR, field)) + text.encode("ascii") + TERMINATOR
+
+
+class TokenStream:
+    """Cuts the telemetry stream into fields, whatever pieces it arrives in.
+
+    Nothing before the first ``$`` is believed, since the stream is usually joined in the middle of a token. The last
+    token is given out once the ``$`` of the next one has come. What is longer than any value is dropped.
+    """
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self._in_token = False
+
+    def feed(self, data: bytes) -> list[tuple[int, bytes]]:
+        """Take in any number of bytes and return the (field code, value) pairs that they complete."""
+        first, *rest = data.split(b"$")
+        if not rest:
+            if self._in_token:
+                self._pending += first
+                if len(self._pending) > 1 + MAXIMUM_VALUE:
+                    self._pending, self._in_token = b"", False
+            return []
+        tokens = [self._pending + first, *rest[:-1]] if self._in_token else rest[:-1]
+        self._pending = rest[-1]
+        self._in_token = len(self._pending) <= 1 + MAXIMUM_VALUE
+        if not self._in_token:
+            self._pending = b""
+        return [(token[0], token[1:]) for token in tokens if 0 < len(token) <= 1 + MAXIMUM_VALUE]
+
+
+def parse_number(field: int, value: bytes) -> float:
+    """Return the number of a fixed-decimals field; `ValueError` if it does not have exactly those decimals."""
+    decimals = DECIMALS[Field(field)]
+    if not _NUMBER[decimals].fullmatch(value):
+        raise ValueError(f"positioner field {field} should be a number with {decimals} decimals, not {value!r}")
+    return float(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The status word, field 136.
+
+    Attributes
+    ----------
+    word
+        The 32 bits, unsigned.
+    faults
+        Latched faults by name, such as ``a_overcurrent``; `FAULT_BITS` has them all.
+    was_reset, button_pressed, bus_timeout
+        Marks that stay until the status is cleared.
+    a_moving, homing
+        Axis A moves; axis A runs a homing. With a known place of B's bits `homing` covers both axes.
+    b_moving
+        None where the place of B's bits is not known.
+    memory_fault
+        The parameter memory could not be read or written.
+    end_switches
+        Closed end switches by name: ``a_low``, ``a_high``, ``b_low``, and ``b_high`` if its place is known.
+    own_tracking, snow, wind
+        The unit's own modes.
+    """
+
+    word: int
+    faults: tuple[str, ...]
+    was_reset: bool
+    button_pressed: bool
+    bus_timeout: bool
+    a_moving: bool
+    homing: bool
+    b_moving: bool | None
+    memory_fault: bool
+    end_switches: tuple[str, ...]
+    own_tracking: bool
+    snow: bool
+    wind: bool
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the unit may move the axes of its own accord."""
+        return self.own_tracking or self.snow or self.wind
+
+
+FAULT_BITS = {
+    "a_overcurrent": 0,
+    "a_hall_fault": 1,
+    "a_homing_too_long": 2,
+    "a_cable": 3,
+    "b_overcurrent": 4,
+    "b_hall_fault": 5,
+    "b_homing_too_long": 6,
+    "b_cable": 7,
+    "a_pulse_loss": 23,
+    "b_pulse_loss": 24,
+}
+RESET_BIT, BUTTON_BIT, BUS_TIMEOUT_BIT = 8, 9, 10
+A_OUT_BIT, A_IN_BIT, A_HOMING_BIT = 11, 12, 13
+TRACKING_BIT, SNOW_BIT, WIND_BIT = 25, 26, 27
+SWITCH_BITS = {"a_low": 19, "a_high": 20, "b_low": 21}
+B_OUT_BIT_STM, B_OUT_BIT_LPC = 15, 16
+"""Where B's three motion bits (out, in, homing) begin, by generation of the firmware."""
+B_HIGH_BIT_STM = 22
+_MEMORY_BITS = (14, 30)
+
+
+def parse_status(text: str, b_out_bit: int | None = None) -> Status:
+    """Read the status word from its text, a signed decimal number of 32 bits.
+
+    Parameters
+    ----------
+    text
+        As the unit prints it.
+    b_out_bit
+        `B_OUT_BIT_STM` or `B_OUT_BIT_LPC` where the firmware's generation is known. The generations disagree, so
+        nothing is said of B's motion and high end switch without it. In the LPC layout the bit of B's homing is also
+        that of its high end switch, so homing is then reported for both.
+
+    Raises
+    ------
+    ValueError
+        The text is not such a number.
+    """
+    if not _INTEGER.fullmatch(text) or not (-(1 << 31) <= int(text) < 1 << 32):
+        raise ValueError(f"positioner status should be a whole number of 32 bits, not {text!r}")
+    word = int(text) & 0xFFFF_FFFF
+    switches = [name for name, bit in SWITCH_BITS.items() if word >> bit & 1]
+    b_moving, b_homing = None, False
+    if b_out_bit is not None:
+        b_moving = bool(word >> b_out_bit & 0b11)
+        b_homing = bool(word >> b_out_bit + 2 & 1)
+        if b_out_bit == B_OUT_BIT_STM and word >> B_HIGH_BIT_STM & 1:
+            switches.append("b_high")
+    return Status(
+        word=word,
+        faults=tuple(name for name, bit in FAULT_BITS.items() if word >> bit & 1),
+        was_reset=bool(word >> RESET_BIT & 1),
+        button_pressed=bool(word >> BUTTON_BIT & 1),
+        bus_timeout=bool(word >> BUS_TIMEOUT_BIT & 1),
+        a_moving=bool(word >> A_OUT_BIT & 0b11),
+        homing=bool(word >> A_HOMING_BIT & 1) or b_homing,
+        b_moving=b_moving,
+        memory_fault=any(word >> bit & 1 for bit in _MEMORY_BITS),
+        end_switches=tuple(switches),
+        own_tracking=bool(word >> TRACKING_BIT & 1),
+        snow=bool(word >> SNOW_BIT & 1),
+        wind=bool(word >> WIND_BIT & 1),
+    )

@@ -1,0 +1,187 @@
+"""The simulated POZSOL36A1 positioner with its two axes: bytes in, bytes out, time as an argument.
+
+Behaves as public firmware of the same product family was seen to. A checksum on commands is left out: older firmware
+had one, but how it was formed is not known. Commands that set the clock are accepted and change nothing; parameter
+writes change what the slow screens print, not how the axes move.
+"""
+
+import math
+import re
+
+from drivers import pozsol_wire as wire
+from drivers.interfaces import Axis
+from drivers.pozsol_wire import Field
+from sim_drivers import positioner_screens as screens
+from sim_drivers.positioner_screens import Readout
+from sim_drivers.positioner_setup import Setup
+from sim_drivers.positioner_unit import FAULTS as UNIT_FAULTS
+from sim_drivers.positioner_unit import POLL_S, PositionerUnit
+from solar.frames import Angles
+
+DEAF = "deaf"
+"""The fault of a unit that sends telemetry but takes no commands."""
+FAULTS = (*UNIT_FAULTS, DEAF)
+"""Everything that `PositionerCore.inject` can do."""
+
+_FIRST_PARAMETER = 70
+_NUMBER = re.compile(rb" *([+-]?(?:\d+\.?\d*|\.\d+))")
+_JOG: dict[bytes, tuple[Axis, bool]] = {
+    b"1": ("b", True),
+    b"2": ("a", True),
+    b"3": ("b", False),
+    b"4": ("a", False),
+}
+
+
+class PositionerCore:
+    """The unit and its link.
+
+    Time [s] never runs backwards between calls. The cost of `advance` grows with what happens, not with time.
+
+    Parameters
+    ----------
+    now
+        The time of power-up; the reset mark is not set by this one.
+    setup
+        Mechanics and settings.
+    """
+
+    def __init__(self, now: float = 0.0, setup: Setup | None = None) -> None:
+        self._unit = PositionerUnit(now, setup or Setup())
+        a, b = self._unit.axes.values()
+        self.parameters = screens.default_parameters(a.actuator, b.actuator)
+        self._start_s = self._now = now
+        self._buffer = bytearray(wire.MAXIMUM_PACKET)
+        self._poll_s = math.inf
+        self._deaf = False
+        self._slot = self._slow = self._links = 0
+
+    @property
+    def setup(self) -> Setup:
+        """How the unit is built and set."""
+        return self._unit.setup
+
+    def feed(self, data: bytes, now: float) -> None:
+        """Take in bytes from the host, in the packets that the link makes of them."""
+        self.advance(now)
+        for start in range(0, len(data), wire.MAXIMUM_PACKET):
+            packet = data[start : start + wire.MAXIMUM_PACKET]
+            self._buffer[: len(packet)] = packet
+        if data and self._poll_s == math.inf:
+            self._poll_s = self._start_s + POLL_S * (math.floor((now - self._start_s) / POLL_S) + 1)
+
+    def advance(self, now: float) -> None:
+        """Let everything happen that is due until `now`; `ValueError` if that lies in the past."""
+        if not (now >= self._now):
+            raise ValueError(f"the positioner has been advanced to {self._now} s and cannot go back to {now} s")
+        if self._poll_s <= now:
+            self._unit.advance(self._poll_s)
+            self._poll(self._poll_s)
+        self._unit.advance(now)
+        self._now = now
+
+    def next_event(self, now: float) -> float | None:
+        """Return when the state next changes by itself, or None if it does not."""
+        self.advance(now)
+        due_s = min(self._poll_s, self._unit.due_s)
+        return None if due_s == math.inf else due_s
+
+    def truth(self, now: float) -> Angles:
+        """Return where the axes really stand, which is not what the unit reports once its reference is lost."""
+        self.advance(now)
+        return self._unit.truth(now)
+
+    def next_screen(self, now: float) -> bytes:
+        """Return the next screen in the unit's own order; a host pulls one every 20 ms."""
+        readout = self._readout(now)
+        self._slot = self._slot % screens.SLOTS + 1
+        if self._slot < screens.SLOTS:
+            return screens.fast_screen(self._slot, readout)
+        text = screens.slow_screen(self._slow, readout, self.parameters)
+        self._slow = (self._slow + 1) % len(screens.SLOW_SCREENS)
+        self._links = (self._links + 1) % 100
+        return text
+
+    def screens(self, now: float) -> bytes:
+        """Return all screens as they would read now, in one piece, without touching their rotation."""
+        readout = self._readout(now)
+        fast = [screens.fast_screen(slot, readout) for slot in range(1, screens.SLOTS)]
+        slow = [screens.slow_screen(i, readout, self.parameters) for i in range(len(screens.SLOW_SCREENS))]
+        return b"".join(fast + slow)
+
+    def live_screens(self, now: float) -> bytes:
+        """Return only what changes while axes move (both axes, supply, mode, status); cheaper than `screens`."""
+        return screens.live_screens(self._readout(now))
+
+    def inject(self, fault: str, now: float) -> None:
+        """Cause one of `FAULTS`; `ValueError` for anything else. Conditions last until `repair`."""
+        self._inject(fault, now, present=True)
+
+    def repair(self, fault: str, now: float) -> None:
+        """End a condition that `inject` began; what it has latched stays latched until the host clears it."""
+        self._inject(fault, now, present=False)
+
+    def power_cycle(self, now: float, *, keep_position: bool = True) -> None:
+        """Switch off and on: faults are gone, the reset mark is set, the count is kept or starts at 0."""
+        self.advance(now)
+        self._restart(now, keep_position)
+
+    def _inject(self, fault: str, now: float, *, present: bool) -> None:
+        self.advance(now)
+        if fault == DEAF:
+            self._deaf = present
+            return
+        self._unit.inject(fault, now, present=present)
+
+    def _restart(self, now: float, keep_position: bool) -> None:
+        self._unit.power_cycle(now, keep_position=keep_position)
+        self._buffer = bytearray(wire.MAXIMUM_PACKET)
+        self._poll_s = math.inf
+        self._start_s = now
+
+    def _readout(self, now: float) -> Readout:
+        self.advance(now)
+        return self._unit.readout(now, self._links)
+
+    def _poll(self, now: float) -> None:
+        self._poll_s = math.inf
+        text = bytes(self._buffer).split(b"\0", 1)[0]
+        # Only the first byte is cleared: the rest of a command stays behind a shorter one that follows.
+        self._buffer[0] = 0
+        at = text.find(b"$")
+        if not self._deaf and 0 <= at < len(text) - 1:
+            self._execute(text[at + 1], text[at + 2 :], now)
+
+    def _execute(self, code: int, value: bytes, now: float) -> None:
+        unit, letter = self._unit, value[:1].lower()
+        if code in (Field.A_ANGLE, Field.B_ANGLE):
+            unit.point("a" if code == Field.A_ANGLE else "b", _number(value), now)
+        elif code in (Field.A_DESTINATION, Field.B_DESTINATION):
+            unit.go("a" if code == Field.A_DESTINATION else "b", int(_number(value)), now)
+        elif code == Field.MODE and letter in (b"n", b"y"):
+            unit.switch_tracking(letter == b"y", now)
+        elif code == Field.ACTION:
+            self._act(letter, now)
+        elif code == Field.STATUS:
+            unit.clear(now)
+        elif code == Field.REBOOT:
+            self._restart(now, keep_position=True)
+        elif code >= _FIRST_PARAMETER and code in self.parameters:
+            self.parameters[code] = value.split(b"$", 1)[0].strip().decode("latin-1")
+
+    def _act(self, letter: bytes, now: float) -> None:
+        if letter == wire.STOP.encode():
+            self._unit.stop(now)
+        elif letter == wire.HOME_A.encode():
+            self._unit.home("a", now)
+        elif letter == wire.HOME_B.encode():
+            self._unit.home("b", now)
+        elif letter in _JOG:
+            axis, outwards = _JOG[letter]
+            self._unit.jog(axis, outwards, now)
+
+
+def _number(value: bytes) -> float:
+    """Read the number at the start of a value; without one it is 0, as the unit's C library has it."""
+    match = _NUMBER.match(value)
+    return float(match[1]) if match else 0.0

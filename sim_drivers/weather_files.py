@@ -1,0 +1,333 @@
+"""Measured weather from files: our own CSV, and the formats of BSRN, SURFRAD, MIDC and TMY3.
+
+Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped.
+``time`` is ISO 8601; without an offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty
+cell is a missing value. Negative irradiance at night (a pyranometer's thermal offset) becomes zero.
+
+A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
+are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
+years, is laid in one calendar year.
+"""
+
+import gzip
+import re
+import zlib
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from pvlib import iotools
+from pvlib.iotools.midc import MIDC_VARIABLE_MAP
+from pvlib.iotools.surfrad import VARIABLE_MAP as SURFRAD_VARIABLE_MAP
+
+from sim_drivers.weather import Conditions, WeatherError
+from solar.ephemeris import Site, sun_position
+from solar.frames import Array
+
+LONGEST_GAP_S = 3600.0
+LOWEST_W_M2, HIGHEST_W_M2 = -50.0, 2500.0
+IRRADIANCES = ("ghi", "dni", "dhi")
+OPTIONAL = ("wind_speed", "temp_air")
+_SURFRAD_SITE = re.compile(r"\s*-?\d+\.\d+\s+-?\d+\.\d+\s+-?\d+\s+m\s+version\s+\d")
+_MIDC_PREFIXES = {"Global Horiz": "ghi", "Direct Normal": "dni", "Diffuse Horiz": "dhi"}
+
+
+class WeatherFileError(WeatherError):
+    """A weather file cannot be used, or does not tell what was asked; one sentence for the user."""
+
+
+class MeasuredWeather:
+    """Weather read from a file, linear between its records.
+
+    Parameters
+    ----------
+    name
+        How messages call the file.
+    utc_s
+        Strictly increasing instants of the records, shape (n,), n >= 1.
+    values
+        ``ghi, dni, dhi, wind_speed, temp_air`` by name, each of shape (n,); NaN where missing. A record counts where
+        all three irradiances are there.
+    site
+        Where it was measured, if the file tells.
+
+    Raises
+    ------
+    WeatherFileError
+        If no record counts.
+    """
+
+    def __init__(self, name: str, utc_s: Array, values: dict[str, Array], site: Site | None = None) -> None:
+        complete = np.all([np.isfinite(values[quantity]) for quantity in IRRADIANCES], axis=0)
+        if not complete.any():
+            raise WeatherFileError(f"{name} has no record with ghi, dni and dhi all present")
+        self.name = name
+        self.site = site
+        self.utc_s = utc_s[complete]
+        self.irradiance_w_m2 = {key: np.maximum(values[key][complete], 0.0) for key in IRRADIANCES}
+        self._others = {key: _present(utc_s, values[key]) for key in OPTIONAL}
+
+    @property
+    def start_utc_s(self) -> float:
+        """The first record's instant."""
+        return float(self.utc_s[0])
+
+    @property
+    def end_utc_s(self) -> float:
+        """The last record's instant."""
+        return float(self.utc_s[-1])
+
+    def covers(self, utc_s: Array) -> NDArray[np.bool_]:
+        """Tell for each instant whether it lies within the file and not inside a gap of more than 60 min."""
+        return np.isfinite(_interpolate(np.asarray(utc_s), self.utc_s, self.irradiance_w_m2["dhi"]))
+
+    def at(self, utc_s: Array) -> Conditions:
+        """Return the weather at instants of shape (n,).
+
+        Raises `WeatherFileError` for an instant outside the file, naming its span, or inside a gap, naming the gap.
+        """
+        instants = np.asarray(utc_s, dtype=np.float64)
+        covered = self.covers(instants)
+        if not covered.all():
+            self._refuse(float(instants[~covered][0]))
+        ghi, dni, dhi = (_interpolate(instants, self.utc_s, self.irradiance_w_m2[key]) for key in IRRADIANCES)
+        wind, temperature = (_interpolate(instants, *self._others[key]) for key in OPTIONAL)
+        return Conditions(ghi, dni, dhi, wind, temperature)
+
+    def _refuse(self, utc_s: float) -> NoReturn:
+        if not (self.start_utc_s <= utc_s <= self.end_utc_s):
+            raise WeatherFileError(
+                f"{self.name} has no weather for {_iso(utc_s)}: it runs from {_iso(self.start_utc_s)} "
+                f"to {_iso(self.end_utc_s)}"
+            )
+        after = int(np.searchsorted(self.utc_s, utc_s, side="right"))
+        raise WeatherFileError(
+            f"{self.name} has no weather for {_iso(utc_s)}: it has a gap from {_iso(self.utc_s[after - 1])} "
+            f"to {_iso(self.utc_s[after])}"
+        )
+
+
+def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeather:
+    """Read a weather file; the format is told from its first lines.
+
+    Parameters
+    ----------
+    path
+        Our CSV, BSRN or MIDC, plain or ``.gz``; SURFRAD or TMY3, plain.
+    typical_year
+        Calendar year to lay a TMY3 file in; by default the year of its first record.
+
+    Raises
+    ------
+    WeatherFileError
+        In one sentence: no file, no data, a missing column (with those found), an unreadable time (with its line), a
+        time that repeats or goes backwards (with its line and both times), a cell that is not a plausible number.
+    """
+    try:
+        return _read(path, typical_year)
+    except WeatherFileError:
+        raise
+    except FileNotFoundError:
+        raise WeatherFileError(f"there is no weather file at {path}") from None
+    except (
+        OSError,
+        EOFError,
+        zlib.error,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+    ) as error:
+        # The formats' readers raise whatever a damaged file makes them trip over.
+        raise WeatherFileError(f"weather file {path} cannot be read: {' '.join(str(error).split())}") from error
+
+
+def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
+    """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been.
+
+    GHI - DHI must equal DNI sin(elevation), and there is no beam at night. At the right site the two agree to 1 or 2 %
+    on most days; an hour of time or 10 deg of longitude too many shows as more than 8 %. Fewer than ten sunny records
+    tell nothing.
+    """
+    elevation_deg = sun_position(weather.utc_s, *site).elevation_deg
+    ghi, dni, dhi = (weather.irradiance_w_m2[key] for key in IRRADIANCES)
+    sunny = dni > 200.0
+    if np.count_nonzero(sunny) < 10:
+        return None
+    where = f"a site at {site.latitude_deg:g} N, {site.longitude_deg:g} E"
+    at_night = float(np.mean(elevation_deg[sunny] < -1.0))
+    if at_night > 0.02:
+        return (
+            f"{weather.name} does not fit {where}: {at_night:.0%} of its sunshine falls into the night there; "
+            "check the site and that times are UTC"
+        )
+    usable = sunny & (elevation_deg > 10.0)
+    beam = dni[usable] * np.sin(np.radians(elevation_deg[usable]))
+    error = float(np.median(np.abs(ghi[usable] - dhi[usable] - beam) / beam)) if usable.any() else 0.0
+    if error > 0.08:
+        return (
+            f"{weather.name} does not fit {where}: ghi - dhi differs from dni sin(elevation) by {error:.0%} there; "
+            "check the site and that times are UTC"
+        )
+    return None
+
+
+def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
+    first, second, third = _head(path)
+    if not (first + second + third).strip():
+        raise WeatherFileError(f"weather file {path} is empty")
+    if first.startswith(("*U", "*C")):
+        return _bsrn(path)
+    if _SURFRAD_SITE.match(second):
+        return _surfrad(path)
+    if "Date (MM/DD/YYYY)" in second and "Time (HH:MM)" in second:
+        return _tmy3(path, int(third[6:10]) if typical_year is None else typical_year)
+    if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
+        return _midc(path, first)
+    return _csv(path)
+
+
+def _csv(path: Path) -> MeasuredWeather:
+    frame = pd.read_csv(path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig")
+    found = [str(column).strip().lower() for column in frame.columns]
+    frame.columns = pd.Index(found)
+    for column in ("time", *IRRADIANCES):
+        if column not in found:
+            raise WeatherFileError(f"weather file {path} has no column {column}; found: {', '.join(found)}")
+    if not isinstance(frame.index, pd.RangeIndex):
+        raise WeatherFileError(f"weather file {path} has more cells in its lines than names in its header")
+    cells = frame.fillna("").apply(lambda column: column.str.strip())
+    # A file may end in blank lines; the index keeps the line numbers of the others.
+    cells = cells[(cells != "").any(axis=1)]
+    if cells.empty:
+        raise WeatherFileError(f"weather file {path} has a header and no data")
+    line = cells.index.to_numpy() + 2
+    times = pd.to_datetime(cells["time"], format="ISO8601", utc=True, errors="coerce")
+    bad = _first(times.isna())
+    if bad is not None:
+        raise WeatherFileError(
+            f"weather file {path}, line {line[bad]}: {cells['time'].iloc[bad]!r} is not a time such as "
+            "2016-06-05T12:00:00Z"
+        )
+    utc_s = _seconds(pd.DatetimeIndex(times))
+    _check_order(utc_s, lambda row: f"weather file {path}, line {line[row]}")
+    values = {key: np.full(utc_s.size, np.nan) for key in (*IRRADIANCES, *OPTIONAL)}
+    for column in [name for name in values if name in found]:
+        text = cells[column].mask(cells[column].str.lower() == "nan", "")
+        numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+        low, high = _plausible(column)
+        bad = _first((text != "") & ~((numbers >= low) & (numbers <= high)))
+        if bad is not None:
+            raise WeatherFileError(
+                f"weather file {path}, line {line[bad]}: {column} is {text.iloc[bad]!r}, not a number in "
+                f"{low:g}..{high:g}; leave the cell empty where the value is missing"
+            )
+        values[column] = numbers
+    return MeasuredWeather(f"weather file {path}", utc_s, values)
+
+
+def _bsrn(path: Path) -> MeasuredWeather:
+    frame, meta = iotools.read_bsrn(path)
+    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["altitude"]))
+
+
+def _surfrad(path: Path) -> MeasuredWeather:
+    frame, meta = iotools.read_surfrad(path, map_variables=False)
+    frame = frame.rename(columns=SURFRAD_VARIABLE_MAP)
+    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["elevation"]))
+
+
+def _midc(path: Path, header: str) -> MeasuredWeather:
+    frame = iotools.read_midc(path, variable_map=_midc_names(header), raw_data="Year,DOY" in header)
+    return _from_pvlib(path, frame, None)
+
+
+def _tmy3(path: Path, year: int) -> MeasuredWeather:
+    frame, meta = iotools.read_tmy3(path, coerce_year=year)
+    frame.index -= pd.Timedelta(minutes=30)
+    return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["altitude"]))
+
+
+def _from_pvlib(path: Path, frame: pd.DataFrame, site: Site | None) -> MeasuredWeather:
+    for column in IRRADIANCES:
+        if column not in frame:
+            found = ", ".join(str(name) for name in frame.columns)
+            raise WeatherFileError(f"weather file {path} has no column for {column}; found: {found}")
+    utc_s = _seconds(pd.DatetimeIndex(frame.index))
+    _check_order(utc_s, lambda row: f"weather file {path}, record {row + 1}")
+    values = {}
+    for key in (*IRRADIANCES, *OPTIONAL):
+        numbers = frame[key].to_numpy(dtype=np.float64) if key in frame else np.full(utc_s.size, np.nan)
+        low, high = _plausible(key)
+        # These networks mark a missing value by a number such as -9999 or -7999.
+        values[key] = np.where((numbers >= low) & (numbers <= high), numbers, np.nan)
+    return MeasuredWeather(f"weather file {path}", utc_s, values, site)
+
+
+def _midc_names(header: str) -> dict[str, str]:
+    """Map this file's columns to ghi, dni, dhi, wind_speed and temp_air; the names differ from station to station."""
+    columns = [column.strip() for column in header.split(",")]
+    known = {column: name for station in MIDC_VARIABLE_MAP.values() for column, name in station.items()}
+    names: dict[str, str] = {}
+    for column in columns:
+        by_prefix = next((name for prefix, name in _MIDC_PREFIXES.items() if column.startswith(prefix)), None)
+        name = known.get(column, by_prefix)
+        name = "dni" if name in ("dni_chp1", "dni_nip") else name
+        if name is not None and name not in names.values():
+            names[column] = name
+    return names
+
+
+def _head(path: Path) -> tuple[str, str, str]:
+    with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
+        first, second, third = (file.readline(100_000).decode("utf-8", "replace") for _ in range(3))
+    return first.lstrip("\ufeff"), second, third
+
+
+def _plausible(quantity: str) -> tuple[float, float]:
+    if quantity in IRRADIANCES:
+        return LOWEST_W_M2, HIGHEST_W_M2
+    return (0.0, 100.0) if quantity == "wind_speed" else (-90.0, 60.0)
+
+
+def _check_order(utc_s: Array, place: Callable[[int], str]) -> None:
+    bad = _first(np.diff(utc_s) <= 0.0)
+    if bad is not None:
+        before, after = _iso(utc_s[bad]), _iso(utc_s[bad + 1])
+        raise WeatherFileError(f"{place(bad + 1)}: the time {after} follows {before}; times must increase")
+
+
+def _interpolate(utc_s: Array, times: Array, values: Array) -> Array:
+    """Interpolate linearly; NaN outside `times` and inside gaps of more than 60 min."""
+    if times.size == 0:
+        return np.full(utc_s.shape, np.nan)
+    after = np.clip(np.searchsorted(times, utc_s, side="left"), 0, times.size - 1)
+    before = np.maximum(after - 1, 0)
+    bridged = (times[after] - times[before] <= LONGEST_GAP_S) | (utc_s == times[after])
+    inside = (utc_s >= times[0]) & (utc_s <= times[-1])
+    return np.where(bridged & inside, np.interp(utc_s, times, values), np.nan)
+
+
+def _present(utc_s: Array, values: Array) -> tuple[Array, Array]:
+    present = np.isfinite(values)
+    return utc_s[present], values[present]
+
+
+def _seconds(index: pd.DatetimeIndex) -> Array:
+    seconds = (index - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    return np.asarray(seconds, dtype=np.float64)
+
+
+def _first(mask: ArrayLike) -> int | None:
+    """Position of the first True."""
+    flags = np.asarray(mask, dtype=np.bool_)
+    return int(flags.argmax()) if flags.any() else None
+
+
+def _iso(utc_s: float) -> str:
+    return datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")

@@ -1,0 +1,206 @@
+"""Where the sun is: the NREL solar position algorithm (SPA), on numbers and on arrays, without pandas.
+
+SPA is split in its two natural halves. The geocentric half (declination, right ascension, sidereal time, distance) is
+slow to compute and slow to change: it is computed at whole hours and interpolated linearly, which costs less than
+1e-5 deg. The topocentric half (site, parallax, refraction) is exact at every instant. Sources: Reda & Andreas (2004),
+Solar Energy 76, 577, as implemented by :mod:`pvlib.spa`.
+"""
+
+from functools import lru_cache
+from typing import Generic, NamedTuple, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+from pvlib import spa
+from pvlib.atmosphere import alt2pres
+
+from solar.frames import Array, direction_from_azimuth
+
+SOLAR_CONSTANT_W_M2 = 1366.1
+TEMPERATURE_DEGC = 12.0
+REFRACTION_AT_HORIZON_DEG = 0.5667
+# The upper limb is seen on the horizon: 34' of refraction and 16' of radius.
+RISE_ELEVATION_DEG = -0.8333
+HOUR_S = 3600.0
+DAY_S = 86400.0
+REMEMBERED_HOURS = 128
+
+Number = TypeVar("Number", float, Array)
+
+
+class Site(NamedTuple):
+    """A place on Earth: degrees north, degrees east, metres above sea level."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+class SunPosition(NamedTuple, Generic[Number]):
+    """Where the sun stands [deg]: floats for one instant, arrays of the instants' shape otherwise.
+
+    Attributes
+    ----------
+    azimuth_deg
+        From North, clockwise, 0..360.
+    elevation_deg
+        Apparent: with refraction. What beams, sensors and trackers see.
+    geometric_elevation_deg
+        Without refraction.
+    """
+
+    azimuth_deg: Number
+    elevation_deg: Number
+    geometric_elevation_deg: Number
+
+
+class SunDay(NamedTuple):
+    """The solar day of one site.
+
+    Attributes
+    ----------
+    sunrise_utc_s, sunset_utc_s
+        The sun's upper limb on a flat horizon; None on a day without.
+    noon_utc_s
+        The sun crosses the meridian.
+    highest_elevation_deg
+        Apparent elevation then; below zero it is a polar night, and without sunrise above zero a polar day.
+    """
+
+    sunrise_utc_s: float | None
+    noon_utc_s: float
+    sunset_utc_s: float | None
+    highest_elevation_deg: float
+
+
+@overload
+def sun_position(
+    utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
+) -> SunPosition[float]: ...
+@overload
+def sun_position(
+    utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float = ...
+) -> SunPosition[Array]: ...
+def sun_position(
+    utc_s: float | Array, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0
+) -> SunPosition[float] | SunPosition[Array]:
+    """Return the sun's position at `utc_s` [s since 1970-01-01 UTC], one instant or an array of any shape.
+
+    Refraction is that of the mean pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is
+    not finite.
+    """
+    instants = _finite(utc_s)
+    azimuth, apparent, geometric = _topocentric(instants.ravel(), latitude_deg, longitude_deg, altitude_m)
+    if instants.ndim == 0:
+        return SunPosition(float(azimuth[0]), float(apparent[0]), float(geometric[0]))
+    shape = instants.shape
+    return SunPosition(azimuth.reshape(shape), apparent.reshape(shape), geometric.reshape(shape))
+
+
+def sun_direction(utc_s: float | Array, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> Array:
+    """Return the unit vector(s) towards the apparent sun, shape (..., 3), in the frame of :mod:`solar.frames`."""
+    instants = _finite(utc_s)
+    sun = sun_position(instants, latitude_deg, longitude_deg, altitude_m)
+    return direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude_deg)
+
+
+def extraterrestrial_dni(utc_s: float | Array) -> Array:
+    """Return the normal irradiance outside the atmosphere [W/m2], of the shape of `utc_s` [s UTC]."""
+    instants = _finite(utc_s)
+    *_, distance_au = _geocentric(instants.ravel())
+    normal: Array = SOLAR_CONSTANT_W_M2 / distance_au**2
+    return normal.reshape(instants.shape)
+
+
+def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
+    """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude."""
+    mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
+    mean_noon_utc_s = (mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0
+    # The equation of time can carry the true noon into the UTC day before or after that of the mean noon.
+    midnights = (mean_noon_utc_s // DAY_S + np.array([-1.0, 0.0, 1.0])) * DAY_S
+    delta_t = _delta_t_s(midnights)
+    noon, sunrise, sunset = spa.transit_sunrise_sunset(midnights, latitude_deg, longitude_deg, delta_t, 1)
+    nearest = int(np.argmin(np.abs(noon - mean_noon_utc_s)))
+    place = (latitude_deg, longitude_deg, altitude_m)
+    return SunDay(
+        _refined(float(sunrise[nearest]), *place),
+        float(noon[nearest]),
+        _refined(float(sunset[nearest]), *place),
+        sun_position(float(noon[nearest]), *place).elevation_deg,
+    )
+
+
+def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float) -> list[Array]:
+    """Azimuth, apparent elevation and geometric elevation [deg] of instants of shape (n,)."""
+    sidereal, ascension, declination, distance_au = _geocentric(utc_s)
+    hour_angle = spa.local_hour_angle(sidereal, longitude_deg, ascension)
+    parallax = spa.equatorial_horizontal_parallax(distance_au)
+    u = spa.uterm(latitude_deg)
+    x, y = spa.xterm(u, latitude_deg, altitude_m), spa.yterm(u, latitude_deg, altitude_m)
+    shift = spa.parallax_sun_right_ascension(x, parallax, hour_angle, declination)
+    local_declination = spa.topocentric_sun_declination(declination, x, y, parallax, shift, hour_angle)
+    local_hour_angle = spa.topocentric_local_hour_angle(hour_angle, shift)
+    geometric = spa.topocentric_elevation_angle_without_atmosphere(latitude_deg, local_declination, local_hour_angle)
+    pressure_hpa = alt2pres(altitude_m) / 100.0
+    refraction = spa.atmospheric_refraction_correction(
+        pressure_hpa, TEMPERATURE_DEGC, geometric, REFRACTION_AT_HORIZON_DEG
+    )
+    astronomers = spa.topocentric_astronomers_azimuth(local_hour_angle, local_declination, latitude_deg)
+    return [
+        np.asarray(angle, dtype=np.float64)
+        for angle in (spa.topocentric_azimuth_angle(astronomers), geometric + refraction, geometric)
+    ]
+
+
+def _geocentric(utc_s: Array) -> Array:
+    """Sidereal time, right ascension, declination [deg] and distance [au] of instants (n,): shape (4, n)."""
+    hours = np.floor(utc_s / HOUR_S).astype(np.int64)
+    whole, position = np.unique(hours, return_inverse=True)
+    before = _at_hours(whole)
+    rise = _at_hours(whole + 1) - before
+    # Right ascension wraps once a year; sidereal time advances by 15.04 deg in an hour and wraps once a day.
+    rise[:2] = (rise[:2] + 180.0) % 360.0 - 180.0
+    return before[:, position] + rise[:, position] * (utc_s / HOUR_S - hours)
+
+
+def _at_hours(hours: NDArray[np.int64]) -> Array:
+    """Geocentric quantities at whole hours since 1970, shape (4, n); from memory if they are the hours of a day."""
+    if hours.size > REMEMBERED_HOURS // 4:
+        return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
+    return np.stack([_at_hour(hour) for hour in hours.tolist()], axis=-1)
+
+
+@lru_cache(maxsize=REMEMBERED_HOURS)
+def _at_hour(hour: int) -> Array:
+    return _geocentric_exact(np.array([hour * HOUR_S]))[:, 0]
+
+
+def _geocentric_exact(utc_s: Array) -> Array:
+    delta_t = _delta_t_s(utc_s)
+    angles = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
+    (distance_au,) = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, esd=True)
+    return np.array([*angles, distance_au])
+
+
+def _delta_t_s(utc_s: Array) -> Array:
+    """Terrestrial time minus universal time [s], constant over a month."""
+    months = utc_s.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64)
+    return np.asarray(spa.calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
+
+
+def _finite(utc_s: float | Array) -> Array:
+    instants = np.asarray(utc_s, dtype=np.float64)
+    if not np.all(np.isfinite(instants)):
+        raise ValueError(f"the time must be finite seconds since 1970, not {utc_s}")
+    return instants
+
+
+def _refined(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> float | None:
+    """One step of Newton's method: pvlib's sunrise and sunset are off by up to 15 s far from Greenwich."""
+    if np.isnan(utc_s):
+        return None
+    instants = utc_s + np.array([0.0, 30.0])
+    now, then = sun_position(instants, latitude_deg, longitude_deg, altitude_m).geometric_elevation_deg
+    step_s = 30.0 * (RISE_ELEVATION_DEG - now) / (then - now)
+    # Where the sun only grazes the horizon the slope vanishes, and the first estimate is the better one.
+    return utc_s + float(step_s) if abs(step_s) < 60.0 else utc_s

@@ -1,0 +1,121 @@
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pvlib.irradiance import get_extra_radiation
+from pvlib.solarposition import get_solarposition
+
+from solar.ephemeris import extraterrestrial_dni, sun_day, sun_direction, sun_position
+from solar.frames import azimuth_from_direction, separation_deg
+
+SIRTA = (48.717607, 2.209002, 156.0)
+CAPE_TOWN = (-33.92, 18.42, 25.0)
+TROMSO = (69.65, 18.96, 10.0)
+FIJI = (-18.14, 178.44, 6.0)
+ALTIPLANO = (0.0, -78.45, 3800.0)
+SITES = (SIRTA, CAPE_TOWN, TROMSO, FIJI, ALTIPLANO)
+# 1970 to 2050, where the polynomials of terrestrial time hold.
+UTC_S = st.floats(0.0, 2.5e9)
+
+
+def utc(text: str) -> float:
+    return pd.Timestamp(text, tz="UTC").timestamp()
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_positions_agree_with_pvlib_at_any_time_of_eighty_years(site):
+    instants = np.random.default_rng(1).uniform(0.0, 2.5e9, 2000)
+    expected = get_solarposition(pd.to_datetime(instants, unit="s", utc=True), *site, delta_t=None)
+    sun = sun_position(instants, *site)
+    across = (sun.azimuth_deg - expected["azimuth"] + 180.0) % 360.0 - 180.0
+    assert np.abs(across * np.cos(np.radians(sun.geometric_elevation_deg))).max() < 1e-5
+    assert np.abs(sun.elevation_deg - expected["apparent_elevation"]).max() < 1e-5
+    assert np.abs(sun.geometric_elevation_deg - expected["elevation"]).max() < 1e-5
+
+
+def test_the_position_of_the_algorithms_own_example_is_reproduced():
+    # Reda & Andreas (2004), appendix A.5: 17 October 2003, 12:30:30 at UTC-7; their pressure and temperature differ.
+    sun = sun_position(utc("2003-10-17T19:30:30"), 39.742476, -105.1786, 1830.14)
+    assert sun.geometric_elevation_deg == pytest.approx(90.0 - 50.12790, abs=2e-4)
+    assert sun.azimuth_deg == pytest.approx(194.34024, abs=2e-4)
+
+
+@given(UTC_S)
+def test_one_instant_gives_floats_equal_to_those_of_an_array(instant):
+    one, many = sun_position(instant, *SIRTA), sun_position(np.array([[instant, instant + 7200.0]]), *SIRTA)
+    assert isinstance(one.azimuth_deg, float)
+    assert many.elevation_deg.shape == (1, 2)
+    assert one.elevation_deg == pytest.approx(many.elevation_deg[0, 0], abs=1e-9)
+    assert one.azimuth_deg == pytest.approx(many.azimuth_deg[0, 0], abs=1e-7)
+
+
+def test_nothing_jumps_at_whole_hours_at_midnight_or_at_the_wrap_of_right_ascension():
+    equinox = utc("2024-03-20T00:00:00") + np.arange(0.0, 86400.0, 10.0)
+    steps = separation_deg(sun_direction(equinox[:-1], *SIRTA), sun_direction(equinox[1:], *SIRTA))
+    daylight = sun_position(equinox[:-1], *SIRTA).elevation_deg > 0.0
+    assert np.all(np.abs(steps[daylight] - 10.0 * 360.0 / 86164.0) < 0.003)
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_the_direction_is_the_unit_vector_of_azimuth_and_elevation(site):
+    instants = utc("2022-10-12") + np.arange(0.0, 86400.0, 3600.0)
+    sun, direction = sun_position(instants, *site), sun_direction(instants, *site)
+    azimuth, elevation = azimuth_from_direction(direction, site[0])
+    assert np.linalg.norm(direction, axis=-1) == pytest.approx(1.0)
+    assert elevation == pytest.approx(sun.elevation_deg)
+    assert azimuth == pytest.approx(sun.azimuth_deg)
+
+
+def test_at_noon_the_sun_stands_on_the_equators_side_in_both_hemispheres():
+    for site in (SIRTA, CAPE_TOWN):
+        noon = sun_day(utc("2022-10-12T12:00"), *site).noon_utc_s
+        south, east, up = sun_direction(noon, *site)
+        assert south > 0.3
+        assert east == pytest.approx(0.0, abs=1e-3)
+        assert up > 0.0
+
+
+def test_extraterrestrial_irradiance_agrees_with_pvlib_and_peaks_in_january():
+    days = pd.date_range("2023-01-01", "2023-12-31", tz="UTC")
+    seconds = (days - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    ours = extraterrestrial_dni(seconds.to_numpy())
+    assert ours == pytest.approx(get_extra_radiation(days, method="nrel").to_numpy(), rel=1e-5)
+    assert int(np.argmax(ours)) < 10
+    assert extraterrestrial_dni(float(seconds[0])).shape == ()
+
+
+@pytest.mark.parametrize("site", [SIRTA, CAPE_TOWN, FIJI, ALTIPLANO])
+@pytest.mark.parametrize("date", ["2022-10-12T00:10", "2022-02-11T12:00", "2022-11-03T23:50"])
+def test_sunrise_noon_and_sunset_are_those_of_the_solar_day_around_the_instant(site, date):
+    day = sun_day(utc(date), *site)
+    limb = sun_position(np.array([day.sunrise_utc_s, day.sunset_utc_s]), *site).geometric_elevation_deg
+    # Upper limb on the horizon: 34' of refraction and 16' of radius below it.
+    assert limb == pytest.approx(-0.8333, abs=0.001)
+    assert day.sunrise_utc_s < day.noon_utc_s < day.sunset_utc_s
+    assert abs(day.noon_utc_s - utc(date)) < 12.3 * 3600.0
+    near = day.noon_utc_s + np.linspace(-600.0, 600.0, 5)
+    assert day.highest_elevation_deg == pytest.approx(sun_position(near, *site).elevation_deg.max(), abs=0.01)
+
+
+def test_polar_night_and_polar_day_have_no_sunrise_and_differ_in_the_noon_elevation():
+    night, day = sun_day(utc("2022-12-21T12:00"), *TROMSO), sun_day(utc("2022-06-21T12:00"), *TROMSO)
+    assert night.sunrise_utc_s is None
+    assert night.sunset_utc_s is None
+    assert night.highest_elevation_deg < 0.0
+    assert day.sunrise_utc_s is None
+    assert day.highest_elevation_deg > 40.0
+
+
+@pytest.mark.parametrize(
+    ("function", "instant"),
+    [
+        (sun_position, np.nan),
+        (sun_position, np.array([0.0, np.nan])),
+        (sun_direction, np.inf),
+        (sun_day, np.nan),
+    ],
+)
+def test_an_instant_that_is_no_time_is_refused(function, instant):
+    with pytest.raises(ValueError, match="finite seconds since 1970"):
+        function(instant, *SIRTA)

@@ -1,0 +1,81 @@
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daemon.outage import Outage
+
+
+@pytest.fixture
+def outage(caplog):
+    caplog.set_level(logging.DEBUG)
+    return Outage(logging.getLogger("heliocube.test"), "the positioner")
+
+
+def told(caplog, level=logging.INFO):
+    return [(r.levelname, r.getMessage()) for r in caplog.records if r.levelno >= level]
+
+
+def test_an_outage_is_told_once_when_it_begins_and_once_with_its_length_when_it_ends(outage, caplog):
+    assert outage.down(100.0, "the port is gone")
+    assert not outage.down(101.0, "the port is gone")
+    assert not outage.down(102.0, "the port is gone")
+    assert outage.up(163.5)
+
+    assert told(caplog) == [
+        ("WARNING", "the positioner is down: the port is gone"),
+        ("INFO", "the positioner is back"),
+    ]
+    assert caplog.records[-1].fields == {"down_s": 63.5, "repeats": 2}
+
+
+def test_repeats_are_debug_lines_that_carry_their_count(outage, caplog):
+    for second in range(4):
+        outage.down(float(second), "no answer")
+    repeats = [r for r in caplog.records if r.levelno == logging.DEBUG]
+    assert [r.fields["repeats"] for r in repeats] == [1, 2, 3]
+
+
+def test_it_says_since_when_and_why_only_while_it_lasts(outage):
+    assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
+    outage.down(5.0, "no answer")
+    outage.down(9.0, "refused")
+    assert (outage.is_down, outage.since, outage.reason, outage.repeats) == (True, 5.0, "refused", 1)
+    outage.up(10.0)
+    assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
+
+
+def test_up_without_an_outage_says_nothing(outage, caplog):
+    assert not outage.up(1.0)
+    assert told(caplog, logging.DEBUG) == []
+
+
+def test_a_second_outage_counts_from_nought(outage, caplog):
+    outage.down(0.0, "x")
+    outage.down(700.0, "x")
+    outage.up(800.0)
+    caplog.clear()
+    assert outage.down(1000.0, "y")
+    assert not outage.down(1001.0, "y")
+    assert outage.repeats == 1
+    outage.up(1002.0)
+    assert len(told(caplog)) == 2
+
+
+def test_reminders_come_after_ten_minutes_one_hour_six_hours_and_then_every_six(outage):
+    hours = [second / 3600 for second in range(0, 24 * 3600 + 1, 5) if outage.down(float(second), "x")]
+    assert hours == pytest.approx([0, 1 / 6, 1, 6, 12, 18, 24])
+
+
+@given(gaps_s=st.lists(st.floats(0.1, 3600.0), min_size=1, max_size=300))
+def test_a_day_of_outage_is_at_most_twenty_lines_however_often_it_fails(gaps_s):
+    logger = logging.getLogger("heliocube.test.quiet")
+    logger.setLevel(logging.INFO)
+    outage, now_s, lines = Outage(logger, "the cube"), 0.0, 0
+    for gap_s in gaps_s * (1 + int(86400 / sum(gaps_s)) if sum(gaps_s) > 600 else 1):
+        now_s += gap_s
+        if now_s > 86400:
+            break
+        lines += outage.down(now_s, "x")
+    assert lines + outage.up(now_s) <= 20

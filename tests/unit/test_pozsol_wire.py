@@ -1,0 +1,175 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import pozsol_wire as wire
+from drivers.pozsol_wire import Field, TokenStream, encode_command, parse_number, parse_status
+
+ALLOWED = {44, 46, 48, 50, 56, 57, 136}
+
+
+def test_an_angle_command_is_one_dollar_one_code_a_number_and_a_byte_that_ends_it():
+    assert encode_command(Field.A_ANGLE, -45.5) == b"$,-45.5000\r"
+    assert encode_command(Field.B_ANGLE, 90) == b"$090.0000\r"
+
+
+def test_a_destination_command_is_a_whole_number():
+    assert encode_command(Field.A_DESTINATION, 120) == b"$.120\r"
+    with pytest.raises(ValueError, match="whole"):
+        encode_command(Field.B_DESTINATION, 12.5)
+
+
+def test_the_commands_without_a_number():
+    assert encode_command(Field.MODE, wire.TRACKING_OFF) == b"$8N\r"
+    assert encode_command(Field.ACTION, wire.STOP) == b"$9s\r"
+    assert encode_command(Field.ACTION, wire.HOME_A) == b"$95\r"
+    assert encode_command(Field.ACTION, wire.HOME_B) == b"$96\r"
+    assert encode_command(Field.STATUS, wire.CLEAR) == b"$\x880\r"
+
+
+def test_no_other_command_can_be_encoded():
+    for code in set(range(-1, 300)) - ALLOWED:
+        for value in (1.0, "N", "s", "0"):
+            with pytest.raises(ValueError, match="not allowed"):
+                encode_command(code, value)
+
+
+@pytest.mark.parametrize(("code", "value"), [(56, "Y"), (56, "n"), (57, "1"), (57, "4"), (57, ""), (57, 5), (136, "1")])
+def test_a_mode_that_moves_by_itself_and_the_jog_cannot_be_encoded(code, value):
+    with pytest.raises(ValueError, match="may only carry"):
+        encode_command(code, value)
+
+
+@pytest.mark.parametrize("code", [44, 46, 48, 50])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e6, "12"])
+def test_what_is_not_a_reasonable_number_is_refused(code, value):
+    with pytest.raises(ValueError, match=str(code)):
+        encode_command(code, value)
+
+
+@given(st.floats(-180, 180))
+def test_every_angle_command_fits_one_packet_and_reads_back_to_the_fourth_decimal(angle_deg):
+    packet = encode_command(Field.A_ANGLE, angle_deg)
+    assert len(packet) <= wire.MAXIMUM_PACKET
+    assert packet.count(b"$") == 1
+    assert float(packet[2:-1]) == pytest.approx(angle_deg, abs=5.1e-5)
+
+
+def test_tokens_come_out_once_their_successor_has_begun():
+    stream = TokenStream()
+    assert stream.feed(b"$,12.3$-45.6000$\xb2") == [(44, b"12.3"), (45, b"45.6000")]
+    assert stream.feed(b"22$%36A1$") == [(178, b"22"), (37, b"36A1")]
+
+
+def test_what_came_before_the_first_separator_is_not_believed():
+    assert TokenStream().feed(b"5.6000$,12.3$") == [(44, b"12.3")]
+
+
+def test_merged_screens_empty_tokens_and_odd_bytes_do_no_harm():
+    stream = TokenStream()
+    assert stream.feed(b"$$$,1.0$\xe2\xf8 C$$\x00$") == [(44, b"1.0"), (226, b"\xf8 C"), (0, b"")]
+
+
+def test_an_endless_token_is_dropped_and_the_next_one_understood():
+    stream = TokenStream()
+    for _ in range(1000):
+        assert stream.feed(b"$," + b"7" * 100) in ([], [(44, b"7" * 100)])
+        stream.feed(b"7" * 1000)
+        assert len(stream._pending) <= 1 + wire.MAXIMUM_VALUE
+    assert stream.feed(b"$,1.0$") == [(44, b"1.0")]
+    assert stream.feed(b"," + b"7" * 1000 + b"$,2.0$") == [(44, b"2.0")]
+
+
+TOKENS = st.lists(
+    st.tuples(
+        st.integers(1, 255).filter(lambda code: code != 0x24),
+        st.binary(max_size=20).filter(lambda value: b"$" not in value),
+    ),
+    max_size=30,
+)
+
+
+@given(TOKENS, st.lists(st.integers(0, 400), max_size=20))
+def test_however_the_stream_is_cut_the_same_tokens_come_out(tokens, cuts):
+    data = b"".join(b"$" + bytes([code]) + value for code, value in tokens) + b"$"
+    stream, found, start = TokenStream(), [], 0
+    for end in [*sorted(cuts), len(data)]:
+        found += stream.feed(data[start:end])
+        start = max(start, end)
+    assert found == tokens
+
+
+@given(st.binary(max_size=2000))
+def test_no_bytes_whatever_upset_the_decoder(data):
+    stream = TokenStream()
+    assert all(0 <= code <= 255 and b"$" not in value for code, value in stream.feed(data))
+    assert len(stream._pending) <= 1 + wire.MAXIMUM_VALUE
+
+
+def test_a_number_with_lost_bytes_is_not_taken_for_a_smaller_one():
+    assert parse_number(Field.A_ANGLE, b"-12.3") == -12.3
+    assert parse_number(Field.A_POSITION, b"123.4567") == 123.4567
+    for value in (b"-12", b"-12.", b"12.34", b"1", b"", b"nan", b"1e5.0", b" 12.3", b"12.3-4.5"):
+        with pytest.raises(ValueError, match="decimals"):
+            parse_number(Field.A_ANGLE, value)
+
+
+def test_a_quiet_status_says_nothing():
+    status = parse_status("0000")
+    assert status.faults == ()
+    assert status.end_switches == ()
+    assert status.word == 0
+    assert not status.autonomous
+
+
+def test_every_fault_bit_has_its_name():
+    for name, bit in wire.FAULT_BITS.items():
+        assert parse_status(str(1 << bit)).faults == (name,)
+
+
+def test_marks_motion_and_modes_are_read_from_their_bits():
+    assert parse_status(str(1 << 8)).was_reset
+    assert parse_status(str(1 << 9)).button_pressed
+    assert parse_status(str(1 << 10)).bus_timeout
+    assert parse_status(str(1 << 11)).a_moving
+    assert parse_status(str(1 << 12)).a_moving
+    assert parse_status(str(1 << 13)).homing
+    assert parse_status(str(1 << 14)).memory_fault
+    assert parse_status(str(0b111 << 19)).end_switches == ("a_low", "a_high", "b_low")
+    for bit, name in ((25, "own_tracking"), (26, "snow"), (27, "wind")):
+        status = parse_status(str(1 << bit))
+        assert getattr(status, name)
+        assert status.autonomous
+
+
+@pytest.mark.parametrize("bit", [15, 16, 17, 18, 22])
+def test_bits_on_which_the_generations_disagree_are_not_interpreted(bit):
+    status = parse_status(str(1 << bit))
+    assert status.b_moving is None
+    assert status.faults == ()
+    assert status.end_switches == ()
+    assert not status.homing
+
+
+@pytest.mark.parametrize("start", [wire.B_OUT_BIT_STM, wire.B_OUT_BIT_LPC])
+def test_with_a_known_generation_the_motion_of_b_is_read_too(start):
+    assert parse_status(str(1 << start), start).b_moving
+    assert parse_status(str(1 << start + 1), start).b_moving
+    homing = parse_status(str(1 << start + 2), start)
+    assert homing.homing
+    assert homing.b_moving is False
+    assert parse_status(str(1 << 22), wire.B_OUT_BIT_STM).end_switches == ("b_high",)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_status_printed_as_a_signed_number_keeps_its_32_bits(word):
+    signed = word - (1 << 32) if word >> 31 else word
+    assert parse_status(f"{signed:04d}").word == word
+
+
+@pytest.mark.parametrize("text", ["", "12x", "4294967296", "-2147483649", "1.5", "0x10", "٣"])
+def test_a_status_that_is_no_32_bit_number_is_refused(text):
+    with pytest.raises(ValueError, match="32 bits"):
+        parse_status(text)

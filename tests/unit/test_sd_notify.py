@@ -1,0 +1,79 @@
+import importlib
+import socket
+
+import pytest
+
+from daemon import sd_notify
+from daemon.sd_notify import Notifier
+
+
+@pytest.fixture
+def manager(tmp_path):
+    """A stand-in for systemd's end of the socket."""
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(path))
+        receiver.settimeout(2.0)
+        yield receiver, str(path)
+
+
+def test_each_message_arrives_as_one_datagram(manager):
+    receiver, path = manager
+    notifier = Notifier({"NOTIFY_SOCKET": path}, pid=7)
+    notifier.ready()
+    notifier.status("tracking: A 3\nB 60")
+    notifier.watchdog()
+    notifier.stopping()
+    received = [receiver.recv(1000).decode() for _ in range(4)]
+    assert received == ["READY=1", "STATUS=tracking: A 3 B 60", "WATCHDOG=1", "STOPPING=1"]
+
+
+def test_an_abstract_socket_is_meant_by_a_leading_at(tmp_path):
+    name = f"heliocube-{tmp_path.name}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind("\0" + name)
+        receiver.settimeout(2.0)
+        Notifier({"NOTIFY_SOCKET": "@" + name}, pid=7).ready()
+        assert receiver.recv(100) == b"READY=1"
+
+
+def test_without_a_service_manager_nothing_happens():
+    notifier = Notifier({}, pid=7)
+    notifier.ready()
+    notifier.watchdog()
+    assert notifier.watchdog_interval_s is None
+
+
+def test_a_manager_that_is_gone_is_no_error(tmp_path):
+    Notifier({"NOTIFY_SOCKET": str(tmp_path / "nobody")}, pid=7).ready()
+    Notifier({"NOTIFY_SOCKET": "/" + "x" * 300}, pid=7).ready()
+
+
+def test_a_manager_that_does_not_read_is_not_waited_for(manager):
+    _, path = manager
+    notifier = Notifier({"NOTIFY_SOCKET": path}, pid=7)
+    for _ in range(2000):
+        notifier.watchdog()
+
+
+def test_the_watchdog_is_pinged_at_half_its_time():
+    assert Notifier({"WATCHDOG_USEC": "10000000"}, pid=7).watchdog_interval_s == 5.0
+    assert Notifier({"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "7"}, pid=7).watchdog_interval_s == 5.0
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"WATCHDOG_USEC": "10000000", "WATCHDOG_PID": "8"},
+        {"WATCHDOG_USEC": "0"},
+        {"WATCHDOG_USEC": ""},
+        {"WATCHDOG_USEC": "soon"},
+    ],
+)
+def test_a_watchdog_of_another_process_or_without_a_time_is_not_ours(environment):
+    assert Notifier(environment, pid=7).watchdog_interval_s is None
+
+
+def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch):
+    monkeypatch.delattr(socket, "AF_UNIX")
+    importlib.reload(sd_notify).Notifier({"NOTIFY_SOCKET": "/run/x"}, pid=7).ready()
