@@ -1,91 +1,204 @@
-"""The settings of the service: one TOML file, every key named with its unit, every unknown key an error."""
+"""The settings of the service: one TOML file, every key named with its unit, every unknown key an error.
 
-from datetime import datetime
+The descriptions here are the only ones: the commented file, the reference and the error messages are made from them.
+"""
+
+import difflib
+import ipaddress
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
+from daemon import config_rules
+from daemon.bridge.addresses import parse_address
 from solar.frames import Limits
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Azimuth = Annotated[float, Field(ge=0, lt=360, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Azimuth = Annotated[float, Field(ge=0, lt=360)]
+Channel = Annotated[int, Field(ge=0, le=15)]
+Duration = Annotated[float, Field(gt=0, le=86400)]
+WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "chronometric", "flat"]
 WeatherName = Literal["clear", "overcast", "variable"]
+VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
+
+
+def _text(form: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "format": form})
+
+
+def _range(value: float) -> float:
+    if value not in VOLTMETER_RANGES_V:
+        raise ValueError("not a range of the voltmeter")
+    return value
+
+
+def _listen_address(text: str) -> str:
+    parse_address(text)
+    return text
+
+
+def _send_address(text: str) -> str:
+    if parse_address(text).port == 0:
+        raise ValueError("port 0 is nobody's")
+    return text
+
+
+def _group(text: str) -> str:
+    group = parse_address(text)
+    if not (group.ip.version == 4 and group.ip.is_multicast and group.port):
+        raise ValueError("not an IPv4 multicast group")
+    return text
+
+
+def _host(text: str) -> str:
+    ipaddress.ip_address(text)
+    return text
+
+
+def _interface(text: str) -> str:
+    ipaddress.IPv4Address(text)
+    return text
+
+
+def _no_empty_path(value: object) -> object:
+    if value == "":
+        raise ValueError("empty")
+    return value
+
+
+def _no_misspelt_weather(path: Path) -> Path:
+    names = get_args(WeatherName)
+    if path.name == str(path) and not path.suffix and difflib.get_close_matches(str(path).lower(), names):
+        raise ValueError("a misspelt name and not a file")
+    return path
+
+
+RangeV = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(VOLTMETER_RANGES_V)})]
+FilePath = Annotated[Path, Field(strict=False), BeforeValidator(_no_empty_path)]
+WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
+ListenAddress = Annotated[str, AfterValidator(_listen_address), _text("listen")]
+SendAddress = Annotated[str, AfterValidator(_send_address), _text("address")]
+Group = Annotated[str, AfterValidator(_group), _text("group")]
+Host = Annotated[str, AfterValidator(_host), _text("ip")]
+Interface = Annotated[str, AfterValidator(_interface), _text("ipv4")]
 
 
 class Section(BaseModel):
-    """A table of the file: frozen, and closed to keys it does not know."""
+    """A table of the file: frozen, closed to keys it does not know, and with no guessing of types."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
 
 
 class Site(Section):
     """Where the rig stands. The default is the paper's: SIRTA, Palaiseau."""
 
-    name: str = "SIRTA"
-    latitude_deg: float = Field(48.717607, ge=-90, le=90, allow_inf_nan=False)
-    longitude_deg: float = Field(2.209002, ge=-180, le=180, allow_inf_nan=False)
-    altitude_m: float = Field(156.0, ge=-430, le=9000, allow_inf_nan=False)
+    name: str = Field("SIRTA", description="Name of the place, for people.")
+    latitude_deg: float = Field(
+        48.717607,
+        ge=-90,
+        le=90,
+        description="Latitude, north positive; in the south the cube's south face looks north.",
+    )
+    longitude_deg: float = Field(2.209002, ge=-180, le=180, description="Longitude, east positive.")
+    altitude_m: float = Field(156.0, ge=-430, le=9000, description="Height above sea level.")
 
 
 class Face(Section):
-    """One sensor of the cube and the multiplexer input it is wired to.
+    """One sensor of the cube: irradiance = gain x (voltage - offset)."""
 
-    ``irradiance = gain * (voltage - offset)``; the RG100 gives 0.1 mV per W/m2.
-    """
-
-    channel: int = Field(ge=0, le=15)
-    gain_w_m2_per_mv: Positive = 10.0
-    offset_mv: Finite = 0.0
-    azimuth_deg: Azimuth | None = None
-    tilt_deg: float = Field(90.0, ge=0, le=180, allow_inf_nan=False)
+    channel: Channel = Field(description="Multiplexer input that the sensor is wired to.")
+    gain_w_m2_per_mv: Positive = Field(
+        10.0, le=1000, description="Gain. A sensor of 0.1 mV per W/m2, such as the RG100, has a gain of 10."
+    )
+    offset_mv: float = Field(0.0, ge=-100, le=100, description="Voltage that the sensor gives in the dark.")
+    azimuth_deg: Azimuth | None = Field(
+        None,
+        examples=[92.5],
+        description="Where the face truly looks, from north clockwise: 92.5 for an east face turned by 2.5."
+        " Left out: exactly where its name says.",
+    )
+    tilt_deg: float = Field(90.0, ge=0, le=180, description="Tilt of the face: 0 looks up, 90 at the horizon.")
 
 
 class Cube(Section):
-    """The four faces and the rhythm in which they are read."""
+    """The cube and the rhythm in which its four faces are read."""
 
-    name: str = Field("cube", pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$")
-    scan_every_s: float = Field(5.0, ge=0.5, le=60, allow_inf_nan=False)
-    reading_deadline_s: Positive = 2.0
-    minimum_w_m2: float = Field(-20.0, ge=-100, le=0, allow_inf_nan=False)
-    maximum_w_m2: float = Field(1500.0, ge=500, le=3000, allow_inf_nan=False)
-    dark_correction: bool = True
-    self_test_channel: int | None = Field(None, ge=0, le=15)
-    self_test_limit_mv: Positive = 0.5
+    name: str = Field(
+        "cube",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$",
+        json_schema_extra={"format": "name"},
+        description="Name that every scan bears on its way to the trackers.",
+    )
+    scan_every_s: float = Field(5.0, ge=0.5, le=60, description="Time from the start of one scan to the next.")
+    reading_deadline_s: Positive = Field(
+        2.0, le=60, description="Longest wait for one reading after the multiplexer has settled."
+    )
+    minimum_w_m2: float = Field(-20.0, ge=-100, le=0, description="Readings below are implausible and not used.")
+    maximum_w_m2: float = Field(1500.0, ge=500, le=3000, description="Readings above are implausible and not used.")
+    dark_correction: bool = Field(
+        default=True, description="Learn each sensor's voltage in the dark at night and subtract it."
+    )
+    self_test_channel: Channel | None = Field(
+        None,
+        examples=[7],
+        description="Multiplexer input that is short-circuited: read before each scan to prove switch and meter.",
+    )
+    self_test_limit_mv: Positive = Field(
+        0.5, le=100, description="Largest voltage of the short-circuited input that passes the self-test."
+    )
     east: Face = Face(channel=0)
     south: Face = Face(channel=1)
     west: Face = Face(channel=2)
     zenith: Face = Face(channel=3, tilt_deg=0.0)
 
+    @field_validator("east", "south", "west", "zenith", mode="before")
+    @classmethod
+    def _complete(cls, value: Any, info: ValidationInfo) -> Any:
+        """Give a face of which the file names some keys that same face's defaults for the others."""
+        if not isinstance(value, dict) or info.field_name is None:
+            return value
+        return {**cls.model_fields[info.field_name].default.model_dump(), **value}
+
 
 class MultiplexerSettings(Section):
     """The switch between the faces and the voltmeter."""
 
-    settle_s: float = Field(0.3, ge=0, le=5, allow_inf_nan=False)
+    settle_s: float = Field(0.3, ge=0, le=5, description="Time from switching to the start of a conversion.")
 
 
 class VoltmeterSettings(Section):
     """The Keithley 2000."""
 
-    range_v: Literal[0.1, 1.0, 10.0] = 1.0
-    nplc: float = Field(1.0, ge=0.01, le=10, allow_inf_nan=False)
-    line_frequency_hz: Literal[50, 60] = 50
+    range_v: RangeV = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
+    nplc: float = Field(1.0, ge=0.01, le=10, description="Integration time, in periods of the mains.")
+    line_frequency_hz: Literal[50, 60] = Field(50, description="Frequency of the mains.")
 
 
 class PositionerSettings(Section):
     """The POZSOL positioner: what the service may expect of its motion."""
 
-    slowest_deg_per_s: Positive = 0.3
-    telemetry_stale_s: Positive = 2.0
+    slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
+    telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
 
 
 class Instruments(Section):
     """How the instruments are reached. There is no silent fallback from one kind to another."""
 
-    kind: Literal["simulated"] = "simulated"
+    kind: Literal["simulated"] = Field("simulated", description="Kind of the instruments.")
     multiplexer: MultiplexerSettings = MultiplexerSettings()
     voltmeter: VoltmeterSettings = VoltmeterSettings()
     positioner: PositionerSettings = PositionerSettings()
@@ -94,103 +207,138 @@ class Instruments(Section):
 class Law(Section):
     """The pointing law and its parameters."""
 
-    name: LawName = "mu-prime"
-    albedo: float = Field(0.2, ge=0, le=1, allow_inf_nan=False)
-    south_threshold: float = Field(0.01, ge=0, le=0.5, allow_inf_nan=False)
+    name: LawName = Field(
+        "mu-prime",
+        description="mu-prime: towards sun and bright sky, the paper's (12). sun-vector: towards the sun as the cube"
+        " sees it. chronometric: towards the sun by ephemeris. flat: up.",
+    )
+    albedo: float = Field(0.2, ge=0, le=1, description="Share of the irradiance that the ground reflects.")
+    uniform_threshold: float = Field(
+        0.01,
+        ge=0,
+        le=0.5,
+        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
+    )
 
 
 class Windows(Section):
     """The rhythm of control: the paper's mean over 120 s, every 300 s."""
 
-    mean_s: Positive = 120.0
-    decide_every_s: Positive = 300.0
-    minimum_coverage: float = Field(0.5, gt=0, le=1, allow_inf_nan=False)
+    mean_s: Duration = Field(120.0, description="Span of the newest readings that a decision averages.")
+    decide_every_s: Duration = Field(300.0, description="Time from one decision to the next.")
+    minimum_coverage: float = Field(
+        0.5, gt=0, le=1, description="Share of the span that good readings must cover for a decision."
+    )
 
 
 class LimitSettings(Section):
-    """The permitted range of the angles; the mechanics allow no more than the defaults."""
+    """The permitted range of the angles: A -50 East to +50 West, B 90 flat. The mechanics allow no more than this."""
 
-    a_min_deg: float = Field(-50.0, ge=-50, le=50, allow_inf_nan=False)
-    a_max_deg: float = Field(50.0, ge=-50, le=50, allow_inf_nan=False)
-    b_min_deg: float = Field(15.0, ge=15, le=90, allow_inf_nan=False)
-    b_max_deg: float = Field(90.0, ge=15, le=90, allow_inf_nan=False)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for axis in "ab":
-            low, high = getattr(self, f"{axis}_min_deg"), getattr(self, f"{axis}_max_deg")
-            if not low < high:
-                raise ValueError(f"{axis}_min_deg ({low:g}) must be less than {axis}_max_deg ({high:g})")
-        return self
+    a_min_deg: float = Field(-50.0, ge=-50, le=50, description="Lowest angle A, towards the east.")
+    a_max_deg: float = Field(50.0, ge=-50, le=50, description="Highest angle A, towards the west.")
+    b_min_deg: float = Field(15.0, ge=15, le=90, description="Lowest angle B, the steepest.")
+    b_max_deg: float = Field(90.0, ge=15, le=90, description="Highest angle B; 90 is flat.")
 
     def limits(self) -> Limits:
-        """The range as the science and the drivers know it."""
+        """Return the range as the science and the drivers know it."""
         return Limits(self.a_min_deg, self.a_max_deg, self.b_min_deg, self.b_max_deg)
 
 
 class Motion(Section):
     """When a move is worth it, and what counts as having arrived."""
 
-    deadband_deg: NotNegative = 0.6
-    minimum_interval_s: NotNegative = 60.0
-    tolerance_deg: Positive = 0.8
-    attempts: int = Field(3, ge=1, le=10)
-    retry_after_s: Positive = 600.0
-    rehome: Literal["operator", "automatic"] = "operator"
+    deadband_deg: NotNegative = Field(0.6, le=30, description="A smaller change of direction is not worth a move.")
+    minimum_interval_s: NotNegative = Field(60.0, le=86400, description="Least time between two tracking moves.")
+    tolerance_deg: Positive = Field(0.8, le=10, description="Distance from the target that counts as arrived.")
+    attempts: int = Field(3, ge=1, le=10, description="Tries before a move is given up and a fault declared.")
+    retry_after_s: Duration = Field(600.0, description="Time after a fault until moves are tried again.")
+    rehome: Literal["operator", "automatic"] = Field(
+        "operator", description="Who orders the reference run after the positioner has lost its reference."
+    )
 
 
 class Safety(Section):
     """When not to track."""
 
-    scan_stale_s: Positive = 15.0
-    fallback_after_s: Positive = 60.0
-    night_below_w_m2: NotNegative = 5.0
-    night_above_w_m2: NotNegative = 10.0
-    night_highest_sun_deg: float = Field(5.0, ge=-5, le=30, allow_inf_nan=False)
-    night_a_deg: Finite = 0.0
-    night_b_deg: Finite = 90.0
-    stow_a_deg: Finite = 0.0
-    stow_b_deg: Finite = 90.0
-    stow_wind_m_s: Positive = 15.0
-    release_wind_m_s: Positive = 10.0
-    stow_at_least_s: Positive = 900.0
-    wind_stale_s: Positive = 300.0
+    scan_stale_s: Duration = Field(15.0, description="Age from which the newest scan is not used any more.")
+    fallback_after_s: Duration = Field(
+        60.0, description="Time without good readings after which the sun is followed by ephemeris."
+    )
+    night_below_w_m2: NotNegative = Field(5.0, le=200, description="Zenith irradiance below which night begins.")
+    night_above_w_m2: NotNegative = Field(10.0, le=200, description="Zenith irradiance above which night ends.")
+    night_highest_sun_deg: float = Field(
+        5.0, ge=-5, le=30, description="With the sun higher than this it is never night, however dark."
+    )
+    night_a_deg: float = Field(0.0, ge=-50, le=50, description="Angle A at night.")
+    night_b_deg: float = Field(90.0, ge=15, le=90, description="Angle B at night.")
+    stow_a_deg: float = Field(0.0, ge=-50, le=50, description="Angle A of the stow position.")
+    stow_b_deg: float = Field(90.0, ge=15, le=90, description="Angle B of the stow position.")
+    stow_wind_m_s: WindSpeed = Field(15.0, description="Wind speed from which the tracker is stowed.")
+    release_wind_m_s: WindSpeed = Field(10.0, description="Wind speed below which stow may end.")
+    stow_at_least_s: Duration = Field(900.0, description="Time that the wind must have been calm before stow ends.")
+    wind_stale_s: Duration = Field(300.0, description="Silence of the wind sensor that counts as strong wind.")
 
 
 class Bridge(Section):
-    """How scans get from the cube to the trackers."""
+    """How scans get from the cube to the trackers: UDP, signed with a key that both sides have."""
 
-    listen: str = "127.0.0.1:20571"
-    send_to: tuple[str, ...] = ("127.0.0.1:20571",)
-    multicast_group: str | None = None
-    multicast_interface: str | None = None
-    multicast_ttl: int = Field(1, ge=1, le=32)
-    key_file: Path | None = None
-    insecure: bool = False
-    accept_from: tuple[str, ...] = ()
-    clock_skew_s: Positive = 30.0
-    late_after_s: Positive = 10.0
+    listen: ListenAddress = Field(
+        "127.0.0.1:20571", description="Tracker: address and port to receive on; 0.0.0.0 is every network."
+    )
+    send_to: tuple[SendAddress, ...] = Field(
+        ("127.0.0.1:20571",), strict=False, description="Cube: addresses and ports of the trackers."
+    )
+    multicast_group: Group | None = Field(
+        None, examples=["239.255.20.71:20571"], description="Group and port that the cube sends to and trackers join."
+    )
+    multicast_interface: Interface | None = Field(
+        None, examples=["192.168.1.20"], description="This machine's own address in the network of the group."
+    )
+    multicast_ttl: int = Field(1, ge=1, le=32, description="How many networks multicast may cross; 1 is this one only.")
+    key_file: FilePath | None = Field(
+        None,
+        examples=["bridge.key"],
+        description="File with the key that signs scans, the same on both sides, mode 0600."
+        " Left out: a new key at each start, which is enough for cube and tracker in one process.",
+    )
+    insecure: bool = Field(default=False, description="Take and send unsigned scans. For a closed lab network only.")
+    accept_from: tuple[Host, ...] = Field(
+        (), strict=False, description="Tracker: addresses of the cubes it listens to; empty is any."
+    )
+    clock_skew_s: Duration = Field(30.0, description="Largest difference between the clocks of cube and tracker.")
+    late_after_s: Duration = Field(10.0, description="A scan that took longer on its way is not used.")
 
 
 class Store(Section):
     """Where records are kept; without a directory they are not."""
 
-    directory: Path | None = None
+    directory: FilePath | None = Field(None, examples=["records"], description="Folder of the records.")
 
 
 class Simulation(Section):
-    """The simulated rig: its sky, its clock and its imperfections."""
+    """The simulated rig: its sky, its clock and its imperfections. Real instruments do not look here."""
 
-    weather: WeatherName | Path = "variable"
-    sky: Literal["perez1990", "isotropic", "haydavies"] = "perez1990"
-    albedo: float = Field(0.2, ge=0, le=1, allow_inf_nan=False)
-    seed: int = Field(1, ge=0, lt=2**63)
-    start_utc: datetime | None = None
-    speed: float = Field(60.0, gt=0, le=1000, allow_inf_nan=False)
-    anchor_utc: datetime | None = None
-    sensor_gain_error: NotNegative = 0.005
-    sensor_noise_mv: NotNegative = 0.02
-    motor_speed_mm_s: Positive = 3.2
+    weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
+    sky: Literal["perez1990", "isotropic", "haydavies"] = Field(
+        "perez1990", description="Model of how diffuse light spreads over the sky."
+    )
+    albedo: float = Field(0.2, ge=0, le=1, description="True albedo of the simulated ground.")
+    seed: int = Field(1, ge=0, le=2**63 - 1, description="The same seed gives the same clouds and noise.")
+    start_utc: AwareDatetime | None = Field(
+        None,
+        examples=["2022-10-14T06:00:00Z"],
+        description="Start of the simulated clock. Left out: now at speed 1, else a bright October morning of 2022.",
+    )
+    speed: Positive = Field(60.0, le=1000, description="How many times faster than real time.")
+    anchor_utc: AwareDatetime | None = Field(
+        None,
+        examples=["2026-01-01T12:00:00Z"],
+        description="Real time at which the simulated clock shows start_utc. Set it alike for cube and tracker to"
+        " give two processes one sky. Left out: when the process starts.",
+    )
+    sensor_gain_error: NotNegative = Field(0.005, le=0.5, description="Spread of the sensors' gains, as a share.")
+    sensor_noise_mv: NotNegative = Field(0.02, le=100, description="Noise of a sensor's voltage, one sigma.")
+    motor_speed_mm_s: Positive = Field(3.2, le=100, description="Speed of the positioner's actuators.")
 
 
 class Settings(Section):
@@ -210,13 +358,7 @@ class Settings(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        limits = self.limits.limits()
-        for name in ("night", "stow"):
-            a_deg, b_deg = getattr(self.safety, f"{name}_a_deg"), getattr(self.safety, f"{name}_b_deg")
-            if not limits.contain(a_deg, b_deg):
-                raise ValueError(
-                    f"safety.{name}_a_deg and safety.{name}_b_deg ({a_deg:g}, {b_deg:g}) lie outside limits ({limits})"
-                )
-        if self.windows.mean_s > self.windows.decide_every_s:
-            raise ValueError("windows.mean_s must not be longer than windows.decide_every_s")
+        found = [f"{conflict.key} {conflict.reason}" for conflict in config_rules.conflicts(self)]
+        if found:
+            raise ValueError("; ".join(found))
         return self

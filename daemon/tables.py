@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Literal, NamedTuple, Protocol, Self
 
 from daemon.clock import iso_utc
+from daemon.errors import UserError
 from daemon.records import FACES, Decision, Event, Irradiances, ModeChange, Move, Pose, Record, Scan
 
 Format = Literal["csv", "parquet"]
@@ -20,7 +21,7 @@ _BUFFER_BYTES = 1 << 18
 _NO_IRRADIANCES = Irradiances(*[math.nan] * 5)
 
 
-class TableError(Exception):
+class TableError(UserError):
     """The tables cannot be written where they are wanted; the message is one sentence."""
 
 

@@ -70,7 +70,7 @@ class Readout:
 
 
 def default_parameters(a: Actuator, b: Actuator) -> dict[int, str]:
-    """Return the stored parameters (geometry, ranges, protection, autonomy) as the unit prints them."""
+    """Return what is stored (identity, geometry, ranges, protection, autonomy) as the unit prints them."""
     parameters = {code: "0.0" for screen in SLOW_SCREENS[7:] for code in screen}
     for first, ratio, largest, geometry, actuator in ((70, 78, 79, 83, a), (96, 104, 105, 107, b)):
         parameters[first] = f"{actuator.arm_1_mm:.1f}"
@@ -79,6 +79,7 @@ def default_parameters(a: Actuator, b: Actuator) -> dict[int, str]:
         parameters[ratio] = _GEAR_RATIO
         parameters[largest] = f"{int(actuator.travel_mm):.1f}"
         parameters[geometry] = _TWO_ARMS_GEOMETRY
+    parameters.update({Field.BOARD: BOARD, Field.VERSION: VERSION, Field.SERIAL: SERIAL})
     parameters.update({Field.TRACKING_INTERVAL: "300", 112: "2.0", 113: "2.0"})
     parameters.update(dict.fromkeys((108, 109, 126, 127), "off"))
     return parameters
@@ -111,9 +112,6 @@ def fast_screen(slot: int, now: Readout) -> bytes:
 def slow_screen(index: int, now: Readout, parameters: Mapping[int, str]) -> bytes:
     """Return one of the 27 slow screens."""
     live: dict[int, str] = {
-        Field.BOARD: BOARD,
-        Field.VERSION: VERSION,
-        Field.SERIAL: SERIAL,
         Field.SUPPLY: f"{now.supply_v:.{DECIMALS[Field.SUPPLY]}f}",
         Field.STATUS: f"{_signed(now.status):04d}",
         Field.MODE: now.mode,

@@ -1,0 +1,177 @@
+"""Rules between keys. Each is a function of the settings whose docstring is its sentence in the reference."""
+
+import ipaddress
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from daemon.bridge.addresses import parse_address
+from daemon.records import FACES
+
+if TYPE_CHECKING:
+    from daemon.config import Settings
+
+# The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
+_OVER_RANGE = 1.2
+_AUTOZERO = 2
+_BRIGHT_SUN_W_M2 = 1000.0
+
+
+class Conflict(NamedTuple):
+    """Keys that do not go together: the one to blame first, and what is wrong with it."""
+
+    key: str
+    reason: str
+    others: tuple[str, ...] = ()
+
+
+def conflicts(settings: "Settings") -> list[Conflict]:
+    """Return every breach of a rule; empty when the settings are consistent."""
+    return [conflict for rule in RULES for conflict in rule(settings)]
+
+
+def limits_are_ordered(settings: "Settings") -> Iterator[Conflict]:
+    """`limits.a_min_deg` is below `limits.a_max_deg`, and `limits.b_min_deg` below `limits.b_max_deg`."""
+    for axis in "ab":
+        low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
+        if not low < high:
+            other = f"limits.{axis}_max_deg"
+            yield Conflict(f"limits.{axis}_min_deg", f"must be below {other} ({high:g} deg)", (other,))
+
+
+def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
+    """Night and stow positions lie inside `limits`."""
+    for position in ("night", "stow"):
+        for axis in "ab":
+            ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+            low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
+            angle_deg = getattr(settings.safety, f"{position}_{axis}_deg")
+            if low < high and not low <= angle_deg <= high:
+                reason = f"lies outside {ends[0]} and {ends[1]} ({low:g} to {high:g} deg)"
+                yield Conflict(f"safety.{position}_{axis}_deg", reason, ends)
+
+
+def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
+    """Each face has a multiplexer input of its own, and `cube.self_test_channel` is none of theirs."""
+    owner: dict[int, str] = {}
+    for name in FACES:
+        key, channel = f"cube.{name}.channel", getattr(settings.cube, name).channel
+        if channel in owner:
+            reason = f"is the input of {owner[channel]} already; each face needs one of its own"
+            yield Conflict(key, reason, (owner[channel],))
+        owner.setdefault(channel, key)
+    test = settings.cube.self_test_channel
+    if test is not None and test in owner:
+        reason = f"is the input of {owner[test]}; the self-test needs a short-circuited input of its own"
+        yield Conflict("cube.self_test_channel", reason, (owner[test],))
+
+
+def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+    """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
+    settle_s = settings.instruments.multiplexer.settle_s
+    meter = settings.instruments.voltmeter
+    readings = len(FACES) + (settings.cube.self_test_channel is not None)
+    conversion_s = _AUTOZERO * meter.nplc / meter.line_frequency_hz
+    needed_s = readings * (settle_s + conversion_s)
+    if needed_s > settings.cube.scan_every_s:
+        yield Conflict(
+            "cube.scan_every_s",
+            f"is too short for {readings} readings of {settle_s:g} s to settle and {conversion_s:.3g} s to convert:"
+            f" they take {needed_s:.3g} s",
+            (
+                "cube.self_test_channel",
+                "instruments.multiplexer.settle_s",
+                "instruments.voltmeter.nplc",
+                "instruments.voltmeter.line_frequency_hz",
+            ),
+        )
+
+
+def the_range_reaches_bright_sun(settings: "Settings") -> Iterator[Conflict]:
+    """With its gain, each face stays within 1.2 times `instruments.voltmeter.range_v` up to 1000 W/m2."""
+    largest_mv = _OVER_RANGE * settings.instruments.voltmeter.range_v * 1e3
+    for name in FACES:
+        face, key = getattr(settings.cube, name), f"cube.{name}.gain_w_m2_per_mv"
+        reach_w_m2 = face.gain_w_m2_per_mv * (largest_mv - face.offset_mv)
+        if reach_w_m2 < _BRIGHT_SUN_W_M2:
+            others = (f"cube.{name}.offset_mv", "instruments.voltmeter.range_v")
+            reason = (
+                f"lets instruments.voltmeter.range_v ({settings.instruments.voltmeter.range_v:g} V) end at"
+                f" {reach_w_m2:.3g} W/m2, below bright sun; is this the sensor's mV per W/m2 instead of its inverse?"
+            )
+            yield Conflict(key, reason, others)
+
+
+def windows_hold_scans(settings: "Settings") -> Iterator[Conflict]:
+    """`windows.mean_s` is at least `cube.scan_every_s` and at most `windows.decide_every_s`."""
+    mean_s, scan_s, decide_s = (
+        settings.windows.mean_s,
+        settings.cube.scan_every_s,
+        settings.windows.decide_every_s,
+    )
+    if mean_s > decide_s:
+        other = "windows.decide_every_s"
+        yield Conflict("windows.mean_s", f"must not be longer than {other} ({decide_s:g} s)", (other,))
+    if mean_s < scan_s:
+        other = "cube.scan_every_s"
+        yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
+
+
+def staleness_spans_two_scans(settings: "Settings") -> Iterator[Conflict]:
+    """`safety.scan_stale_s` is at least twice `cube.scan_every_s`, so that one lost scan is no alarm."""
+    scan_s = settings.cube.scan_every_s
+    if settings.safety.scan_stale_s < 2 * scan_s:
+        reason = f"must be at least two scans, {2 * scan_s:g} s (cube.scan_every_s is {scan_s:g} s)"
+        yield Conflict("safety.scan_stale_s", reason, ("cube.scan_every_s",))
+
+
+def thresholds_have_hysteresis(settings: "Settings") -> Iterator[Conflict]:
+    """`safety.night_above_w_m2` is not below `safety.night_below_w_m2`; `release_wind_m_s` is below `stow_wind_m_s`."""
+    safety = settings.safety
+    if safety.night_above_w_m2 < safety.night_below_w_m2:
+        other = "safety.night_below_w_m2"
+        reason = f"must not be below {other} ({safety.night_below_w_m2:g} W/m2)"
+        yield Conflict("safety.night_above_w_m2", reason, (other,))
+    if not safety.release_wind_m_s < safety.stow_wind_m_s:
+        other = "safety.stow_wind_m_s"
+        reason = f"must be below {other} ({safety.stow_wind_m_s:g} m/s)"
+        yield Conflict("safety.release_wind_m_s", reason, (other,))
+
+
+def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.insecure` stands without `bridge.key_file`; beyond this machine one of the two is set."""
+    bridge = settings.bridge
+    if bridge.insecure and bridge.key_file is not None:
+        reason = "contradicts bridge.key_file, which asks for signed scans; remove one of the two"
+        yield Conflict("bridge.insecure", reason, ("bridge.key_file",))
+    if bridge.insecure or bridge.key_file is not None:
+        return
+    addresses = {"bridge.listen": bridge.listen}
+    addresses |= {f"bridge.send_to[{index}]": text for index, text in enumerate(bridge.send_to)}
+    if bridge.multicast_group is not None:
+        addresses["bridge.multicast_group"] = bridge.multicast_group
+    for key, text in addresses.items():
+        if not ipaddress.ip_address(parse_address(text).host).is_loopback:
+            reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
+            yield Conflict(key, reason, ("bridge.key_file", "bridge.insecure"))
+            return
+
+
+def an_interface_has_a_group(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.multicast_interface` stands only with `bridge.multicast_group`."""
+    if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
+        reason = "has no effect without bridge.multicast_group"
+        yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
+
+
+RULES = (
+    each_face_has_its_channel,
+    a_scan_fits_its_period,
+    the_range_reaches_bright_sun,
+    windows_hold_scans,
+    limits_are_ordered,
+    positions_are_inside_limits,
+    staleness_spans_two_scans,
+    thresholds_have_hysteresis,
+    the_bridge_is_signed_or_not,
+    an_interface_has_a_group,
+)

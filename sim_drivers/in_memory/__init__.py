@@ -1,0 +1,10 @@
+"""The simulated instruments in this process, behind the interfaces of real ones.
+
+Each speaks the bytes of its instrument with the instrument's core and waits as long as the instrument takes, by the
+event loop's time, whatever that is.
+"""
+
+from sim_drivers.in_memory.cube import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.in_memory.positioner import InMemoryPositioner
+
+__all__ = ["InMemoryMultiplexer", "InMemoryPositioner", "InMemoryVoltmeter"]

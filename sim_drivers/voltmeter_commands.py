@@ -1,0 +1,308 @@
+"""The command set of the simulated Keithley 2000: what each line means, worked out once per different line."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sim_drivers.scpi import Parser, ScpiError, boolean, choice, integer, messages, number, spellings
+
+if TYPE_CHECKING:
+    from sim_drivers.voltmeter_core import VoltmeterCore
+
+RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
+_HIGHEST_V = 1010.0
+_ROOM = 1.01
+_UNLIMITED = 9999
+_FUNCTIONS = {
+    "VOLT:DC": "VOLTage[:DC]",
+    "VOLT:AC": "VOLTage:AC",
+    "CURR:DC": "CURRent[:DC]",
+    "CURR:AC": "CURRent:AC",
+    "RES": "RESistance",
+    "FRES": "FRESistance",
+    "PER": "PERiod",
+    "FREQ": "FREQuency",
+    "TEMP": "TEMPerature",
+    "DIOD": "DIODe",
+    "CONT": "CONTinuity",
+}
+_FUNCTION_OF = {spelling: name for name, pattern in _FUNCTIONS.items() for spelling in spellings(pattern)}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Everything that commands set. The defaults are those of ``*RST``.
+
+    Attributes
+    ----------
+    filter_kind
+        ``REP`` averages fresh conversions, ``MOV`` a window that moves over old ones.
+    continuous
+        Measures freely; ``:READ?`` and ``:INIT`` are then ignored.
+    panel
+        ``LOC``, ``REM`` or, with the front panel locked out, ``RWL``.
+    event_enable, request_enable
+        Masks of the standard event register and of the status byte.
+    """
+
+    function: str = "VOLT:DC"
+    range_v: float = 1000.0
+    autorange: bool = True
+    nplc: float = 1.0
+    digits: int = 7
+    filter_on: bool = False
+    filter_kind: str = "MOV"
+    filter_count: int = 10
+    autozero: bool = True
+    continuous: bool = False
+    trigger_source: str = "IMM"
+    trigger_count: int = 1
+    trigger_delay_s: float = 0.0
+    sample_count: int = 1
+    data_format: str = "ASC"
+    elements: tuple[str, ...] = ("READ",)
+    beeper: bool = True
+    panel: str = "LOC"
+    event_enable: int = 0
+    request_enable: int = 0
+
+    def formatted(self, reading: str, *, overflow: bool = False) -> str:
+        """Return a reading with the elements that are asked for, always in the instrument's order."""
+        if self.elements == ("READ",):
+            return reading
+        units = "UNIT" in self.elements
+        parts = [reading + ("VDC" if units and not overflow else "")] if "READ" in self.elements else []
+        if "CHAN" in self.elements:
+            parts.append("0INTCHAN" if units else "0")
+        return ",".join(parts)
+
+
+RESET = Settings()
+PRESET = Settings(filter_on=True, continuous=True, elements=("READ", "CHAN", "UNIT"))
+"""The bench defaults, which also hold after power-up: free-running, with the moving filter on."""
+
+Step = Callable[["VoltmeterCore", float], str | None]
+Build = Callable[[tuple[str, ...]], Step]
+
+
+class _Command(NamedTuple):
+    act: Build | None = None
+    ask: Build | None = None
+
+
+_TABLE: dict[str, _Command] = {}
+
+
+def compile_line(line: str) -> tuple[Step, ...]:
+    """Return what a line does, step by step; where it goes wrong the last step raises `ScpiError`."""
+    steps: list[Step] = []
+    found, error = messages(line)
+    for message in found:
+        command = _TABLE.get(message.header, _Command())
+        build = (command.ask if message.query else command.act) or _undefined
+        try:
+            steps.append(build(message.parameters))
+        except ScpiError as wrong:
+            error = wrong.code
+            break
+    if error:
+        steps.append(_raiser(error))
+    return tuple(steps)
+
+
+def _undefined(_parameters: tuple[str, ...]) -> Step:
+    raise ScpiError(-113)
+
+
+def _raiser(code: int) -> Step:
+    def step(_core: "VoltmeterCore", _cursor_s: float) -> str | None:
+        raise ScpiError(code)
+
+    return step
+
+
+def _without_parameters(step: Step) -> Build:
+    def build(parameters: tuple[str, ...]) -> Step:
+        if parameters:
+            raise ScpiError(-108)
+        return step
+
+    return build
+
+
+def _one_parameter(step_of: Callable[[str], Step]) -> Build:
+    def build(parameters: tuple[str, ...]) -> Step:
+        if len(parameters) != 1:
+            raise ScpiError(-108 if parameters else -109)
+        return step_of(parameters[0])
+
+    return build
+
+
+def _define(pattern: str, act: Build | None = None, ask: Build | None = None) -> None:
+    for spelling in spellings(pattern):
+        _TABLE[spelling] = _Command(act, ask)
+
+
+def _action(pattern: str, action: Callable[["VoltmeterCore", float], None]) -> None:
+    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
+        action(core, cursor_s)
+        return None
+
+    _define(pattern, act=_without_parameters(step))
+
+
+def _query(pattern: str, answer: Step) -> None:
+    _define(pattern, ask=_without_parameters(answer))
+
+
+def _change(**settings: Any) -> Step:
+    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
+        core.change(cursor_s, **settings)
+        return None
+
+    return step
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(int(value))
+    return f"{value:.8G}" if isinstance(value, float) else str(value)
+
+
+def _setting(pattern: str, name: str, parse: Parser) -> None:
+    _define(
+        pattern,
+        act=_one_parameter(lambda text: _change(**{name: parse(text)})),
+        ask=_without_parameters(lambda core, _cursor_s: _text(getattr(core.settings, name))),
+    )
+
+
+_range_number = number(0.0, _HIGHEST_V, 1000.0)
+
+
+def _range_for(text: str) -> float:
+    level_v = _range_number(text)
+    return next(range_v for range_v in RANGES_V if level_v <= _ROOM * range_v)
+
+
+def _set_function(text: str) -> Step:
+    if len(text) < 2 or text[0] not in "\"'" or text[-1] != text[0]:
+        raise ScpiError(-104)
+    if text[1:-1].upper() not in _FUNCTION_OF:
+        raise ScpiError(-224)
+    return _change(function=_FUNCTION_OF[text[1:-1].upper()])
+
+
+def _configure(parameters: tuple[str, ...]) -> Step:
+    if len(parameters) > 2:
+        raise ScpiError(-108)
+    chosen = parameters[0].upper() if parameters else "DEF"
+    settings: dict[str, Any] = {"autorange": True}
+    if chosen not in ("DEF", "DEFAULT", "AUTO"):
+        settings = {"autorange": False, "range_v": _range_for(chosen)}
+    return _change(
+        function="VOLT:DC",
+        continuous=False,
+        trigger_source="IMM",
+        trigger_count=1,
+        sample_count=1,
+        filter_on=False,
+        **settings,
+    )
+
+
+def _measure(parameters: tuple[str, ...]) -> Step:
+    configure = _configure(parameters)
+
+    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
+        core.abort()
+        configure(core, cursor_s)
+        return core.read(cursor_s)
+
+    return step
+
+
+_element = choice("READing", "CHANnel", "UNITs")
+
+
+def _set_elements(parameters: tuple[str, ...]) -> Step:
+    if not parameters:
+        raise ScpiError(-109)
+    chosen = {str(_element(text)) for text in parameters}
+    if chosen == {"UNIT"}:
+        raise ScpiError(-224)
+    return _change(elements=tuple(name for name in ("READ", "CHAN", "UNIT") if name in chosen))
+
+
+_counted = integer(1, _UNLIMITED, 1)
+
+
+def _trigger_count(text: str) -> int:
+    count: int = _UNLIMITED if text.upper() in ("INF", "INFINITE") else _counted(text)
+    return count
+
+
+_volt = "[:SENSe[1]]:VOLTage[:DC]"
+_setting(f"{_volt}:NPLCycles", "nplc", number(0.01, 10.0, 1.0))
+_setting(f"{_volt}:DIGits", "digits", integer(4, 7, 7))
+_setting(f"{_volt}:AVERage:STATe", "filter_on", boolean)
+_setting(f"{_volt}:AVERage:TCONtrol", "filter_kind", choice("MOVing", "REPeat"))
+_setting(f"{_volt}:AVERage:COUNt", "filter_count", integer(1, 100, 10))
+_setting(f"{_volt}:RANGe:AUTO", "autorange", boolean)
+_define(
+    f"{_volt}:RANGe[:UPPer]",
+    act=_one_parameter(lambda text: _change(range_v=_range_for(text), autorange=False)),
+    ask=_without_parameters(lambda core, _cursor_s: _text(core.range_v)),
+)
+_define(
+    "[:SENSe[1]]:FUNCtion",
+    act=_one_parameter(_set_function),
+    ask=_without_parameters(lambda core, _cursor_s: f'"{core.settings.function}"'),
+)
+_define("CONFigure:VOLTage[:DC]", act=_configure)
+_query("CONFigure", lambda core, _cursor_s: f'"{core.settings.function}"')
+_define("MEASure:VOLTage[:DC]", ask=_measure)
+_query("READ", lambda core, cursor_s: core.read(cursor_s))
+_query("FETCh", lambda core, cursor_s: core.fetch(cursor_s))
+_query("[:SENSe[1]]:DATA", lambda core, cursor_s: core.fetch(cursor_s))
+_action("INITiate[:IMMediate]", lambda core, cursor_s: core.initiate(cursor_s))
+_setting("INITiate:CONTinuous", "continuous", boolean)
+_action("ABORt", lambda core, _cursor_s: core.abort())
+_setting("TRIGger:SOURce", "trigger_source", choice("IMMediate", "BUS", "EXTernal", "TIMer", "MANual"))
+_setting("TRIGger:COUNt", "trigger_count", _trigger_count)
+_setting("TRIGger:DELay", "trigger_delay_s", number(0.0, 999_999.999, 0.0))
+_setting("SAMPle:COUNt", "sample_count", integer(1, 1024, 1))
+_define(
+    "FORMat:ELEMents",
+    act=_set_elements,
+    ask=_without_parameters(lambda core, _cursor_s: ",".join(core.settings.elements)),
+)
+# Over a serial line readings can only be text.
+_setting("FORMat[:DATA]", "data_format", choice("ASCii"))
+_setting("SYSTem:AZERo:STATe", "autozero", boolean)
+_setting("SYSTem:BEEPer[:STATe]", "beeper", boolean)
+_action("SYSTem:PRESet", lambda core, _cursor_s: core.reset(PRESET))
+_action("SYSTem:REMote", lambda core, cursor_s: core.change(cursor_s, panel="REM"))
+_action("SYSTem:LOCal", lambda core, cursor_s: core.change(cursor_s, panel="LOC"))
+_action("SYSTem:RWLock", lambda core, cursor_s: core.change(cursor_s, panel="RWL"))
+_query("SYSTem:VERSion", lambda _core, _cursor_s: "1991.0")
+_query("SYSTem:ERRor", lambda core, _cursor_s: core.status.errors.pop())
+_query("STATus:QUEue[:NEXT]", lambda core, _cursor_s: core.status.errors.pop())
+_action("STATus:QUEue:CLEar", lambda core, _cursor_s: core.status.errors.clear())
+_action("STATus:PRESet", lambda _core, _cursor_s: None)
+_query("*IDN", lambda core, _cursor_s: core.identity)
+_action("*RST", lambda core, _cursor_s: core.reset(RESET))
+_action("*CLS", lambda core, _cursor_s: core.status.clear())
+_query("*ESR", lambda core, _cursor_s: str(core.status.take_events()))
+_query("*STB", lambda core, _cursor_s: str(core.status_byte()))
+_setting("*ESE", "event_enable", integer(0, 255, 0))
+_setting("*SRE", "request_enable", integer(0, 255, 0))
+_query("*TST", lambda _core, _cursor_s: "0")
+_action("*WAI", lambda _core, _cursor_s: None)
+_action("*TRG", lambda core, cursor_s: core.trigger(cursor_s))
+_define(
+    "*OPC",
+    act=_without_parameters(lambda core, _cursor_s: core.status.complete()),
+    ask=_without_parameters(lambda _core, _cursor_s: "1"),
+)

@@ -1,0 +1,94 @@
+import stat
+import sys
+
+import pytest
+
+from daemon.bridge.signing import load_key
+from daemon.cli import main
+from daemon.config import Settings
+from daemon.config_file import check_file
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Runs the command line; returns its exit code and what it wrote to either stream."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code, written.out, written.err
+
+    return run
+
+
+@pytest.mark.parametrize("role", ["both", "cube", "tracker"])
+def test_init_writes_a_file_and_a_key_that_check_finds_good(heliocube, tmp_path, role):
+    folder = tmp_path / "new" / "rig"
+    code, out, err = heliocube("config", "init", folder, "--role", role)
+    assert (code, err) == (0, "")
+    assert f"written: {folder / 'heliocube.toml'} and {folder / 'bridge.key'}" in out
+    assert stat.S_IMODE((folder / "bridge.key").stat().st_mode) == 0o600
+    assert len(load_key(folder / "bridge.key")) == 32
+
+    code, out, err = heliocube("config", "check", folder / "heliocube.toml")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{folder / 'heliocube.toml'} is good.\n")
+    assert f"signed with {folder / 'bridge.key'}" in out
+    assert "\x1b" not in out
+
+
+def test_init_differs_from_the_defaults_by_the_key_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
+    for role, listen in (("both", "127.0.0.1:20571"), ("tracker", "0.0.0.0:20571")):
+        heliocube("config", "init", tmp_path / role, "--role", role)
+        found = check_file(tmp_path / role / "heliocube.toml")
+        bridge = Settings().bridge.model_copy(update={"key_file": tmp_path / role / "bridge.key", "listen": listen})
+        assert found == Settings().model_copy(update={"bridge": bridge})
+
+
+def test_two_rigs_get_two_keys(heliocube, tmp_path):
+    heliocube("config", "init", tmp_path / "a")
+    heliocube("config", "init", tmp_path / "b")
+    assert load_key(tmp_path / "a" / "bridge.key") != load_key(tmp_path / "b" / "bridge.key")
+
+
+@pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key"])
+def test_init_never_overwrites_and_then_writes_nothing(heliocube, tmp_path, there):
+    (tmp_path / there).write_text("mine")
+    code, out, err = heliocube("config", "init", tmp_path)
+    assert (code, out) == (2, "")
+    assert err == (
+        f"heliocube: {tmp_path / there} is there already and is not overwritten; name another folder or move it away\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == [there]
+    assert (tmp_path / there).read_text() == "mine"
+
+
+def test_init_into_what_is_no_folder_is_one_sentence(heliocube, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = heliocube("config", "init", tmp_path / "file" / "rig")
+    assert code == 2
+    assert err == f"heliocube: {tmp_path / 'file' / 'rig'} cannot take the files: Not a directory\n"
+
+
+def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text("[site]\nlatitude_deg = 95\n[law]\nname = 'fat'\n[bridge]\nlisten = 'here'\n")
+    code, out, err = heliocube("config", "check", path)
+    assert (code, out) == (2, "")
+    assert err.splitlines()[0] == f"heliocube: {path} has 3 problems:"
+    assert len(err.splitlines()) == 4
+    assert "Traceback" not in err
+
+
+def test_check_says_when_scans_are_not_signed(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text("[bridge]\ninsecure = true\n")
+    assert "NOT SIGNED" in heliocube("config", "check", path)[1]
+
+
+def test_a_bare_config_shows_its_help(heliocube):
+    _, out, err = heliocube("config")
+    assert "check" in out + err
+    assert "init" in out + err
