@@ -4,7 +4,8 @@ Ratios of a year are ratios of yearly sums: the minimum over the days that the p
 day for each device, so its numbers cannot be put into (51) and (52).
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,10 @@ class Energies:
     static_abs: Array
     vertical: Array
     horizontal: Array
+
+    def each(self, change: Callable[[Array], Array]) -> "Energies":
+        """Return the energies after `change` of each."""
+        return Energies(*(change(getattr(self, field.name)) for field in fields(self)))
 
     @property
     def k_ds_clip(self) -> Array:
@@ -87,14 +92,7 @@ def daily(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: Arr
 def yearly(phi_deg: ArrayLike, beta_deg: ArrayLike, lambda_deg: ArrayLike = 0.0) -> Energies:
     """Return the exact energies [h] of the year of 365 days; as :func:`daily`, summed over n = 1..365."""
     phi, beta, deviation = (np.asarray(part, dtype=np.float64)[..., None] for part in (phi_deg, beta_deg, lambda_deg))
-    days = daily(phi, beta, DAYS, deviation)
-    return Energies(
-        days.dual.sum(axis=-1),
-        days.static.sum(axis=-1),
-        days.static_abs.sum(axis=-1),
-        days.vertical.sum(axis=-1),
-        days.horizontal.sum(axis=-1),
-    )
+    return daily(phi, beta, DAYS, deviation).each(lambda energy: energy.sum(axis=-1))
 
 
 def eta_vs(
