@@ -63,8 +63,10 @@ def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | No
 def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figure:
     """Draw what the dual axis gains [%] by latitude and tilt, one panel for each device, one row for each sky."""
     tilts, latitudes = request.tilts_deg, request.latitudes_deg
-    if tilts is None or tilts.size < 2 or latitudes.size < 2:
-        raise UserError("the map needs several latitudes and tilts, such as --lat-range 0:65:1 --tilt 0:90:1")
+    if tilts is None or tilts.size < 3 or latitudes.size < 2:
+        raise UserError(
+            "the map needs several latitudes and at least three tilts, such as --lat-range 0:65:1 --tilt 0:90:1"
+        )
     suffixes = {"": "constant beam, no atmosphere"} | ({"_sky": sky.label} if sky is not None else {})
     figure = Figure(figsize=(1.5 + 4.2 * len(request.against), 0.9 + 4.0 * len(suffixes)), layout="constrained")
     axes = figure.subplots(len(suffixes), len(request.against), sharex=True, sharey=True, squeeze=False)
@@ -77,8 +79,14 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
             panel.contourf(latitudes, tilts, shown, _LEVELS, norm=norm, cmap="viridis", extend="max")
             lines = panel.contour(latitudes, tilts, shown, _LEVELS[1:], colors="white", linewidths=0.6)
             panel.clabel(lines, fmt="%g", fontsize=8)
-            best = tilts[np.nanargmin(percent, axis=0)]
-            panel.plot(latitudes, best, color="black", linestyle="--", linewidth=1.4)
+            best = _lowest(tilts, percent)
+            panel.plot(
+                latitudes,
+                np.abs(best) if device is Device.VERTICAL else best,
+                color="black",
+                linestyle="--",
+                linewidth=1.4,
+            )
             panel.set_title(f"against {_NAMES[device]}\n{label}", fontsize=10)
     for panel in axes[-1]:
         panel.set_xlabel("latitude [deg north]")
@@ -149,9 +157,12 @@ def daily_gain(request: Request, sky: SkySource | None) -> Figure:
     panel.axhline(0.0, color="black", linewidth=0.8)
     panel.set_ylabel("dual axis gains [%]")
     panel.legend(fontsize=9)
-    label = "lines: constant beam, no atmosphere" + (f"; dots: {sky.label}" if sky is not None else "")
     cut = f" (cut at {_HIGHEST_GAIN_PERCENT:g} %)" if high > _HIGHEST_GAIN_PERCENT else ""
-    panel.set_title(f"What a dual axis gains, day by day, at latitude {latitude:g}°{_azimuth(request)}{cut}\n{label}")
+    figure.suptitle(
+        f"What a dual axis gains, day by day, at latitude {latitude:g}°{_azimuth(request)}{cut}", fontsize=12
+    )
+    dots = f"; dots: {sky.label}" if sky is not None else ""
+    panel.set_title(f"lines: constant beam, no atmosphere{dots}", fontsize=9)
     return figure
 
 
@@ -194,12 +205,24 @@ def printed_against_exact(request: Request) -> Figure:
         panel.set_yscale("log")
         panel.set_ylabel(f"K against\n{_NAMES[device].partition(' (')[0]}")
         panel.set_title(f"tilt {_tilt(tilts, device):.1f}°", fontsize=10, loc="left")
-        panel.legend(fontsize=8, ncols=3, loc="upper right")
+        panel.legend(fontsize=9, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
         panel.grid(alpha=0.3, which="both")
         _plain_log(panel)
     _months(axes[-1])
     figure.suptitle(f"The paper's printed ratios against the exact ones at latitude {latitude:g}°{_azimuth(request)}")
     return figure
+
+
+def _lowest(tilts: Array, percent: Array) -> Array:
+    """Return the tilt of each column's lowest value, between the tilts by a parabola where they are evenly spaced."""
+    lowest = np.argmin(np.where(np.isnan(percent), np.inf, percent), axis=0)
+    inner = np.clip(lowest, 1, tilts.size - 2)
+    before, at, after = (np.take_along_axis(percent, (inner + step)[None], axis=0)[0] for step in (-1, 0, 1))
+    curvature = before - 2.0 * at + after
+    usable = np.isfinite(curvature) & (curvature > 0.0) & (inner == lowest) & (np.ptp(np.diff(tilts)) < 1e-6)
+    shift = np.divide(before - after, 2.0 * curvature, out=np.zeros(at.shape), where=usable)
+    refined: Array = tilts[lowest] + shift * (tilts[1] - tilts[0])
+    return refined
 
 
 def _sky_tilts(panel: Axes, latitudes: Array, sky: SkySource) -> None:

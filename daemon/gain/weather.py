@@ -26,6 +26,7 @@ from solar.gain.real_sky import (
 
 CLEAR_STEP_S = 600.0
 FILE_STEP_S = 60.0
+_NEARLY_A_YEAR = 350
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,4 +118,8 @@ def file_sky_source(
         raise UserError(f"weather file {path} has no daylight at {latitude_deg:g} N, {site.longitude_deg:g} E")
     spans = [np.datetime_as_string(np.datetime64(int(end), "s"), unit="D") for end in (steps[0], steps[-1])]
     label = f"{path.name}, {spans[0]} to {spans[1]}, {instants.size / lit.size:.0%} of its daylight"
-    return SkySource(label, FILE_STEP_S, lambda _: series, weather_misfit(weather, site))
+    warning = weather_misfit(weather, site)
+    covered = np.unique(series.day).size
+    if warning is None and days is None and covered < _NEARLY_A_YEAR:
+        warning = f"{path.name} has {covered} days: ratios under its sky are theirs, beside the theory's whole year"
+    return SkySource(label, FILE_STEP_S, lambda _: series, warning)

@@ -68,7 +68,7 @@ def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: Arra
         coarse = np.copysign(1.0, phi[at]) * np.linspace(90.0, -90.0, 91)
         first = energy(coarse)
         if first.max() > 0.0:
-            near = coarse[int(first.argmax())]
+            near = coarse[int(np.argmax(first >= first.max() * (1.0 - 1e-12)))]
             bounds = (max(near - 2.0, -90.0), min(near + 2.0, 90.0))
             found = minimize_scalar(lambda tilt: -float(energy(tilt)), bounds=bounds, options={"xatol": 1e-6})
             best.tilt_deg[at], best.energy_h[at] = found.x, -found.fun
