@@ -151,15 +151,14 @@ class Acquisition:
             return True
         try:
             voltage_v = await self._voltage(channel)
-        except (OverRangeError, DeadlineError, ProtocolError, TimeoutError):
+        except (OverRangeError, DeadlineError, ProtocolError):
             return False
         return abs(voltage_v) * 1e3 <= self._cube.self_test_limit_mv
 
     async def _voltage(self, channel: int) -> float:
-        async with asyncio.timeout(self._settle_s + self._cube.reading_deadline_s):
-            await self._multiplexer.select(channel)
-            await asyncio.sleep(self._settle_s)
-            return await self._voltmeter.read_voltage()
+        await self._multiplexer.select(channel)
+        await asyncio.sleep(self._settle_s)
+        return await self._voltmeter.read_voltage()
 
     async def _read(self, index: int, proven: bool) -> FaceReading:
         voltage_v = irradiance = math.nan
@@ -168,7 +167,7 @@ class Acquisition:
             quality = Quality.OK
         except OverRangeError:
             quality = Quality.OVER_RANGE
-        except (DeadlineError, TimeoutError):
+        except DeadlineError:
             quality = Quality.LATE
         except ProtocolError:
             quality = Quality.MISSING

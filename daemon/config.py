@@ -320,7 +320,7 @@ class Simulation(Section):
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
     sky: Literal["perez1990", "isotropic", "haydavies"] = Field(
-        "perez1990", description="Model of how diffuse light spreads over the sky."
+        "haydavies", description="Model of how diffuse light spreads over the sky."
     )
     albedo: float = Field(0.2, ge=0, le=1, description="True albedo of the simulated ground.")
     seed: int = Field(1, ge=0, le=2**63 - 1, description="The same seed gives the same clouds and noise.")

@@ -16,6 +16,7 @@ from daemon.motion import Motion
 from daemon.pointing import Pointing
 from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
 from daemon.stow import OperatorStow, StowSource
+from daemon.waiting import wait_at_most
 from daemon.window import Window
 from drivers.errors import DeviceError
 from solar.frames import normal_from_angles, separation_deg
@@ -103,8 +104,8 @@ class Control:
         self._wake = asyncio.Event()
         self._hold_why: str | None = None
         self._hold_at: Target | None = None
-        self._mode = Mode.STARTING
-        self._why = "starting"
+        self.mode = Mode.STARTING
+        self.why = "starting"
         self._since_utc_s = clock.utc()
         self._started_s = clock.monotonic()
         self._scan: Scan | None = None
@@ -174,10 +175,10 @@ class Control:
     def state(self) -> ControlState:
         """A snapshot for displays."""
         now_s = self._clock.monotonic()
-        deciding = self._mode in (Mode.TRACKING, Mode.FALLBACK)
+        deciding = self.mode in (Mode.TRACKING, Mode.FALLBACK)
         return ControlState(
-            self._mode,
-            self._why,
+            self.mode,
+            self.why,
             self._since_utc_s,
             self._scan,
             now_s - self._good_s,
@@ -189,16 +190,11 @@ class Control:
     async def run(self) -> None:
         """Look at the situation every few seconds, and at once when asked to, until cancelled."""
         while True:
-            self._wake.clear()
             self.tick()
-            try:
-                async with asyncio.timeout(self._until_next_tick()):
-                    await self._wake.wait()
-            except TimeoutError:
-                pass
+            await wait_at_most(self._wake, self._until_next_tick())
 
     def _until_next_tick(self) -> float:
-        if self._mode in (Mode.TRACKING, Mode.FALLBACK):
+        if self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))
         return _TICK_S
 
@@ -207,10 +203,10 @@ class Control:
         now_s = self._clock.monotonic()
         self._watch_clock()
         mean = self._window.mean(now_s)
-        mode, why = next_mode(self._mode, self._situation(now_s, mean))
-        if mode is not self._mode:
+        mode, why = next_mode(self.mode, self._situation(now_s, mean))
+        if mode is not self.mode:
             self._enter(mode, why, now_s)
-        self._why = why
+        self.why = why
         self._act(now_s, mean)
         self.last_tick_s = now_s
 
@@ -272,21 +268,21 @@ class Control:
 
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()
-        log.info("%s -> %s: %s", self._mode, mode, why, extra={"fields": {"mode": mode}})
-        self._publish(ModeChange(utc_s, now_s, self._mode, mode, why))
-        self._mode = mode
+        log.info("%s -> %s: %s", self.mode, mode, why, extra={"fields": {"mode": mode}})
+        self._publish(ModeChange(utc_s, now_s, self.mode, mode, why))
+        self.mode = mode
         self._since_utc_s = utc_s
         self._due_s = now_s
         self._parked_s = -math.inf
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:
-        if self._mode is Mode.STOW:
-            self._park(Target(self._settings.safety.stow_a_deg, self._settings.safety.stow_b_deg, self._why), now_s)
-        elif self._mode is Mode.NIGHT:
+        if self.mode is Mode.STOW:
+            self._park(Target(self._settings.safety.stow_a_deg, self._settings.safety.stow_b_deg, self.why), now_s)
+        elif self.mode is Mode.NIGHT:
             self._park(Target(self._settings.safety.night_a_deg, self._settings.safety.night_b_deg, "night"), now_s)
-        elif self._mode is Mode.HOLD:
+        elif self.mode is Mode.HOLD:
             self._hold(now_s)
-        elif self._mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s:
+        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s:
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
@@ -318,7 +314,7 @@ class Control:
             return
         self._due_s = now_s + self._settings.windows.decide_every_s
         utc_s = self._clock.utc()
-        law = self._settings.law.name if self._mode is Mode.TRACKING else "chronometric"
+        law = self._settings.law.name if self.mode is Mode.TRACKING else "chronometric"
         aim = self._pointing.aim(law, mean, utc_s)
         if law == "chronometric" and not self._clock_watch.trusted:
             aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
@@ -328,7 +324,7 @@ class Control:
         self._decision = Decision(
             utc_s,
             now_s,
-            self._mode,
+            self.mode,
             law,
             mean,
             aim.azimuth_deg,
@@ -355,7 +351,7 @@ class Control:
 
     def _order(self, target: Target) -> bool:
         try:
-            self._motion.order(target, stow=self._mode is Mode.STOW)
+            self._motion.order(target, stow=self.mode is Mode.STOW)
         except (DeviceError, ValueError) as error:
             text = str(error)
             if text != self._last_why:

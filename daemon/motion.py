@@ -18,14 +18,15 @@ from daemon.config import PositionerSettings
 from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
+from daemon.waiting import wait_at_most
 from drivers.errors import DeviceError, RefusedError
 from drivers.interfaces import Axis, Positioner, PositionerIdentity, Telemetry
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
 
-_IDLE_POLL_S = 5.0
-_MOVING_POLL_S = 0.25
+_IDLE_POLL_S = 10.0
+_MOVING_POLL_S = 0.5
 _HOMING_POLL_S = 1.0
 _BETWEEN_ATTEMPTS_S = 1.0
 _AXES: tuple[Axis, Axis] = ("a", "b")
@@ -244,12 +245,7 @@ class Motion:
                 target, self._wanted = self._wanted, None
                 await self._move(target)
                 continue
-            self._wake.clear()
-            try:
-                async with asyncio.timeout(_IDLE_POLL_S):
-                    await self._wake.wait()
-            except TimeoutError:
-                pass
+            await wait_at_most(self._wake, _IDLE_POLL_S)
 
     def _must_rehome(self) -> bool:
         return self._settings.rehome == "automatic" and self._doubt is not None and self.blocked is None
@@ -345,18 +341,7 @@ class Motion:
             if progress is not Progress.GOING:
                 await self._come_to_rest()
                 return MoveOutcome(progress.value), why
-            await self._pause(_MOVING_POLL_S)
-
-    async def _pause(self, duration_s: float) -> None:
-        """Wait, but no longer than until an interruption is asked for."""
-        self._wake.clear()
-        if self._interrupt:
-            return
-        try:
-            async with asyncio.timeout(duration_s):
-                await self._wake.wait()
-        except TimeoutError:
-            pass
+            await wait_at_most(self._wake, _MOVING_POLL_S)
 
     async def _come_to_rest(self) -> None:
         """Send stop until two looks agree that nothing moves."""
@@ -382,7 +367,7 @@ class Motion:
             for axis in _AXES:
                 await self._positioner.home(axis)
                 while (await self._look(moving=True)).homing and not self._interrupt:
-                    await self._pause(_HOMING_POLL_S)
+                    await wait_at_most(self._wake, _HOMING_POLL_S)
                 if self._interrupt:
                     await self._come_to_rest()
                     self._tell("homing was stopped before its end")

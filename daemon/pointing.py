@@ -8,7 +8,7 @@ from daemon.config import Law, LawName, Site
 from daemon.records import Irradiances, Target
 from solar import laws
 from solar.ephemeris import SunPosition, sun_position
-from solar.frames import Array, Limits, angles_from_direction, azimuth_from_direction, direction_from_azimuth
+from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
 
 _SUN_EVERY_S = 60.0
 
@@ -89,21 +89,21 @@ class Pointing:
         direction = self._direction(name, mean, sun)
         if not np.isfinite(direction).all():
             return Aim(np.nan, np.nan, sun, None, f"{name} has no direction")
-        a_deg, b_deg = angles_from_direction(direction)
-        angles = self._limits.clip(float(a_deg), float(b_deg))
+        a_deg, b_deg = angles_within(direction, self._limits)
         azimuth, elevation = azimuth_from_direction(direction, self._site.latitude_deg)
-        return Aim(float(azimuth), float(elevation), sun, Target(*angles, name), name)
+        return Aim(float(azimuth), float(elevation), sun, Target(float(a_deg), float(b_deg), name), name)
 
     def _direction(self, name: LawName, mean: Irradiances | None, sun: SunPosition[float]) -> Array:
         if name == "flat":
             return laws.ZENITH
+        to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site.latitude_deg)
         if name == "chronometric":
-            latitude = self._site.latitude_deg
-            return laws.chronometric(direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, latitude))
+            return laws.chronometric(to_sun)
         if mean is None:
             return np.full(3, np.nan)
         faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
         threshold = self._law.uniform_threshold
         if name == "sun-vector":
-            return laws.sun_vector(faces, albedo=self._law.albedo, uniform_threshold=threshold)
+            seen = laws.sun_vector(faces, albedo=self._law.albedo, uniform_threshold=threshold)
+            return laws.complete_poleward(seen, to_sun)
         return laws.mu_prime(faces, uniform_threshold=threshold)

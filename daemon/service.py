@@ -211,9 +211,9 @@ class Service:
             return
         if self.receiver is not None:
             # Both roles in one process still talk over the bridge, to wherever the receiver really listens.
-            own = self.receiver.address
-            others = tuple(target for target in bridge.send_to if target != bridge.listen)
-            bridge = bridge.model_copy(update={"send_to": (own, *others)})
+            own = () if bridge.multicast_group else (self.receiver.address,)
+            others = tuple(target for target in bridge.send_to if target not in (bridge.listen, self.receiver.address))
+            bridge = bridge.model_copy(update={"send_to": own + others})
         self.sender = BridgeSender(bridge, self._key, self.clock)
         await self.sender.open()
 

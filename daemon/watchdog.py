@@ -14,7 +14,7 @@ from daemon.sd_notify import Notifier
 
 log = logging.getLogger("heliocube.watchdog")
 
-_CHECK_EVERY_S = 5.0
+_CHECK_EVERY_S = 10.0
 _LATEST_S = 2.0
 _STUCK_AFTER_S = 30.0
 
@@ -78,8 +78,7 @@ class Watchdog:
 
     def _status(self) -> str:
         if self._control is not None:
-            state = self._control.state
-            return f"{state.mode}: {state.why}"
+            return f"{self._control.mode}: {self._control.why}"
         if self._acquisition is not None and self._acquisition.outage.is_down:
             return self._acquisition.outage.reason
         return "acquiring"

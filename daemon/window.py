@@ -1,5 +1,6 @@
 """The recent past of the cube, averaged over time and not over samples."""
 
+import math
 from collections import deque
 
 from daemon.records import Irradiances, Quality, Scan
@@ -25,40 +26,67 @@ class Window:
         self._mean_s = mean_s
         self._nominal_s = nominal_s
         self._longest_s = longest_s
-        # Of each face: (end of the time it stands for, its length, irradiance).
-        self._faces: tuple[deque[tuple[float, float, float]], ...] = tuple(deque() for _ in range(4))
+        self._faces = tuple(_FaceWindow(mean_s) for _ in range(4))
 
     def add(self, scan: Scan) -> None:
         """Take in a scan; its monotonic times must not run backwards."""
-        for readings, face in zip(self._faces, scan.faces, strict=True):
+        for window, face in zip(self._faces, scan.faces, strict=True):
             if face.quality is not Quality.OK:
                 continue
-            elapsed = face.time_monotonic_s - readings[-1][0] if readings else self._nominal_s
-            stands_for = elapsed if elapsed <= self._longest_s else self._nominal_s
-            readings.append((face.time_monotonic_s, stands_for, face.irradiance_w_m2))
-            oldest = face.time_monotonic_s - self._mean_s
-            while readings[0][0] <= oldest:
-                readings.popleft()
+            elapsed_s = face.time_monotonic_s - window.newest_s
+            stands_for_s = elapsed_s if elapsed_s <= self._longest_s else self._nominal_s
+            window.add(face.time_monotonic_s, stands_for_s, face.irradiance_w_m2)
 
     def clear(self) -> None:
         """Forget everything."""
-        for readings in self._faces:
-            readings.clear()
+        self._faces = tuple(_FaceWindow(self._mean_s) for _ in range(4))
 
     def mean(self, now_s: float) -> Irradiances | None:
         """Return the mean over (now - mean_s, now], or None while a face has no good reading in it."""
-        start = now_s - self._mean_s
         means, coverage = [], 1.0
-        for readings in self._faces:
-            weight = total = 0.0
-            for end, length, irradiance in readings:
-                inside = min(length, end - start)
-                if inside > 0:
-                    weight += inside
-                    total += inside * irradiance
-            if not weight > 0:
+        for window in self._faces:
+            mean, covered_s = window.mean(now_s)
+            if not covered_s > 0:
                 return None
-            means.append(total / weight)
-            coverage = min(coverage, weight / self._mean_s)
+            means.append(mean)
+            coverage = min(coverage, covered_s / self._mean_s)
         east, south, west, zenith = means
         return Irradiances(east, south, west, zenith, coverage)
+
+
+class _FaceWindow:
+    """One face: its readings with the time each stands for, and their running totals."""
+
+    def __init__(self, mean_s: float) -> None:
+        self._mean_s = mean_s
+        self._readings: deque[tuple[float, float, float]] = deque()
+        self._covered_s = 0.0
+        self._total = 0.0
+        self.newest_s = -math.inf
+
+    def add(self, end_s: float, length_s: float, irradiance: float) -> None:
+        self._readings.append((end_s, length_s, irradiance))
+        self._covered_s += length_s
+        self._total += length_s * irradiance
+        self.newest_s = end_s
+        self._forget(end_s)
+
+    def _forget(self, now_s: float) -> None:
+        start_s = now_s - self._mean_s
+        while self._readings and self._readings[0][0] <= start_s:
+            _, length_s, irradiance = self._readings.popleft()
+            self._covered_s -= length_s
+            self._total -= length_s * irradiance
+        if not self._readings:
+            self._covered_s = self._total = 0.0
+
+    def mean(self, now_s: float) -> tuple[float, float]:
+        """Return the mean and how much of the window it stands for [s]."""
+        self._forget(now_s)
+        if not self._readings:
+            return math.nan, 0.0
+        end_s, length_s, irradiance = self._readings[0]
+        # Only the oldest reading can reach beyond the window's start.
+        outside_s = max(length_s - (end_s - (now_s - self._mean_s)), 0.0)
+        covered_s = self._covered_s - outside_s
+        return (self._total - outside_s * irradiance) / covered_s, covered_s

@@ -72,6 +72,22 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
     return a_deg, b_deg
 
 
+def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
+    """Return the (a_deg, b_deg) inside `limits` that bring the normal nearest to `direction`, shape (..., 3).
+
+    B is that of equation (14), clipped; A is then the best for that B, atan2(-j, i cos B + k sin B), which is (14)
+    itself wherever B was inside. A direction that is zero, NaN or infinite gives NaN.
+    """
+    vector = np.asarray(direction, dtype=np.float64)
+    _, free_b_deg = angles_from_direction(vector)
+    b_deg = np.clip(free_b_deg, limits.b_min_deg, limits.b_max_deg)
+    b = np.radians(b_deg)
+    with np.errstate(invalid="ignore", over="ignore"):
+        towards = vector[..., 0] * np.cos(b) + vector[..., 2] * np.sin(b)
+        a_deg = np.degrees(np.arctan2(-vector[..., 1], towards))
+    return np.clip(np.where(np.isnan(b_deg), np.nan, a_deg), limits.a_min_deg, limits.a_max_deg), b_deg
+
+
 def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, latitude_deg: float) -> Array:
     """Return unit vector(s), shape (..., 3), of an azimuth (from North, clockwise) and an elevation [deg]."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)

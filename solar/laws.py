@@ -68,6 +68,25 @@ def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: floa
     )
 
 
+def complete_poleward(vector: ArrayLike, sun_direction: ArrayLike) -> Array:
+    """Return `vector` with the component that no face of the cube can see: away from the equator.
+
+    Equation (9) holds only while the sun is on the equator's side; beyond the East-West plane I_S - I_min is 0 whatever
+    the sun does. There the sun's azimuth by ephemeris fills the gap: i = j (i_sun / j_sun). Vectors with an equatorward
+    component of their own, and a sun within 45 deg of the pole's azimuth, leave the vector as it is.
+
+    Parameters
+    ----------
+    vector, sun_direction
+        The cube's vector and the sun by ephemeris, shapes (..., 3).
+    """
+    seen, sun = np.broadcast_arrays(np.asarray(vector, dtype=np.float64), np.asarray(sun_direction, dtype=np.float64))
+    blind = (seen[..., 0] == 0) & (sun[..., 0] < 0) & (np.abs(sun[..., 0]) <= np.abs(sun[..., 1]))
+    ratio = np.divide(sun[..., 0], sun[..., 1], out=np.zeros(sun.shape[:-1]), where=blind)
+    poleward = np.where(blind & (seen[..., 1] * sun[..., 1] > 0), seen[..., 1] * ratio, seen[..., 0])
+    return np.stack([poleward, seen[..., 1], seen[..., 2]], axis=-1)
+
+
 def chronometric(sun_direction: ArrayLike) -> Array:
     """Return the sun's direction(s), shape (..., 3), and NaN where the sun is below the horizon."""
     sun = np.asarray(sun_direction, dtype=np.float64)

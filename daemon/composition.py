@@ -1,0 +1,122 @@
+"""The composition root: the one place that decides between real and simulated, and builds what was decided."""
+
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from daemon.clock import Clock
+from daemon.config import Settings
+from daemon.errors import UserError
+from daemon.records import FACES
+from daemon.service import Rig, Role
+from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
+from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
+from sim_drivers.weather_files import load_weather, site_mismatch
+from solar.ephemeris import Site
+
+# A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
+DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
+
+
+def site_of(settings: Settings) -> Site:
+    """Return the configured site as the science knows it."""
+    return Site(settings.site.latitude_deg, settings.site.longitude_deg, settings.site.altitude_m)
+
+
+def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
+    """Return the simulated weather for a span of time, and a warning if a file does not fit the site.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or does not cover the span.
+    """
+    choice, site = settings.simulation.weather, site_of(settings)
+    if not isinstance(choice, Path):
+        return GeneratedWeather(choice, site, settings.simulation.seed), None
+    try:
+        weather = load_weather(choice)
+        weather.at(np.array([from_utc_s, to_utc_s]))
+        return weather, site_mismatch(weather, site)
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
+def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
+    """Build the simulated instruments that a role needs, under one sky."""
+    simulation = settings.simulation
+    scene = Scene(
+        site_of(settings),
+        weather,
+        sky_model=simulation.sky,
+        albedo=simulation.albedo,
+        seed=simulation.seed,
+        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
+        faces=_faces(settings),
+    )
+    multiplexer = voltmeter = positioner = None
+    if role is not Role.TRACKER:
+        multiplexer, voltmeter = _build_cube(settings, clock, scene)
+    if role is not Role.CUBE:
+        core = PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=simulation.motor_speed_mm_s)))
+        positioner = InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+    return Rig(
+        multiplexer,
+        voltmeter,
+        positioner,
+        lambda: scene.wind_speed(clock.utc()),
+        simulated=True,
+        sky_text=partial(_sky_text, scene, clock),
+    )
+
+
+def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
+    face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
+
+    def sensor(channel: int, now_s: float) -> float | None:
+        if channel == settings.cube.self_test_channel:
+            return 0.0
+        face = face_of_channel.get(channel)
+        return None if face is None else scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+
+    meter = settings.instruments.voltmeter
+    switch = MultiplexerCore(inputs=sensor, latency_s=0.0)
+    core = VoltmeterCore(
+        input_voltage=switch.output_voltage,
+        random=np.random.default_rng([settings.simulation.seed, 1]),
+        line_frequency_hz=meter.line_frequency_hz,
+    )
+    return (
+        InMemoryMultiplexer(switch, clock.monotonic),
+        InMemoryVoltmeter(
+            core,
+            clock.monotonic,
+            range_v=meter.range_v,
+            nplc=meter.nplc,
+            deadline_s=settings.cube.reading_deadline_s,
+        ),
+    )
+
+
+def _faces(settings: Settings) -> list[FaceGeometry]:
+    """Return the cube's geometry: an azimuth that is not configured is that of the face's name at this site."""
+    named = default_faces(settings.site.latitude_deg)
+    faces = [getattr(settings.cube, name) for name in FACES]
+    return [
+        FaceGeometry(default.azimuth_deg if face.azimuth_deg is None else face.azimuth_deg, face.tilt_deg)
+        for face, default in zip(faces, named, strict=True)
+    ]
+
+
+def _sky_text(scene: Scene, clock: Clock) -> str:
+    sky = scene.sky_state(clock.utc())
+    wind = scene.wind_speed(clock.utc())
+    text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
+    return text if wind is None else f"{text}, wind {wind:.1f} m/s"

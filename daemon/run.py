@@ -1,0 +1,119 @@
+"""Starting the service for real: loop, clock, signals, log, display."""
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from datetime import UTC
+from random import SystemRandom
+
+from rich.console import Console
+
+from daemon import logs
+from daemon.bridge.signing import generate_key, load_key
+from daemon.bus import Bus
+from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
+from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.config import Settings
+from daemon.errors import UserError
+from daemon.live_view import LiveView
+from daemon.sd_notify import Notifier
+from daemon.service import Role, Service
+from daemon.timeloop import new_loop
+from solar.ephemeris import DAY_S
+
+log = logging.getLogger("heliocube")
+
+
+def run_service(settings: Settings, role: Role, for_s: float | None, console: Console) -> None:
+    """Run one role of the service until SIGINT, SIGTERM or the end of `for_s` seconds of wall time.
+
+    Raises
+    ------
+    UserError
+        Something in the settings cannot work here: a weather file, a key, an address.
+    """
+    key = bridge_key(settings, role)
+    journal = "JOURNAL_STREAM" in os.environ
+    logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
+    speed = settings.simulation.speed
+    with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
+        loop = runner.get_loop()
+        clock = _clock(settings, loop)
+        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
+        if warning:
+            log.warning(warning)
+        bus = Bus()
+        service = Service(
+            settings,
+            role,
+            build_rig(settings, role, clock, weather),
+            clock,
+            SystemRandom(),
+            bus,
+            key,
+            Notifier(os.environ, os.getpid()),
+            speed,
+        )
+        log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
+        runner.run(_run(service, for_s, speed, LiveView(service, console, speed)))
+    console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
+
+
+def bridge_key(settings: Settings, role: Role) -> bytes | None:
+    """Return the key that signs scans; within one process a fresh one serves when no file is named.
+
+    Raises
+    ------
+    UserError
+        The file is missing, unsafe or no key, or two processes would have to share a key that is not there.
+    """
+    bridge = settings.bridge
+    if bridge.key_file is not None:
+        return load_key(bridge.key_file)
+    if bridge.insecure:
+        return None
+    if role is Role.BOTH:
+        return generate_key()
+    raise UserError(
+        f"bridge.key_file: the role '{role}' needs the key that cube and tracker share; "
+        "make one with 'heliocube config init DIR', or set bridge.insecure = true for a closed lab network"
+    )
+
+
+def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
+    simulation = settings.simulation
+    system = SystemClock()
+    if simulation.start_utc is None and simulation.speed == 1.0:
+        return system
+    start = simulation.start_utc or DEFAULT_START
+    start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
+    if simulation.anchor_utc is not None:
+        anchor = simulation.anchor_utc
+        anchor_utc_s = anchor.replace(tzinfo=anchor.tzinfo or UTC).timestamp()
+        start_utc_s += (system.utc() - anchor_utc_s) * simulation.speed
+    return LoopClock(loop.time, start_utc_s)
+
+
+async def _run(service: Service, for_s: float | None, speed: float, view: LiveView) -> None:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    if for_s is not None:
+        loop.call_later(for_s * speed, stop.set)
+    with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+        await service.run(stop, view.run())
+
+
+@contextlib.contextmanager
+def _on_signals(stop: Callable[[], object]) -> Iterator[None]:
+    """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
