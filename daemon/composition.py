@@ -18,7 +18,7 @@ from sim_drivers.positioner_setup import Drive, Setup
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
-from sim_drivers.weather_files import load_weather, site_mismatch
+from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
@@ -120,3 +120,16 @@ def _sky_text(scene: Scene, clock: Clock) -> str:
     wind = scene.wind_speed(clock.utc())
     text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
     return text if wind is None else f"{text}, wind {wind:.1f} m/s"
+
+
+def measured_weather(path: Path) -> MeasuredWeather:
+    """Read a weather file; `UserError` if it cannot be used."""
+    try:
+        return load_weather(path)
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
+def weather_misfit(weather: MeasuredWeather, site: Site) -> str | None:
+    """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been."""
+    return site_mismatch(weather, site)
