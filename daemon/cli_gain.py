@@ -94,6 +94,12 @@ def gain(
         against=request.devices(against),
         printed=printed,
     )
+    if plot is not None:
+        from daemon.gain import plots
+
+        plots.check_path(plot)
+    elif plot_kind is not None:
+        raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
         errors.print(f"heliocube: warning: {sky.warning}", markup=False, highlight=False, soft_wrap=True)
@@ -102,13 +108,9 @@ def gain(
         along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)
     columns = evaluate(asked, sky, along)
     if plot is not None:
-        from daemon.gain import plots
-
         kind = plot_kind or _fitting(asked)
         plots.draw(kind, asked, columns, sky, plot)
         errors.print(f"figure in {plot}", markup=False, highlight=False, soft_wrap=True)
-    elif plot_kind is not None:
-        raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     output.write(columns, table_format or TableFormat.TABLE, out, console, sky.label if sky else None)
 
 

@@ -36,6 +36,12 @@ _LOSS = 0.01
 _MOST_SKIES = 19
 
 
+def check_path(path: Path) -> None:
+    """Raise `UserError` for a file that is none of the kinds there are."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UserError(f"--plot: {path} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+
+
 def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | None, path: Path) -> None:
     """Draw a figure of `kind` into a file; `columns` are the request's answer.
 
@@ -44,8 +50,6 @@ def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | No
     UserError
         The request does not have what the figure shows, or the file cannot be written.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise UserError(f"--plot: {path} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     if kind is PlotKind.MAP:
         figure = gain_map(request, columns, sky)
     elif kind is PlotKind.BEST_TILT:
