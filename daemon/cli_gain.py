@@ -19,8 +19,8 @@ _VALUES = "A number, a list A,B,C or a range FROM:TO:STEP"
 
 
 def gain(
-    lat: Annotated[float | None, typer.Option(help="Latitude [deg], north positive.")] = None,
-    lat_range: Annotated[str | None, typer.Option(metavar="FROM:TO:STEP", help="Latitudes [deg] instead.")] = None,
+    lat: Annotated[float | None, typer.Option(help="Latitude in degrees, north positive.")] = None,
+    lat_range: Annotated[str | None, typer.Option(metavar="FROM:TO:STEP", help="Several latitudes in degrees.")] = None,
     tilt: Annotated[
         str | None,
         typer.Option(
@@ -43,10 +43,11 @@ def gain(
         ),
     ] = None,
     lon: Annotated[
-        float | None, typer.Option(min=-180, max=180, help="Longitude [deg] of the weather, if its file has none.")
+        float | None, typer.Option(min=-180, max=180, help="Degrees east of the weather, if its file does not say.")
     ] = None,
     altitude: Annotated[
-        float | None, typer.Option(min=-430, max=9000, help="Altitude [m] of the weather, if its file has none.")
+        float | None,
+        typer.Option(min=-430, max=9000, help="Metres above sea level of the weather, if its file does not say."),
     ] = None,
     printed: Annotated[
         bool, typer.Option("--printed", help="Add what the paper's own formulas and scripts give.")

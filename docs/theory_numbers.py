@@ -3,7 +3,7 @@
 Usage: python docs/theory_numbers.py
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,9 +310,9 @@ def _claim_3() -> str:
     )
 
 
-def best_tilts() -> Iterator[str]:
+def best_tilts(latitudes_deg: Sequence[float] = tuple(range(0, 91, 10))) -> Iterator[str]:
     """Yield the rows of docs/theory.md's table of best tilts of a vertical axis: by theory, and under two skies."""
-    for latitude in np.arange(0.0, 91.0, 10.0).tolist():
+    for latitude in map(float, latitudes_deg):
         best = gain.best_tilt_vertical(latitude)
         site = Site(latitude, 0.0, 0.0)
         instants = real_sky.daylight(site, real_sky.year_instants(0.0, 600.0))

@@ -2,9 +2,10 @@
 
 import sys
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from daemon.errors import UserError
@@ -12,6 +13,7 @@ from daemon.gain.choices import Device, TableFormat
 from daemon.gain.evaluate import Columns
 
 LONGEST_TABLE = 200
+_CSV_BLOCK_ROWS = 50_000
 _NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
 _RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL: "K_DH"}
 _ETA = {Device.VERTICAL: "eta_VS", Device.HORIZONTAL: "eta_HS"}
@@ -102,18 +104,20 @@ def _number(name: str, value: float) -> str:
 
 
 def _csv(columns: Columns, file: BinaryIO) -> None:
-    texts = [
-        [str(int(v)) for v in column.tolist()] if name == "n" else [repr(v) for v in column.tolist()]
-        for name, column in columns.items()
-    ]
     file.write((",".join(columns) + "\n").encode())
-    file.write("".join(",".join(row) + "\n" for row in zip(*texts, strict=True)).encode())
+    rows = next(iter(columns.values())).size
+    typed = list(_typed(columns).values())
+    for begin in range(0, rows, _CSV_BLOCK_ROWS):
+        texts = [map(repr, column[begin : begin + _CSV_BLOCK_ROWS].tolist()) for column in typed]
+        file.write("".join(",".join(row) + "\n" for row in zip(*texts, strict=True)).encode())
+
+
+def _typed(columns: Columns) -> dict[str, NDArray[Any]]:
+    return {name: column.astype(np.int64) if name == "n" else column for name, column in columns.items()}
 
 
 def _parquet(columns: Columns, file: BinaryIO) -> None:
     import pyarrow as pa  # noqa: PLC0415 - half a second that the other formats need not wait for
     from pyarrow import parquet  # noqa: PLC0415 - as above
 
-    parquet.write_table(
-        pa.table({name: column.astype(np.int64) if name == "n" else column for name, column in columns.items()}), file
-    )
+    parquet.write_table(pa.table(_typed(columns)), file)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ from solar.gain.real_sky import (
 CLEAR_STEP_S = 600.0
 FILE_STEP_S = 60.0
 _NEARLY_A_YEAR = 350
+# A year of one latitude is 3 MB, and a figure asks for those that the table asked for.
+_KEPT_LATITUDES = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,7 @@ class SkySource:
 def clear_sky_source(longitude_deg: float, altitude_m: float) -> SkySource:
     """Return a cloudless sky for any latitude, over a year."""
 
+    @lru_cache(maxsize=_KEPT_LATITUDES)
     def series_at(latitude_deg: float) -> SkySeries:
         site = Site(latitude_deg, longitude_deg, altitude_m)
         instants = daylight(site, year_instants(longitude_deg, CLEAR_STEP_S))

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
 from scipy.special import cosdg
 
 from solar.frames import Array
@@ -17,6 +16,8 @@ from solar.gain.geometry import DAYS, HOURS_PER_RAD, sun_day
 from solar.gain.horizontal import horizontal_parts
 from solar.gain.static import static_energy
 from solar.gain.vertical import half_day_cosine, half_day_sine
+
+_SHARP_DEG = 1e-4
 
 
 class BestTilt(NamedTuple):
@@ -48,7 +49,7 @@ def best_tilt_horizontal(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: 
 
 
 def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: ArrayLike = DAYS) -> BestTilt:
-    """Return the best tilt of a static panel with one face, searched to 1e-6 deg; as :func:`best_tilt_vertical`.
+    """Return the best tilt of a static panel with one face, searched to 0.001 deg; as :func:`best_tilt_vertical`.
 
     The energy is the exact clipped value of Maiga (2022), (1).
     """
@@ -57,21 +58,17 @@ def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: Arra
     )
     best = BestTilt(np.full(phi.shape, np.nan), np.zeros(phi.shape))
     for at in np.ndindex(phi.shape):
-
-        def energy(
-            tilt_deg: ArrayLike, latitude: float = float(phi[at]), azimuth: float = float(deviation[at])
-        ) -> Array:
-            received = static_energy(latitude, np.asarray(tilt_deg)[..., None], days, azimuth).clip_h.sum(axis=-1)
-            return np.asarray(received)
-
         # At the poles every direction is as good as its opposite; the tilt towards the equator is the one to name.
-        coarse = np.copysign(1.0, phi[at]) * np.linspace(90.0, -90.0, 91)
-        first = energy(coarse)
-        if first.max() > 0.0:
-            near = coarse[int(np.argmax(first >= first.max() * (1.0 - 1e-12)))]
-            bounds = (max(near - 2.0, -90.0), min(near + 2.0, 90.0))
-            found = minimize_scalar(lambda tilt: -float(energy(tilt)), bounds=bounds, options={"xatol": 1e-6})
-            best.tilt_deg[at], best.energy_h[at] = found.x, -found.fun
+        tilts, step = np.copysign(1.0, phi[at]) * np.linspace(90.0, -90.0, 91), 2.0
+        while step > _SHARP_DEG:
+            energy = static_energy(phi[at], tilts[:, None], days, deviation[at]).clip_h.sum(axis=-1)
+            top = energy.max()
+            if not top > 0.0:
+                break
+            best.tilt_deg[at] = tilts[np.argmax(energy >= top * (1.0 - 1e-12))]
+            best.energy_h[at] = top
+            step /= 20.0
+            tilts = np.clip(best.tilt_deg[at] + step * np.arange(-20.0, 21.0), -90.0, 90.0)
     return best
 
 

@@ -8,6 +8,7 @@ from pyarrow import parquet
 
 from daemon.cli import main
 from solar import gain
+from solar.gain import printed
 
 POINTS = "phi_deg,beta_deg,n,lambda_deg\n45,35,172,5\n-33.87,-30,10,15\n82,60,1,0\n10,60,172,90\n"
 
@@ -77,7 +78,9 @@ def test_printed_days_carry_the_papers_forms_and_printed_years_its_scripts(helio
     assert {"K_DV_eq25", "K_DV_script2", "K_DH_eq49", "K_DH_script3"} < set(row)
     _, out, _ = heliocube("gain", "--lat", "45", "--tilt", "35", "--azimuth", "5", "--printed", "--format", "csv")
     (row,) = rows(out)
-    assert {"eta_DS_script1_min", "eta_DV_script2_min", "eta_DH_script3_min"} < set(row)
+    days = printed.script1(45.0, 35.0, gain.DAYS, 5.0).k_ds
+    assert row["eta_DS_script1_min"] == pytest.approx(float(days.min()) - 1.0)
+    assert {"eta_DV_script2_min", "eta_DH_script3_min"} < set(row)
 
 
 def test_points_are_answered_row_by_row_at_full_precision(heliocube, tmp_path):
@@ -176,10 +179,10 @@ def test_each_request_has_its_figure(heliocube, tmp_path, kind, arguments, suffi
 
 
 def test_figures_show_the_sky_too(heliocube, tmp_path):
-    for arguments in (["--lat-range", "0:60:30", "--tilt", "0:90:45"], ["--lat-range", "0:60:60"], ["--lat", "40"]):
+    for arguments in (["--lat-range", "0:60:60", "--tilt", "0:90:45"], ["--lat-range", "0:60:60"], ["--lat", "40"]):
         plain, sky = tmp_path / "plain.svg", tmp_path / "sky.svg"
-        heliocube("gain", *arguments, "--plot", plain)
-        assert heliocube("gain", *arguments, "--weather", "clear", "--plot", sky)[0] == 0
+        heliocube("gain", *arguments, "--against", "vertical", "--plot", plain)
+        assert heliocube("gain", *arguments, "--against", "vertical", "--weather", "clear", "--plot", sky)[0] == 0
         assert sky.stat().st_size > 1.05 * plain.stat().st_size
 
 

@@ -47,7 +47,7 @@ def panel(beta, deviation):
     return np.sin(b) * np.sin(turned), -np.sin(b) * np.cos(turned), np.cos(b)
 
 
-def quadrature(phi, n, integrand, points=200_000):
+def quadrature(phi, n, integrand, points=40_000):
     """Hours of `integrand(w)` over the day, by the midpoint rule."""
     w0 = float(sun_day(phi, n).w0)
     step = 2.0 * w0 / points
@@ -110,7 +110,7 @@ def test_at_the_equinox_the_integral_of_the_cosine_is_the_complete_elliptic_inte
 @pytest.mark.parametrize("n", [1, 81, 100, 172, 200, 300])
 def test_the_integral_of_the_cosine_of_the_elevation_is_that_of_quadrature(phi, n):
     expected = quadrature(phi, n, lambda w: np.hypot(*sun_at(phi, n, w)[:2])) / (24.0 / np.pi)
-    assert half_day_cosine(sun_day(phi, n)) == pytest.approx(expected, rel=1e-8, abs=1e-12)
+    assert half_day_cosine(sun_day(phi, n)) == pytest.approx(expected, rel=1e-7, abs=1e-12)
 
 
 @settings(max_examples=60)
@@ -118,9 +118,9 @@ def test_the_integral_of_the_cosine_of_the_elevation_is_that_of_quadrature(phi, 
 def test_energies_are_those_of_quadrature(phi, beta, n, deviation):
     cosine = lambda w: sum(u * v for u, v in zip(sun_at(phi, n, w), panel(beta, deviation), strict=True))  # noqa: E731
     static = gain.static_energy(phi, beta, n, deviation)
-    assert static.clip_h == pytest.approx(quadrature(phi, n, lambda w: np.maximum(cosine(w), 0.0)), abs=2e-7)
-    assert static.abs_h == pytest.approx(quadrature(phi, n, lambda w: np.abs(cosine(w))), abs=2e-7)
-    assert static.signed_h == pytest.approx(quadrature(phi, n, cosine), abs=2e-7)
+    assert static.clip_h == pytest.approx(quadrature(phi, n, lambda w: np.maximum(cosine(w), 0.0)), abs=5e-6)
+    assert static.abs_h == pytest.approx(quadrature(phi, n, lambda w: np.abs(cosine(w))), abs=5e-6)
+    assert static.signed_h == pytest.approx(quadrature(phi, n, cosine), abs=5e-6)
 
     def horizontal(w):
         east, north, up = sun_at(phi, n, w)
@@ -128,13 +128,13 @@ def test_energies_are_those_of_quadrature(phi, beta, n, deviation):
         turned = np.sign(-w) * np.hypot(east, north) * across
         return turned + up * cosine(w)
 
-    assert gain.horizontal_energy_h(phi, beta, n, deviation) == pytest.approx(quadrature(phi, n, horizontal), abs=2e-7)
+    assert gain.horizontal_energy_h(phi, beta, n, deviation) == pytest.approx(quadrature(phi, n, horizontal), abs=5e-6)
 
     def vertical(w):
         east, north, up = sun_at(phi, n, w)
         return np.sin(np.radians(abs(beta))) * np.hypot(east, north) + np.cos(np.radians(beta)) * up
 
-    assert gain.vertical_energy_h(phi, beta, n) == pytest.approx(quadrature(phi, n, vertical), abs=2e-7)
+    assert gain.vertical_energy_h(phi, beta, n) == pytest.approx(quadrature(phi, n, vertical), abs=5e-6)
 
 
 @given(latitudes, tilts, days, deviations)

@@ -83,3 +83,17 @@ def test_instants_are_the_middles_of_365_solar_days():
 def test_only_daylight_is_left():
     site = Site(80.0, 0.0, 0.0)
     assert real_sky.daylight(site, real_sky.year_instants(0.0, 3600.0)[:240]).size == 0
+
+
+@pytest.mark.parametrize(("latitude", "tilt"), [(48.7, 35.0), (-33.0, -35.0)])
+def test_the_horizontal_axis_turns_by_the_elevation_across_its_azimuth(latitude, tilt):
+    series = series_of_day(latitude, 172, 1000.0, 0.0)
+    azimuth, elevation = np.radians(series.azimuth_deg), np.radians(series.elevation_deg)
+    east, north, up = np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)
+    b, turned = np.radians(tilt), np.radians(40.0)
+    # Maiga (2022), (28), with the true azimuth; across the axis the panel is on the sun's side of noon.
+    across = np.where(east > 0.0, 1.0, -1.0) * (np.cos(turned) * east + np.sin(turned) * north)
+    along = np.cos(turned) * north - np.sin(turned) * east
+    cosine = np.cos(elevation) * across + up * (np.cos(b) * up - np.sin(b) * along)
+    received = real_sky.horizontal_irradiance(series, tilt, 40.0, albedo=0.0)
+    assert received == pytest.approx(1000.0 * np.maximum(cosine, 0.0), abs=1e-6)
