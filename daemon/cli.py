@@ -83,10 +83,13 @@ def run(
     ] = None,
 ) -> None:
     """Run the service: acquire, bridge, decide and move, until Ctrl-C or SIGTERM."""
+    from daemon.config_file import on_a_port_of_its_own
     from daemon.run import run_service
     from daemon.service import Role
 
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
+    if config is None and role is RoleChoice.both:
+        settings = on_a_port_of_its_own(settings)
     run_service(settings, Role(role), for_s, Console())
 
 
@@ -169,3 +172,7 @@ def main() -> None:
     except UserError as error:
         Console(stderr=True).print(f"heliocube: {error}", markup=False, highlight=False, soft_wrap=True)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

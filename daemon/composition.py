@@ -1,5 +1,7 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
+import contextlib
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -30,6 +32,9 @@ def site_of(settings: Settings) -> Site:
     return Site(settings.site.latitude_deg, settings.site.longitude_deg, settings.site.altitude_m)
 
 
+_COVER_EVERY_S = 60.0
+
+
 def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
     """Return the simulated weather for a span of time, and a warning if a file does not fit the site.
 
@@ -43,7 +48,7 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
         return GeneratedWeather(choice, site, settings.simulation.seed), None
     try:
         weather = load_weather(choice)
-        weather.at(np.array([from_utc_s, to_utc_s]))
+        weather.at(np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s))
         return weather, site_mismatch(weather, site)
     except WeatherError as error:
         raise UserError(str(error)) from error
@@ -61,6 +66,11 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
         sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
         faces=_faces(settings),
     )
+
+    def wind() -> float | None:
+        with _weather_may_end():
+            return scene.wind_speed(clock.utc())
+
     multiplexer = voltmeter = positioner = None
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
@@ -71,7 +81,7 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
         multiplexer,
         voltmeter,
         positioner,
-        lambda: scene.wind_speed(clock.utc()),
+        wind,
         simulated=True,
         sky_text=partial(_sky_text, scene, clock),
     )
@@ -84,7 +94,10 @@ def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemor
         if channel == settings.cube.self_test_channel:
             return 0.0
         face = face_of_channel.get(channel)
-        return None if face is None else scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+        if face is None:
+            return None
+        with _weather_may_end():
+            return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
 
     meter = settings.instruments.voltmeter
     switch = MultiplexerCore(inputs=sensor, latency_s=0.0)
@@ -105,6 +118,15 @@ def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemor
     )
 
 
+@contextlib.contextmanager
+def _weather_may_end() -> Iterator[None]:
+    """Turn the end of a weather file in the middle of a run into a sentence for the user."""
+    try:
+        yield
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
 def _faces(settings: Settings) -> list[FaceGeometry]:
     """Return the cube's geometry: an azimuth that is not configured is that of the face's name at this site."""
     named = default_faces(settings.site.latitude_deg)
@@ -116,8 +138,9 @@ def _faces(settings: Settings) -> list[FaceGeometry]:
 
 
 def _sky_text(scene: Scene, clock: Clock) -> str:
-    sky = scene.sky_state(clock.utc())
-    wind = scene.wind_speed(clock.utc())
+    with _weather_may_end():
+        sky = scene.sky_state(clock.utc())
+        wind = scene.wind_speed(clock.utc())
     text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
     return text if wind is None else f"{text}, wind {wind:.1f} m/s"
 

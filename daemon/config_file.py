@@ -96,6 +96,12 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
     return _settings(raw, "the command line")
 
 
+def on_a_port_of_its_own(settings: Settings) -> Settings:
+    """Return the settings with the bridge inside one process, on whatever loopback port is free."""
+    inside = settings.bridge.model_copy(update={"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None})
+    return settings.model_copy(update={"bridge": inside})
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
         # Some editors of Windows put a byte order mark in front, which TOML does not know.

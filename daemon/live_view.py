@@ -72,7 +72,7 @@ class LiveView:
         elif isinstance(record, Event):
             self._news.append((record.time_utc_s, f"{record.subject}: {record.text}"))
         elif isinstance(record, Move):
-            text = f"moved to A {record.end_a_deg:+.1f}, B {record.end_b_deg:.1f} deg in {record.duration_s:.0f} s"
+            text = f"moved to {_angles(record.end_a_deg, record.end_b_deg)} in {record.duration_s:.0f} s"
             if record.outcome != "arrived":
                 text += f" ({record.outcome})"
             self._news.append((record.time_utc_s, f"{text}: {record.why}"))
@@ -88,7 +88,7 @@ class LiveView:
         if self._service.rig.simulated:
             parts.append("SIMULATED")
         if self._scan is not None:
-            parts.append(" ".join(f"{n[0].upper()} {_number(f.irradiance_w_m2, '.0f')}" for n, f in _faces(self._scan)))
+            parts.append(" ".join(f"{n[0].upper()} {_number(f.irradiance_w_m2, '.1f')}" for n, f in _faces(self._scan)))
         control, motion = self._service.control, self._service.motion
         if control is not None and motion is not None:
             state = control.state
@@ -129,8 +129,7 @@ class LiveView:
             target = state.decision.target
             grid.add_row(
                 "target",
-                f"A {target.a_deg:+.1f}, B {target.b_deg:.1f} deg by {state.decision.law}; "
-                f"next in {state.next_decision_s:.0f} s",
+                f"{_angles(target.a_deg, target.b_deg)} by {state.decision.law}; next in {state.next_decision_s:.0f} s",
             )
         grid.add_row("tracker", _pose(motion))
 
@@ -145,15 +144,20 @@ def _bar(irradiance_w_m2: float) -> str:
 
 
 def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "-"
+    # Rounding first and adding 0.0 keeps "-0" off the screen.
+    return format(round(value, 1) + 0.0, form) if math.isfinite(value) else "-"
+
+
+def _angles(a_deg: float, b_deg: float) -> str:
+    return f"A {_number(a_deg, '.1f')}, B {_number(b_deg, '.1f')} deg"
 
 
 def _pose(motion: Motion) -> str:
     if motion.pose is None:
         return "no telemetry yet"
-    where = f"A {motion.pose.a_deg:+.1f}, B {motion.pose.b_deg:.1f} deg"
+    where = _angles(motion.pose.a_deg, motion.pose.b_deg)
     if motion.homing:
         return f"{where}, homing"
     if motion.target is not None:
-        return f"{where}, moving to A {motion.target.a_deg:+.1f}, B {motion.target.b_deg:.1f} deg"
+        return f"{where}, moving to {_angles(motion.target.a_deg, motion.target.b_deg)}"
     return where

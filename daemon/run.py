@@ -23,7 +23,6 @@ from daemon.live_view import LiveView
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
 from daemon.timeloop import new_loop
-from solar.ephemeris import DAY_S
 
 log = logging.getLogger("heliocube")
 
@@ -43,7 +42,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
         clock = _clock(settings, loop)
-        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
+        weather, warning = build_weather(settings, clock.utc(), clock.utc() + (for_s or 0.0) * speed)
         if warning:
             log.warning(warning)
         bus = Bus()

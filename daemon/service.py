@@ -15,6 +15,7 @@ from daemon.bus import Bus
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
+from daemon.errors import UserError
 from daemon.motion import Motion
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -176,8 +177,8 @@ class Service:
 
         Raises
         ------
-        BridgeError
-            The bridge's address cannot be used; nothing has been started then.
+        UserError
+            The bridge's address cannot be used, and nothing has been started; or the simulated weather has ended.
         """
         try:
             await self._open_bridge()
@@ -192,8 +193,10 @@ class Service:
                     await self._stop_motion()
                     for task in tasks:
                         task.cancel()
-            except BaseException:
-                await self._stop_motion()
+            except BaseExceptionGroup as group:
+                users, defects = group.split(UserError)
+                if users is not None and defects is None:
+                    raise _first(users) from None
                 raise
         finally:
             if self.sender is not None:
@@ -236,6 +239,8 @@ class Service:
         """Tell which part died before the whole service stops for it."""
         try:
             await work
+        except UserError:
+            raise
         except Exception:
             log.exception("the task '%s' died; the service stops", name)
             self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", f"the task '{name}' died"))
@@ -250,3 +255,8 @@ class Service:
             log.info("motion stopped")
         except (DeviceError, TimeoutError) as error:
             log.warning("motion could not be stopped: %s", error or "no answer in time")
+
+
+def _first(group: BaseExceptionGroup[UserError]) -> UserError:
+    first = group.exceptions[0]
+    return _first(first) if isinstance(first, BaseExceptionGroup) else first

@@ -13,6 +13,7 @@ from daemon.bus import Bus
 from daemon.clock import LoopClock
 from daemon.composition import build_rig, build_weather, site_of
 from daemon.config import Settings
+from daemon.config_file import on_a_port_of_its_own
 from daemon.errors import UserError
 from daemon.records import Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.sd_notify import Notifier
@@ -74,9 +75,7 @@ def simulate(
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
-    settings = settings.model_copy(
-        update={"bridge": settings.bridge.model_copy(update={"listen": "127.0.0.1:0", "send_to": ()})}
-    )
+    settings = on_a_port_of_its_own(settings)
     tally = _Tally(start_utc_s)
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()

@@ -1,7 +1,6 @@
 """Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
 
 import gc
-import os
 import threading
 from pathlib import Path
 
@@ -29,7 +28,7 @@ def _descriptors() -> dict[str, str]:
     found = {}
     for entry in Path("/proc/self/fd").iterdir():
         try:
-            target = os.readlink(entry)
+            target = str(entry.readlink())
         except OSError:
             continue
         # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.

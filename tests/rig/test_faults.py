@@ -4,10 +4,11 @@ import asyncio
 import itertools
 import logging
 import math
+from pathlib import Path
 
 import pytest
 
-from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose
+from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
@@ -298,7 +299,6 @@ def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypa
             await asyncio.sleep(3)
         sent = commands_sent(bench, monkeypatch)
         asked = bench.clock.monotonic()
-        bench.control.auto()
         await bench.control.stop("test")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked < 0.2
@@ -309,6 +309,26 @@ def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypa
         assert bench.mode is Mode.HOLD
         bench.control.auto()
         await bench.until_mode(Mode.TRACKING, 60)
+
+    run_rig(scenario)
+
+
+def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.control.goto(-40, 30, "test")
+        await asyncio.sleep(5)
+        bench.positioner.link_up = False
+        await bench.until_mode(Mode.FAULT, 15)
+        with pytest.raises(RefusedError, match="mode fault"):
+            bench.control.goto(10, 60, "test")
+        bench.positioner.link_up = True
+        await bench.until_mode(Mode.HOLD, 30)
+        await asyncio.sleep(3)
+        stands = bench.truth()
+        await asyncio.sleep(600)
+        assert bench.truth() == stands
 
     run_rig(scenario)
 
@@ -339,7 +359,6 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
 
 def test_every_way_to_move_goes_through_one_guard(run_rig):
     """R24: the only caller of the positioner's move and home commands is Motion."""
-    from pathlib import Path
 
     callers = {
         path.name
@@ -352,7 +371,6 @@ def test_every_way_to_move_goes_through_one_guard(run_rig):
 def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
     async def scenario(bench):
         await asyncio.sleep(5)
-        from daemon.records import Target
 
         with pytest.raises(RefusedError, match="cannot move"):
             bench.motion.order(Target(0, 60, "test"))
@@ -405,7 +423,7 @@ def test_after_a_step_the_chronometric_law_waits(run_rig):
 
 @pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
 def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, caplog, part):
-    class Broken(Exception):
+    class BrokenError(Exception):
         pass
 
     def breaking(bench):
@@ -419,7 +437,7 @@ def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, c
             }[part]
 
             def fail(*_args):
-                raise Broken(part)
+                raise BrokenError(part)
 
             setattr(*owner, fail)
             await asyncio.sleep(60)

@@ -79,9 +79,7 @@ def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
     east_to_zenith = [scan.zenith.time_monotonic_s - scan.east.time_monotonic_s for scan in scans]
     assert max(east_to_zenith) <= floor_s * 3 / 4 * 1.05
     starts = [scan.time_monotonic_s for scan in scans]
-    assert [b - a for a, b in itertools.pairwise(starts)] == pytest.approx(
-        [5.0] * (len(starts) - 1), abs=0.01
-    )
+    assert [b - a for a, b in itertools.pairwise(starts)] == pytest.approx([5.0] * (len(starts) - 1), abs=0.01)
 
 
 def test_night_falls_and_morning_comes(run_rig):

@@ -1,0 +1,126 @@
+"""`heliocube run` as a person starts it."""
+
+import collections
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import daemon
+
+pytestmark = pytest.mark.system
+
+
+ROOT = Path(daemon.__file__).parents[1]
+
+
+def heliocube(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "daemon.cli", *arguments], capture_output=True, text=True, timeout=60, **options
+    )
+
+
+def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated(tmp_path):
+    result = heliocube("run", "--for", "6", cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert result.returncode == 0, result.stderr
+    assert "SIMULATED" in result.stdout
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_motion_and_ends_with_0(number):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "daemon.cli", "run", "--speed", "30"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if "moving" in line:
+            break
+    process.send_signal(number)
+    out, err = process.communicate(timeout=15)
+    assert process.returncode == 0
+    assert "motion stopped" in err
+    assert "Traceback" not in err
+    assert "ended at" in out
+
+
+def test_a_port_in_use_is_one_sentence(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{holder.getsockname()[1]}"
+        config = tmp_path / "heliocube.toml"
+        config.write_text(f'[bridge]\nlisten = "{address}"\nsend_to = ["{address}"]\n')
+        result = heliocube("run", "--config", str(config), "--for", "1")
+    assert result.returncode == 2
+    assert f"{address} is in use" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_key_that_others_can_read_is_refused_with_the_remedy(tmp_path):
+    assert heliocube("config", "init", str(tmp_path)).returncode == 0
+    (tmp_path / "bridge.key").chmod(0o644)
+    result = heliocube("run", "--config", str(tmp_path / "heliocube.toml"), "--for", "1")
+    assert result.returncode == 2
+    assert "chmod 600" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_a_role_of_its_own_needs_a_key():
+    result = heliocube("run", "--role", "cube", "--for", "1")
+    assert result.returncode == 2
+    assert "heliocube config init" in result.stderr
+
+
+def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
+    address = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.settimeout(20)
+        environment = {**os.environ, "NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000000"}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "daemon.cli", "run", "--speed", "1", "--start", "2022-10-12T10:00Z"],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        heard = []
+        while heard.count("WATCHDOG=1") < 4:
+            heard += manager.recv(4096).decode().split("\n")
+        assert heard[0] == "READY=1"
+        assert any(line.startswith("STATUS=starting") for line in heard)
+
+        process.send_signal(signal.SIGSTOP)
+        manager.settimeout(1.5)
+        drained = iter(lambda: manager.recv(4096), b"")
+        with pytest.raises(TimeoutError):
+            collections.deque(drained, maxlen=0)
+        process.send_signal(signal.SIGCONT)
+
+        process.send_signal(signal.SIGTERM)
+        manager.settimeout(10)
+        while "STOPPING=1" not in heard:
+            heard += manager.recv(4096).decode().split("\n")
+        assert process.wait(timeout=10) == 0
+
+
+def test_start_up_does_not_wait_for_what_a_command_does_not_need():
+    imported = subprocess.run(
+        [sys.executable, "-c", "import sys, daemon.cli; print('pvlib' in sys.modules, 'pandas' in sys.modules)"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert imported.stdout.split() == ["False", "False"]
+
+
+def test_the_name_daemon_is_ours():
+    assert (ROOT / "pyproject.toml").is_file(), "another distribution installs a package called daemon"
