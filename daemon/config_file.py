@@ -96,9 +96,20 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
     return _settings(raw, "the command line")
 
 
-def on_a_port_of_its_own(settings: Settings) -> Settings:
-    """Return the settings with the bridge inside one process, on whatever loopback port is free."""
-    inside = settings.bridge.model_copy(update={"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None})
+def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
+    """Return the settings with the bridge inside one process, on whatever loopback port is free.
+
+    Parameters
+    ----------
+    settings
+        Taken as they are but for the bridge.
+    insecure
+        Leave scans unsigned: for a process that lives some seconds and moves nothing.
+    """
+    changes = {"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None, "insecure": insecure}
+    if insecure:
+        changes["key_file"] = None
+    inside = settings.bridge.model_copy(update=changes)
     return settings.model_copy(update={"bridge": inside})
 
 
