@@ -92,7 +92,9 @@ class Acquisition:
                     await self._open()
                     await self._acquire()
                 except DeviceError as error:
-                    if self.outage.down(self._clock.monotonic(), str(error)):
+                    first = not self.outage.is_down
+                    self.outage.down(self._clock.monotonic(), str(error))
+                    if first:
                         self._tell(f"lost: {error}")
                     await self._close()
                     await asyncio.sleep(self._backoff.next_s())

@@ -1,5 +1,6 @@
 """The commented configuration file and the reference document, both made from the models."""
 
+import contextlib
 import textwrap
 from collections.abc import Iterator, Mapping
 from inspect import cleandoc
@@ -81,12 +82,11 @@ def write_example(directory: Path, role: Role) -> tuple[Path, Path]:
     values: dict[str, Any] = {"bridge.key_file": KEY_NAME}
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
-    for path in (file, key):
-        if path.exists():
-            raise UserError(f"{path} is there already and is not overwritten; name another folder or move it away")
     written: list[Path] = []
-    made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
+    made: list[Path] = []
     try:
+        _refuse_taken(file, key)
+        made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
         directory.mkdir(parents=True, exist_ok=True)
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             written.append(file)
@@ -96,11 +96,18 @@ def write_example(directory: Path, role: Role) -> tuple[Path, Path]:
         for path in written:
             path.unlink(missing_ok=True)
         for folder in made:
-            if folder.is_dir():
+            with contextlib.suppress(OSError):
                 folder.rmdir()
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"{directory} cannot take the files: {reason}") from None
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{directory} cannot take the files: {error.strerror}") from None
     return file, key
+
+
+def _refuse_taken(*paths: Path) -> None:
+    for path in paths:
+        if path.exists():
+            raise UserError(f"{path} is there already and is not overwritten; name another folder or move it away")
 
 
 def _heading(role: Role) -> str:

@@ -6,6 +6,7 @@ and given a new target by control: what was wanted before the loss is forgotten.
 """
 
 import asyncio
+import contextlib
 import logging
 import math
 from collections.abc import Callable
@@ -72,6 +73,7 @@ class Motion:
         self._backoff = Backoff(random)
         self._wake = asyncio.Event()
         self._wanted: Target | None = None
+        self._stowing = False
         self._home_wanted = False
         self._clear_wanted = False
         self._interrupt = False
@@ -146,7 +148,7 @@ class Motion:
         if self.homing and not stow:
             raise RefusedError("positioner", "cannot move while homing")
         self._home_wanted = False
-        self._wanted = target
+        self._wanted, self._stowing = target, stow
         self._interrupt = self.moving
         self._wake.set()
 
@@ -221,7 +223,9 @@ class Motion:
         self.target = None
         self.homing = False
         self._wanted = None
-        if self.outage.down(self._clock.monotonic(), str(error)):
+        first = not self.outage.is_down
+        self.outage.down(self._clock.monotonic(), str(error))
+        if first:
             self._tell(f"positioner lost: {error}")
         self._note_readiness()
         await self._positioner.close()
@@ -232,6 +236,7 @@ class Motion:
             if self._clear_wanted:
                 self._clear_wanted = False
                 await self._positioner.clear_faults()
+                await self._look(moving=False)
                 self._forgive()
                 continue
             if self._home_wanted or self._must_rehome():
@@ -249,6 +254,10 @@ class Motion:
 
     def _must_rehome(self) -> bool:
         return self._settings.rehome == "automatic" and self._doubt is not None and self.blocked is None
+
+    def _doubtful(self) -> str | None:
+        """Return why the move in progress must not go on: a reference lost on the way ends all moves but a stow."""
+        return None if self._stowing else self._doubt
 
     def _forgive(self) -> None:
         self._doubt = None
@@ -283,6 +292,12 @@ class Motion:
         outcome, why = MoveOutcome.LINK_LOST, target.why
         try:
             outcome, why = await self._attempt(target, start)
+        except BaseException as error:
+            # Whatever ended this task, a cancellation or a defect, must not leave an axis running.
+            await self._try_to_stop()
+            if not isinstance(error, DeviceError):
+                outcome = MoveOutcome.INTERRUPTED
+            raise
         finally:
             end = self.pose or start
             self.target = None
@@ -324,7 +339,7 @@ class Motion:
                 outcome, why = MoveOutcome.REFUSED, error.message
                 continue
             outcome, why = await self._follow(target, start)
-            if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self.blocked:
+            if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self.blocked or self._doubtful():
                 break
         return outcome, why
 
@@ -335,6 +350,9 @@ class Motion:
             if self._interrupt:
                 await self._come_to_rest()
                 return MoveOutcome.INTERRUPTED, target.why
+            if (doubt := self._doubtful()) is not None:
+                await self._come_to_rest()
+                return MoveOutcome.STALLED, doubt
             progress, why = follow.judge(telemetry, self._clock.monotonic())
             if progress is Progress.ARRIVED:
                 return MoveOutcome.ARRIVED, target.why
@@ -376,9 +394,16 @@ class Motion:
             self._tell("homing finished")
         except RefusedError as error:
             self._tell(f"homing refused: {error.message}")
+        except BaseException:
+            await self._try_to_stop()
+            raise
         finally:
             self.homing = False
             self._changed()
+
+    async def _try_to_stop(self) -> None:
+        with contextlib.suppress(DeviceError):
+            await self._positioner.stop()
 
     def _tell(self, text: str) -> None:
         log.info(text)

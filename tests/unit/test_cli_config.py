@@ -72,6 +72,18 @@ def test_init_into_what_is_no_folder_is_one_sentence(heliocube, tmp_path):
     assert err == f"heliocube: {tmp_path / 'file' / 'rig'} cannot take the files: Not a directory\n"
 
 
+def test_init_that_fails_half_way_takes_back_what_it_has_made(heliocube, tmp_path):
+    (tmp_path / "bridge.key").symlink_to(tmp_path / "nowhere")
+    code, _, err = heliocube("config", "init", tmp_path)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert [path.name for path in tmp_path.iterdir()] == ["bridge.key"]
+
+    code, _, err = heliocube("config", "init", tmp_path / "new" / ("x" * 300))
+    assert code == 2
+    assert err.endswith("cannot take the files: File name too long\n")
+    assert not (tmp_path / "new").exists()
+
+
 def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[site]\nlatitude_deg = 95\n[law]\nname = 'fat'\n[bridge]\nlisten = 'here'\n")

@@ -103,6 +103,7 @@ def test_an_empty_file_is_the_defaults(load):
         ("[law]\nName = 'flat'", "law.name"),
         ("[cube]\nscan-every-s = 5", "cube.scan_every_s"),
         ("[cube]\nchannel = 5", "cube.east.channel"),
+        ("[windows]\ncoverage = 0.5", "windows.minimum_coverage"),
         ("[windws]\nmean_s = 120", "windows"),
         ("[east]\nchannel = 1", "cube.east"),
         ("[windows]\nmean_ms = 120000", "windows.mean_s = 120"),

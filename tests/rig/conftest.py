@@ -1,0 +1,147 @@
+"""Fixtures: the whole service on the in-process rig under virtual time, with every simulated instrument in hand."""
+
+import asyncio
+from datetime import UTC, datetime
+from random import Random
+
+import numpy as np
+import pytest
+
+from daemon.bus import Bus
+from daemon.clock import LoopClock
+from daemon.config import Settings
+from daemon.sd_notify import Notifier
+from daemon.service import Rig, Role, Service
+from daemon.timeloop import VirtualTimeLoop
+from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.scene import Scene, SensorModel
+from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.weather import Conditions
+from solar.ephemeris import Site
+
+SITE = Site(48.717607, 2.209002, 156.0)
+SENSORS = SensorModel(gain_error=0.0, noise_mv=0.02, cosine_error=0.0)
+KEY = bytes(range(32))
+
+
+class HandWeather:
+    """Weather that a test sets by hand; the scene computes an hour ahead, so set it before the hour begins."""
+
+    def __init__(self, dni=700.0, dhi=90.0):
+        self.dni, self.dhi = dni, dhi
+
+    def at(self, utc_s):
+        one = np.ones_like(utc_s)
+        return Conditions(one * np.nan, one * self.dni, one * self.dhi, one * np.nan, one * np.nan)
+
+    def covers(self, utc_s):
+        return np.ones(utc_s.shape, dtype=bool)
+
+
+class SteppingClock(LoopClock):
+    """A clock whose UTC a test can set."""
+
+    step_s = 0.0
+
+    def utc(self):
+        return super().utc() + self.step_s
+
+
+class Bench:
+    """One service, its instruments, and everything it has published."""
+
+    def __init__(self, loop, settings, start, weather, role, setup=None):
+        self.clock = SteppingClock(loop.time, start.timestamp())
+        self.weather = weather
+        self.wind_m_s = 3.0
+        self.scene = Scene(SITE, weather, sky_model="isotropic", seed=1, sensors=SENSORS)
+        self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
+        self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
+        self.unit = PositionerCore(loop.time(), setup)
+        self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
+        self.voltmeter = InMemoryVoltmeter(self.meter, loop.time)
+        self.positioner = InMemoryPositioner(self.unit, loop.time, settings.limits.limits())
+        self.bus = Bus()
+        self.records = []
+        self.bus.subscribe(self.records.append)
+        self.service = Service(
+            settings,
+            role,
+            Rig(self.multiplexer, self.voltmeter, self.positioner, lambda: self.wind_m_s, simulated=True),
+            self.clock,
+            Random(1),
+            self.bus,
+            KEY,
+            Notifier({}, 0),
+        )
+
+    def _sensor(self, channel, now_s):
+        utc_s = self.clock.utc() + now_s - self.clock.monotonic()
+        return self.scene.sensor_voltage(channel, utc_s) if channel < 4 else None
+
+    @property
+    def control(self):
+        return self.service.control
+
+    @property
+    def motion(self):
+        return self.service.motion
+
+    @property
+    def mode(self):
+        return self.control.mode
+
+    def truth(self):
+        return self.unit.truth(self.clock.monotonic())
+
+    def of(self, kind):
+        return [record for record in self.records if isinstance(record, kind)]
+
+    async def until(self, condition, within_s, what):
+        """Let time pass until the condition holds."""
+        deadline = self.clock.monotonic() + within_s
+        while not condition():
+            assert self.clock.monotonic() < deadline, f"{what} did not happen within {within_s} s; mode {self.mode}"
+            await asyncio.sleep(0.02)
+
+    async def until_mode(self, mode, within_s):
+        await self.until(lambda: self.mode is mode, within_s, f"mode {mode}")
+
+
+@pytest.fixture
+def run_rig():
+    """Run a scenario, an async function that is given the bench, beside the service."""
+
+    def run(scenario, *, start="2022-10-12T10:00", weather=None, role=Role.BOTH, setup=None, **sections):
+        sections.setdefault("bridge", {}).update(listen="127.0.0.1:0", send_to=())
+        settings = Settings.model_validate(sections)
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            loop = runner.get_loop()
+            bench = Bench(
+                loop,
+                settings,
+                datetime.fromisoformat(start).replace(tzinfo=UTC),
+                HandWeather() if weather is None else weather,
+                role,
+                setup,
+            )
+
+            async def beside():
+                stop = asyncio.Event()
+                serving = asyncio.create_task(bench.service.run(stop))
+                acting = asyncio.create_task(scenario(bench))
+                await asyncio.wait((serving, acting), return_when=asyncio.FIRST_COMPLETED)
+                stop.set()
+                outcomes = await asyncio.gather(serving, acting, return_exceptions=True)
+                left = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+                assert not left, f"tasks left behind: {left}"
+                for outcome in reversed(outcomes):
+                    if isinstance(outcome, BaseException):
+                        raise outcome
+
+            runner.run(beside())
+        return bench
+
+    return run
