@@ -31,10 +31,14 @@ def report(summary: Summary, settings: Settings, out: Path, errors: Console, con
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     lines = (
-        (f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {settings.law.name}, "
-        f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"),
-        (f"{summary.scans} scans, {summary.decisions} decisions, {summary.moves} moves, "
-        f"{summary.travel_deg:.0f} degrees of travel"),
+        (
+            f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {settings.law.name}, "
+            f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
+        ),
+        (
+            f"{summary.scans} scans, {summary.decisions} decisions, {summary.moves} moves, "
+            f"{summary.travel_deg:.0f} degrees of travel"
+        ),
         f"modes: {hours}",
         f"tables in {out}",
     )
