@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_export
+from daemon import cli_bridge, cli_config, cli_export, cli_operate
 from daemon.cli_options import instant
 from daemon.config import Settings
 from daemon.errors import UserError
@@ -23,6 +23,7 @@ app = typer.Typer(
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
 app.add_typer(cli_export.app)
+app.add_typer(cli_operate.app)
 
 
 class RoleChoice(StrEnum):

@@ -244,9 +244,14 @@ def _event(kind: str, data: dict[str, Any]) -> str:
     return f"event: {kind}\ndata: {json.dumps(data, default=number)}\n\n"
 
 
-async def _refused(_: Request, error: Exception) -> Response:
+async def _refused(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 - narrowing; Starlette calls this for no other
-    return JSONResponse({"error": error.detail}, status_code=error.status_code, headers=error.headers)
+    sentence = error.detail
+    if error.status_code == 404:
+        sentence = f"there is no {ascii(request.url.path)[1:-1][:80]} here; see docs/api.md"
+    elif error.status_code == 405:
+        sentence = f"{request.url.path} does not take {request.method}, but {(error.headers or {}).get('Allow', 'GET')}"
+    return JSONResponse({"error": sentence}, status_code=error.status_code, headers=error.headers)
 
 
 async def _broken(_: Request, error: Exception) -> Response:
