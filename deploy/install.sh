@@ -69,6 +69,7 @@ system_files="
 /etc/modules-load.d/heliocube.conf
 /etc/sysusers.d/heliocube.conf
 /etc/tmpfiles.d/heliocube.conf
+/etc/profile.d/heliocube.sh
 /usr/local/bin/heliocube
 "
 
@@ -76,8 +77,8 @@ reload() {
   [ $live = yes ] || return 0
   systemctl daemon-reload
   if command -v udevadm >/dev/null 2>&1; then
-    udevadm control --reload || say 'note: udev is not running; its rules hold from the next boot'
-    udevadm trigger --subsystem-match=tty --action=change || true
+    udevadm control --reload 2>/dev/null && udevadm trigger --subsystem-match=tty --action=change ||
+      say 'note: udev does not run here; its rules hold from the next boot'
   fi
 }
 
@@ -99,10 +100,12 @@ fi
 [ -n "$from" ] || from=$(dirname "$here")
 case $from in
   *.whl) [ -f "$from" ] || fail "--from $from: there is no such wheel" ;;
-  *) [ -f "$from/pyproject.toml" ] && [ -d "$from/daemon" ] ||
-    fail "--from $from: neither a heliocube wheel nor a checkout of heliocube" ;;
+  *)
+    [ -f "$from/pyproject.toml" ] && [ -d "$from/daemon" ] ||
+      fail "--from $from: neither a heliocube wheel nor a checkout of heliocube"
+    from=$(cd "$from" && pwd)
+    ;;
 esac
-from=$(cd "$(dirname "$from")" && pwd)/$(basename "$from")
 
 command -v "$python" >/dev/null 2>&1 || fail "there is no $python: apt-get install python3 python3-venv"
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
@@ -178,6 +181,7 @@ put heliocube.rules /etc/udev/rules.d/70-heliocube.rules
 put heliocube.modules-load.conf /etc/modules-load.d/heliocube.conf
 put heliocube.sysusers.conf /etc/sysusers.d/heliocube.conf
 put heliocube.tmpfiles.conf /etc/tmpfiles.d/heliocube.conf
+put heliocube.profile.sh /etc/profile.d/heliocube.sh
 mkdir -p "$root/usr/local/bin"
 link /opt/heliocube/current/bin/heliocube "$root/usr/local/bin/heliocube"
 systemd-sysusers ${root:+--root="$root"} heliocube.conf
