@@ -1,7 +1,6 @@
 """The command line: `heliocube`."""
 
 import sys
-from datetime import UTC, datetime
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_gain
+from daemon import cli_bridge, cli_config, cli_export, cli_gain, cli_operate
+from daemon.cli_options import instant
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -23,6 +23,8 @@ app = typer.Typer(
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
 app.command()(cli_gain.gain)
+app.add_typer(cli_export.app)
+app.add_typer(cli_operate.app)
 
 
 class RoleChoice(StrEnum):
@@ -112,7 +114,7 @@ def simulate(
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None)
     console = Console(stderr=True)
     with progress_bar(console) as progress:
-        summary = run_simulation(settings, _instant(start, "--start"), days, out, table_format.value, progress)
+        summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
 
 
@@ -142,7 +144,7 @@ def _settings(
     if speed is not None:
         changes["simulation"]["speed"] = speed
     if start is not None:
-        changes["simulation"]["start_utc"] = _instant(start, "--start")
+        changes["simulation"]["start_utc"] = instant(start, "--start")
     return override(settings, changes)
 
 
@@ -155,14 +157,6 @@ def _site(text: str) -> dict[str, Any]:
         raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
     altitude = numbers[2] if len(numbers) == 3 else 0.0
     return {"name": text, "latitude_deg": numbers[0], "longitude_deg": numbers[1], "altitude_m": altitude}
-
-
-def _instant(text: str, option: str) -> datetime:
-    try:
-        instant = datetime.fromisoformat(text)
-    except ValueError:
-        raise UserError(f"{option}: '{text}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
-    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
 
 
 def main() -> None:
