@@ -74,7 +74,7 @@ class Acquisition:
         self._repeats = [0] * len(FACES)
         self._last_voltage = [math.nan] * len(FACES)
         self._backoff = Backoff(random)
-        self.outage = Outage(log, "the cube's instruments")
+        self.outage = Outage(log, "the cube")
         self.skipped = 0
         self.scan_every_s = cube.scan_every_s
         self.last_scan_s = clock.monotonic()

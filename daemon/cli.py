@@ -1,7 +1,6 @@
 """The command line: `heliocube`."""
 
 import sys
-from datetime import UTC, datetime
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_energy
-from daemon.cli_options import parse_site
+from daemon import cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate
+from daemon.cli_options import instant, parse_site
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -24,6 +23,9 @@ app = typer.Typer(
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
 app.command("energy")(cli_energy.energy)
+app.command()(cli_gain.gain)
+app.add_typer(cli_export.app)
+app.add_typer(cli_operate.app)
 
 
 class RoleChoice(StrEnum):
@@ -113,7 +115,7 @@ def simulate(
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None)
     console = Console(stderr=True)
     with progress_bar(console) as progress:
-        summary = run_simulation(settings, _instant(start, "--start"), days, out, table_format.value, progress)
+        summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
 
 
@@ -143,21 +145,13 @@ def _settings(
     if speed is not None:
         changes["simulation"]["speed"] = speed
     if start is not None:
-        changes["simulation"]["start_utc"] = _instant(start, "--start")
+        changes["simulation"]["start_utc"] = instant(start, "--start")
     return override(settings, changes)
 
 
 def _site(text: str) -> dict[str, Any]:
     latitude, longitude, altitude = parse_site(text)
     return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
-
-
-def _instant(text: str, option: str) -> datetime:
-    try:
-        instant = datetime.fromisoformat(text)
-    except ValueError:
-        raise UserError(f"{option}: '{text}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
-    return instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant.astimezone(UTC)
 
 
 def main() -> None:

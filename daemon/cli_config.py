@@ -43,12 +43,13 @@ def init(
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
 ) -> None:
-    """Write DIR/heliocube.toml, every key explained, and a new key DIR/bridge.key."""
+    """Write DIR/heliocube.toml, every key explained, a new key DIR/bridge.key and a new token DIR/api.token."""
     from daemon.config_template import write_example
 
-    file, key = write_example(directory, role.value)
+    *first, last = write_example(directory, role.value)
     console = Console(highlight=False, soft_wrap=True)
-    console.print(Text.assemble("written: ", (str(file), "bold"), " and ", (str(key), "bold")))
+    names = Text(", ").join(Text(str(path), "bold") for path in first)
+    console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
     console.print(_NEXT[role], markup=False)
 
 
@@ -70,6 +71,8 @@ def _summary(settings: Settings) -> dict[str, str]:
         signed = "signed with a new key at each start (one process only)"
     else:
         signed = f"signed with {bridge.key_file}"
+    file = settings.api.token_file
+    token = "with a new token at each start" if file is None else f"with the token in {file}"
     return {
         "site": f"{site.name}: {site.latitude_deg:g} N, {site.longitude_deg:g} E, {site.altitude_m:g} m",
         "cube": f"{cube.name}: a scan every {cube.scan_every_s:g} s; inputs {channels}",
@@ -80,5 +83,6 @@ def _summary(settings: Settings) -> dict[str, str]:
         "safety": f"wind from {safety.stow_wind_m_s:g} m/s stows at A {safety.stow_a_deg:g} deg,"
         f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
+        "interface": f"on {settings.api.listen}, " + token if settings.api.enabled else "off",
         "store": "none" if settings.store.directory is None else str(settings.store.directory),
     }

@@ -29,9 +29,9 @@ def energy(
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
     from daemon.cli_options import parse_site
-    from daemon.composition import measured_minutes
     from daemon.energy import IDEAL, Terms, as_text, check_names, run_benchmark, write_csv
     from daemon.energy_plot import plot
+    from daemon.energy_weather import measured_minutes
     from daemon.errors import UserError
     from daemon.simulate_report import progress_bar
     from solar.energy import Drive, lay_out

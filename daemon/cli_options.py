@@ -1,4 +1,6 @@
-"""Options that several commands share, from text to values."""
+"""What several commands read from the command line in one way."""
+
+from datetime import UTC, datetime
 
 from daemon.errors import UserError
 
@@ -16,3 +18,12 @@ def parse_site(text: str) -> tuple[float, float, float]:
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -430.0 <= altitude <= 9000.0):
         raise UserError(f"--site: '{text}' is not on Earth: LAT is in -90..90, LON in -180..180, ALT in -430..9000")
     return latitude, longitude, altitude
+
+
+def instant(text: str, option: str) -> datetime:
+    """Return the UTC instant that an option gives as a date or time; raises `UserError`."""
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise UserError(f"{option}: '{text}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)

@@ -1,7 +1,7 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,8 @@ from sim_drivers.positioner_setup import Drive, Setup
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
-from sim_drivers.weather_files import load_weather, site_mismatch
+from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site
-from solar.frames import Array
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
@@ -146,29 +145,14 @@ def _sky_text(scene: Scene, clock: Clock) -> str:
     return text if wind is None else f"{text}, wind {wind:.1f} m/s"
 
 
-def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:
-    """Read weather files whole: UTC [s] of whole minutes, DNI and DHI [W/m2], each of shape (n,), and warnings.
+def measured_weather(path: Path) -> MeasuredWeather:
+    """Read a weather file; `UserError` if it cannot be used."""
+    try:
+        return load_weather(path)
+    except WeatherError as error:
+        raise UserError(str(error)) from error
 
-    Between records up to an hour apart the weather is linear. Where files overlap, the first counts.
 
-    Raises
-    ------
-    UserError
-        A file cannot be read.
-    """
-    parts: list[tuple[Array, Array, Array]] = []
-    warnings: list[str] = []
-    for path in files:
-        try:
-            weather = load_weather(path)
-            minutes = np.arange(np.ceil(weather.start_utc_s / 60.0), weather.end_utc_s / 60.0 + 1e-6) * 60.0
-            minutes = minutes[weather.covers(minutes)]
-            conditions = weather.at(minutes)
-        except WeatherError as error:
-            raise UserError(str(error)) from error
-        parts.append((minutes, conditions.dni_w_m2, conditions.dhi_w_m2))
-        warning = site_mismatch(weather, site)
-        warnings += [warning] if warning else []
-    utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
-    utc_s, first = np.unique(utc_s, return_index=True)
-    return utc_s, dni[first], dhi[first], warnings
+def weather_misfit(weather: MeasuredWeather, site: Site) -> str | None:
+    """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been."""
+    return site_mismatch(weather, site)

@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from daemon import config_rules
+from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
 from solar.frames import Limits
 
@@ -310,9 +311,35 @@ class Bridge(Section):
 
 
 class Store(Section):
-    """Where records are kept; without a directory they are not."""
+    """Where records are kept, in one SQLite file; without a directory they are not."""
 
     directory: FilePath | None = Field(None, examples=["records"], description="Folder of the records.")
+    batch_s: float = Field(
+        5.0, ge=0.1, le=300, description="Longest time until a record is written; a crash loses no more than this."
+    )
+    keep_days: int = Field(
+        400,
+        ge=1,
+        le=36500,
+        description="How many days with records are kept, at about 7 MB a day; the oldest go first.",
+    )
+
+
+class Api(Section):
+    """The local HTTP interface, for `heliocube status`, `heliocube stow` and other programs on this machine."""
+
+    enabled: bool = Field(default=True, description="Whether there is one.")
+    listen: ListenAddress = Field(
+        DEFAULT_LISTEN,
+        description="Address and port to serve on. Everyone who reaches it can read the state; beyond this machine"
+        " the token would travel unencrypted, so put a proxy with TLS in front.",
+    )
+    token_file: FilePath | None = Field(
+        None,
+        examples=["api.token"],
+        description="File with the token that commands need, mode 0600 or 0640."
+        " Left out: a new token at each start, shown on the terminal.",
+    )
 
 
 class Simulation(Section):
@@ -354,6 +381,7 @@ class Settings(Section):
     safety: Safety = Safety()
     bridge: Bridge = Bridge()
     store: Store = Store()
+    api: Api = Api()
     simulation: Simulation = Simulation()
 
     @model_validator(mode="after")

@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from daemon import config_keys, config_rules
+from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
 from daemon.config import Section, Settings
 from daemon.errors import UserError
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
-_PATHS = (("bridge", "key_file"), ("store", "directory"), ("simulation", "weather"))
+_PATHS = (("bridge", "key_file"), ("store", "directory"), ("api", "token_file"), ("simulation", "weather"))
 _SLASHES = "write paths in 'single quotes' or with forward slashes"
 _HINTS = (
     ("Unescaped", _SLASHES),
@@ -74,6 +75,11 @@ def check_file(path: Path) -> Settings:
             load_key(settings.bridge.key_file)
         except KeyFileError as error:
             problems.append(f"bridge.key_file: {error}")
+    if settings.api.token_file is not None:
+        try:
+            load_token(settings.api.token_file)
+        except TokenError as error:
+            problems.append(f"api.token_file: {error}")
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not weather.is_file():
         problems.append(f"simulation.weather: there is no file {weather}")
@@ -96,9 +102,20 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
     return _settings(raw, "the command line")
 
 
-def on_a_port_of_its_own(settings: Settings) -> Settings:
-    """Return the settings with the bridge inside one process, on whatever loopback port is free."""
-    inside = settings.bridge.model_copy(update={"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None})
+def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
+    """Return the settings with the bridge inside one process, on whatever loopback port is free.
+
+    Parameters
+    ----------
+    settings
+        Taken as they are but for the bridge.
+    insecure
+        Leave scans unsigned: for a process that lives some seconds and moves nothing.
+    """
+    changes = {"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None, "insecure": insecure}
+    if insecure:
+        changes["key_file"] = None
+    inside = settings.bridge.model_copy(update=changes)
     return settings.model_copy(update={"bridge": inside})
 
 

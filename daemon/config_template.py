@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from daemon import config_keys, config_rules
+from daemon.api.token import generate_token, write_token
 from daemon.bridge.signing import generate_key, write_key
 from daemon.config_keys import Key, Table
 from daemon.errors import UserError
@@ -16,6 +17,7 @@ Role = Literal["both", "cube", "tracker"]
 
 FILE_NAME = "heliocube.toml"
 KEY_NAME = "bridge.key"
+TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 _WIDTH = 100
 _NOT_READ = {
@@ -32,7 +34,8 @@ _INTRODUCTION = """\
 # Configuration
 
 The service reads one TOML file. `heliocube config init DIR` writes one in which every key is explained, with a new
-bridge key beside it; `heliocube config check FILE` lists everything that is wrong with a file at once.
+bridge key and a new token of the local interface beside it; `heliocube config check FILE` lists everything that is
+wrong with a file at once.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry
@@ -70,28 +73,30 @@ def reference() -> str:
     return "\n".join(parts)
 
 
-def write_example(directory: Path, role: Role) -> tuple[Path, Path]:
-    """Write a commented file and a new bridge key into a directory, made if missing; return their paths.
+def write_example(directory: Path, role: Role) -> tuple[Path, Path, Path]:
+    """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
 
     Raises
     ------
     UserError
         One of the files is there already, or cannot be written. Nothing has been written then.
     """
-    file, key = directory / FILE_NAME, directory / KEY_NAME
-    values: dict[str, Any] = {"bridge.key_file": KEY_NAME}
+    file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
+    values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
     written: list[Path] = []
     made: list[Path] = []
     try:
-        _refuse_taken(file, key)
+        _refuse_taken(file, key, token)
         made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
         directory.mkdir(parents=True, exist_ok=True)
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             written.append(file)
             stream.write(example(role, values))
         write_key(key, generate_key())
+        written.append(key)
+        write_token(token, generate_token())
     except (OSError, UserError) as error:
         for path in written:
             path.unlink(missing_ok=True)
@@ -101,7 +106,7 @@ def write_example(directory: Path, role: Role) -> tuple[Path, Path]:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{directory} cannot take the files: {error.strerror}") from None
-    return file, key
+    return file, key, token
 
 
 def _refuse_taken(*paths: Path) -> None:

@@ -18,7 +18,7 @@ from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Recor
 from daemon.stow import OperatorStow, StowSource
 from daemon.waiting import wait_at_most
 from daemon.window import Window
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, RefusedError
 from solar.frames import normal_from_angles, separation_deg
 
 log = logging.getLogger("heliocube.control")
@@ -102,6 +102,7 @@ class Control:
             settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
         )
         self._wake = asyncio.Event()
+        self._stop_why: str | None = None
         self._hold_why: str | None = None
         self._hold_at: Target | None = None
         self.mode = Mode.STARTING
@@ -133,32 +134,50 @@ class Control:
 
     def stow(self, why: str) -> None:
         """Go to the stow position and stay until released."""
+        self._stop_why = None
         self._operator.ask(why)
         self._wake.set()
 
     def hold(self, why: str) -> None:
-        """Stay where the tracker is; a move in progress is stopped."""
+        """Stay where the tracker is; a move in progress is stopped. Stow still goes before it."""
+        self._stop_why = None
         self._hold_why, self._hold_at = why, None
         self._wake.set()
 
     def goto(self, a_deg: float, b_deg: float, why: str) -> None:
-        """Go to a position and hold there; `ValueError` outside the limits."""
+        """Go to a position and hold there.
+
+        Raises
+        ------
+        ValueError
+            Outside the limits, or not a number.
+        RefusedError
+            The tracker is stowed, starting or in fault: nothing is kept for later.
+        """
         limits = self._settings.limits.limits()
         if not limits.contain(a_deg, b_deg):
             raise ValueError(f"A {a_deg:g}, B {b_deg:g} deg is outside the limits ({limits})")
+        if self.mode in (Mode.STARTING, Mode.STOW, Mode.FAULT):
+            raise RefusedError("positioner", f"cannot go there in mode {self.mode}: {self.why}")
+        self._stop_why = None
         self._hold_why, self._hold_at = why, Target(a_deg, b_deg, why)
         self._parked_s = -math.inf
         self._wake.set()
 
     def auto(self) -> None:
-        """Release stow and hold that an operator asked for."""
+        """Release the stop, stow and hold that an operator asked for."""
         self._operator.release()
-        self._hold_why, self._hold_at = None, None
+        self._stop_why = self._hold_why = self._hold_at = None
         self._wake.set()
 
     async def stop(self, why: str) -> None:
-        """Stop the axes at once and hold; raises `DeviceError` when the positioner cannot be reached."""
-        self.hold(why)
+        """Stop the axes at once and keep them stopped until released, even from stowing: somebody may be in reach.
+
+        Raises `DeviceError` when the positioner cannot be reached; it is stopped on reconnection then.
+        """
+        self._stop_why = why
+        self._hold_at = None
+        self._wake.set()
         await self._motion.stop()
 
     def home(self) -> None:
@@ -228,6 +247,7 @@ class Control:
             doubt_why=self._motion.doubt,
             homing=self._motion.homing,
             stow_why=next((why for source in self._stow_sources if (why := source.reason(now_s))), None),
+            stop_why=self._stop_why,
             hold_why=self._hold_why,
             night_why=night_why,
             data=data,
@@ -274,6 +294,9 @@ class Control:
         self._since_utc_s = utc_s
         self._due_s = now_s
         self._parked_s = -math.inf
+        if mode is Mode.FAULT:
+            # Where an operator wanted to go before the fault may be a wrong place to go to after it.
+            self._hold_at = None
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:
         if self.mode is Mode.STOW:

@@ -1,7 +1,8 @@
 """The state machine of the tracker: which mode follows from the situation, and why.
 
 A positioner that cannot move at all comes first, because then nothing can be done; a request to stow stays latched
-meanwhile and is the first thing carried out after it. Stow pre-empts everything else, homing and doubts included.
+meanwhile and is the first thing carried out after it. A person's stop comes next, because somebody may be in reach of
+the axes. Stow pre-empts everything else, homing and doubts included.
 """
 
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ class Situation:
         Why it must not be moved but to stow, or None.
     homing
         A reference run is on.
+    stop_why
+        Why an operator has stopped the axes, or None.
     stow_why
         The first reason to stow, or None.
     hold_why
@@ -46,6 +49,7 @@ class Situation:
     blocked_why: str | None
     doubt_why: str | None
     homing: bool
+    stop_why: str | None
     stow_why: str | None
     hold_why: str | None
     night_why: str | None
@@ -60,6 +64,8 @@ def next_mode(current: Mode, situation: Situation) -> tuple[Mode, str]:
         return Mode.FAULT, s.blocked_why
     if not s.connected:
         return Mode.STARTING, "waiting for the positioner"
+    if s.stop_why is not None:
+        return Mode.HOLD, s.stop_why
     if s.stow_why is not None:
         return Mode.STOW, s.stow_why
     if s.homing:

@@ -8,11 +8,15 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from datetime import UTC
+from importlib.metadata import version
 from random import SystemRandom
 
 from rich.console import Console
 
 from daemon import logs
+from daemon.api.recent import Recent
+from daemon.api.server import ApiServer
+from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
@@ -20,8 +24,10 @@ from daemon.composition import DEFAULT_START, build_rig, build_weather
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
+from daemon.records import Event
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
+from daemon.store import Origin, Store
 from daemon.timeloop import new_loop
 
 log = logging.getLogger("heliocube")
@@ -46,6 +52,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         if warning:
             log.warning(warning)
         bus = Bus()
+        recent = Recent()
+        bus.subscribe(recent.note)
         service = Service(
             settings,
             role,
@@ -58,7 +66,9 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             speed,
         )
         log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
-        runner.run(_run(service, for_s, speed, LiveView(service, console, speed)))
+        with _store(service, role, loop) as store:
+            api = _api(service, recent, speed, store, console, journal=journal)
+            runner.run(_run(service, for_s, speed, LiveView(service, console, speed), api))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -97,13 +107,63 @@ def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     return LoopClock(loop.time, start_utc_s)
 
 
-async def _run(service: Service, for_s: float | None, speed: float, view: LiveView) -> None:
+@contextlib.contextmanager
+def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Iterator[Store | None]:
+    """Keep every record of the service, if the settings say where; what waits is written at the end."""
+    settings, site = service.settings.store, service.settings.site
+    if settings.directory is None:
+        yield None
+        return
+
+    def publish(event: Event) -> None:
+        # What the store has to tell when the loop has ended stands in the log.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(service.bus.publish, event)
+
+    origin = Origin(
+        service.clock.utc(),
+        role.value,
+        version("heliocube"),
+        service.rig.simulated,
+        site.name,
+        site.latitude_deg,
+        site.longitude_deg,
+        site.altitude_m,
+    )
+    store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
+    service.bus.subscribe(store.keep)
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def _api(
+    service: Service, recent: Recent, speed: float, store: Store | None, console: Console, *, journal: bool
+) -> ApiServer | None:
+    """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
+    settings = service.settings.api
+    if not settings.enabled:
+        return None
+    token = generate_token() if settings.token_file is None else load_token(settings.token_file)
+    server = ApiServer(settings, service, recent, token, speed, lambda: store.status if store else None)
+    if server.url is not None:
+        log.info("local interface at %s", server.url)
+        where = f"the token of commands is in {settings.token_file}"
+        if settings.token_file is None:
+            # A journal is read by more people than a terminal.
+            where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
+        console.print(f"local interface at {server.url}; {where}", highlight=False, soft_wrap=True)
+    return server
+
+
+async def _run(service: Service, for_s: float | None, speed: float, view: LiveView, api: ApiServer | None) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, view.run())
+        await service.run(stop, view.run(), *([api.run()] if api else []))
 
 
 @contextlib.contextmanager

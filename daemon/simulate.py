@@ -8,7 +8,6 @@ from pathlib import Path
 from random import Random
 from typing import Literal
 
-from daemon.bridge.signing import generate_key
 from daemon.bus import Bus
 from daemon.clock import LoopClock
 from daemon.composition import build_rig, build_weather, site_of
@@ -75,7 +74,7 @@ def simulate(
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
-    settings = on_a_port_of_its_own(settings)
+    settings = on_a_port_of_its_own(settings, insecure=True)
     tally = _Tally(start_utc_s)
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
@@ -90,7 +89,7 @@ def simulate(
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
-            generate_key(),
+            None,
             Notifier({}, 0),
         )
         runner.run(_until_end(service, days * DAY_S, progress))

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from operator import attrgetter
@@ -15,6 +15,8 @@ from daemon.errors import UserError
 from daemon.records import FACES, Decision, Event, Irradiances, ModeChange, Move, Pose, Record, Scan
 
 Format = Literal["csv", "parquet"]
+# A record, or a named tuple with the columns' values.
+Row = Record | tuple[Any, ...]
 
 _ROWS_PER_GROUP = 16384
 _BUFFER_BYTES = 1 << 18
@@ -40,7 +42,7 @@ def _same(holds: Literal["float", "text"], *names: str) -> list[Column]:
 _TIMES = [Column("time", "time_utc_s", "time"), *_same("float", "time_monotonic_s")]
 
 # The files' columns, in order. They are an interface to the users' own programs: add at the end, rename nothing.
-COLUMNS: dict[type[Record], tuple[str, list[Column]]] = {
+COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
     Scan: (
         "scans",
         [
@@ -89,6 +91,13 @@ COLUMNS: dict[type[Record], tuple[str, list[Column]]] = {
 }
 
 
+def with_irradiances(record: Row) -> Row:
+    """Return a decision that was made on no irradiances with NaN in their places; anything else as it is."""
+    if isinstance(record, Decision) and record.irradiances is None:
+        return replace(record, irradiances=_NO_IRRADIANCES)
+    return record
+
+
 class TableWriter:
     """Takes records as they come and writes each kind to a table of its own.
 
@@ -102,6 +111,8 @@ class TableWriter:
         Made if it is missing. What is already there is never overwritten.
     format
         ``csv`` or ``parquet``, also the files' ending.
+    columns
+        Which kinds of records there are, with the name of their table and its columns.
 
     Raises
     ------
@@ -109,30 +120,33 @@ class TableWriter:
         When a table is already there, or the directory cannot be written to.
     """
 
-    def __init__(self, directory: Path, format: Format = "csv") -> None:  # noqa: A002 - the users' own word for it
+    def __init__(
+        self,
+        directory: Path,
+        format: Format = "csv",  # noqa: A002 - the users' own word for it
+        columns: Mapping[type[Row], tuple[str, list[Column]]] = COLUMNS,
+    ) -> None:
         self._directory = directory
         self._made = not directory.exists()
-        taken = [name for name, _ in COLUMNS.values() if (directory / f"{name}.{format}").exists()]
+        taken = [name for name, _ in columns.values() if (directory / f"{name}.{format}").exists()]
         if taken:
             raise TableError(
                 f"{directory} already holds {taken[0]}.{format}, which would be overwritten: name another directory"
                 " or move the old results away"
             )
-        self._tables: dict[type[Record], _Table] = {}
+        self._tables: dict[type[Row], _Table] = {}
         make: Callable[[Path, list[Column]], _Table] = _CsvTable if format == "csv" else _ParquetTable
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            for kind, (name, columns) in COLUMNS.items():
-                self._tables[kind] = make(directory / f"{name}.{format}", columns)
+            for kind, (name, its_columns) in columns.items():
+                self._tables[kind] = make(directory / f"{name}.{format}", its_columns)
         except OSError as error:
             self.discard()
             raise TableError(f"{directory} cannot take the results: {error.strerror}") from None
 
-    def write(self, record: Record) -> None:
+    def write(self, record: Row) -> None:
         """Append one record to the table of its kind."""
-        if isinstance(record, Decision) and record.irradiances is None:
-            record = replace(record, irradiances=_NO_IRRADIANCES)
-        self._tables[type(record)].append(record)
+        self._tables[type(record)].append(with_irradiances(record))
 
     def close(self) -> None:
         """Finish all tables and give them their names. May be called again."""
@@ -167,7 +181,7 @@ class _Table(Protocol):
     path: Path
     part: Path
 
-    def append(self, record: Record) -> None: ...
+    def append(self, record: Row) -> None: ...
 
     def finish(self) -> None: ...
 
@@ -181,7 +195,7 @@ class _CsvTable:
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow([column.name for column in columns])
 
-    def append(self, record: Record) -> None:
+    def append(self, record: Row) -> None:
         self._writer.writerow([text(value) for text, value in zip(self._texts, self._values(record), strict=True)])
 
     def finish(self) -> None:
@@ -203,12 +217,15 @@ class _ParquetTable:
             "bool": pa.bool_(),
             "text": pa.string(),
         }
-        self._schema = pa.schema([(column.name, types[column.holds]) for column in columns])
+        fields = [(column.name, types[column.holds]) for column in columns]
+        # pandas finds here that the times are the index.
+        empty = pa.schema(fields).empty_table().to_pandas().set_index(columns[0].name)
+        self._schema = pa.schema(fields, metadata=pa.Schema.from_pandas(empty).metadata)
         self._rows: list[tuple[Any, ...]] = []
         self._writer = parquet.ParquetWriter(self.part, self._schema)
         self._array, self._table = pa.array, pa.Table
 
-    def append(self, record: Record) -> None:
+    def append(self, record: Row) -> None:
         self._rows.append(self._values(record))
         if len(self._rows) >= _ROWS_PER_GROUP:
             self._flush()

@@ -1,6 +1,7 @@
 """Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
 
 import gc
+import socket
 import threading
 from pathlib import Path
 
@@ -43,3 +44,11 @@ def measured() -> Path:
     if not MEASURED.is_dir():
         pytest.skip(f"the measured data is not at {MEASURED}")
     return MEASURED
+
+
+@pytest.fixture
+def free_udp_port() -> int:
+    """A UDP port on loopback that was free a moment ago."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -299,7 +299,6 @@ def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypa
             await asyncio.sleep(3)
         sent = commands_sent(bench, monkeypatch)
         asked = bench.clock.monotonic()
-        bench.control.auto()
         await bench.control.stop("test")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked < 0.2
@@ -310,6 +309,26 @@ def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypa
         assert bench.mode is Mode.HOLD
         bench.control.auto()
         await bench.until_mode(Mode.TRACKING, 60)
+
+    run_rig(scenario)
+
+
+def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.control.goto(-40, 30, "test")
+        await asyncio.sleep(5)
+        bench.positioner.link_up = False
+        await bench.until_mode(Mode.FAULT, 15)
+        with pytest.raises(RefusedError, match="mode fault"):
+            bench.control.goto(10, 60, "test")
+        bench.positioner.link_up = True
+        await bench.until_mode(Mode.HOLD, 30)
+        await asyncio.sleep(3)
+        stands = bench.truth()
+        await asyncio.sleep(600)
+        assert bench.truth() == stands
 
     run_rig(scenario)
 

@@ -1,13 +1,114 @@
-"""Fixtures for tests that start real processes."""
+"""Fixtures that start the program as systemd does, and play systemd's end of the notification socket."""
 
+import os
+import shutil
+import signal
 import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
+from daemon.bridge.signing import generate_key, write_key
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = Path(sys.executable).with_name("heliocube")
+
+
+class Unit:
+    """One process of the service under a stand-in for the service manager."""
+
+    def __init__(self, folder, name, arguments, watchdog_s):
+        self.messages = []
+        self._receiver = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._receiver.bind(str(folder / f"{name}.notify"))
+        environment = {
+            **os.environ,
+            "NOTIFY_SOCKET": str(folder / f"{name}.notify"),
+            "WATCHDOG_USEC": str(int(watchdog_s * 1e6)),
+        }
+        self.log = folder / f"{name}.log"
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen([PROGRAM, *arguments], env=environment, stdout=log, stderr=log)
+
+    def wait_for(self, message, within_s):
+        """Take messages in until one begins with `message`; return it and the seconds that it took."""
+        began = time.monotonic()
+        found = self.listen(within_s, until=message)
+        assert found is not None, f"no {message} in {within_s} s; log:\n{self.log.read_text()}"
+        return found, time.monotonic() - began
+
+    def listen(self, for_s, until=None):
+        """Take messages in for a while, or until one begins with `until`; return that one."""
+        deadline = time.monotonic() + for_s
+        while (left := deadline - time.monotonic()) > 0:
+            self._receiver.settimeout(left)
+            try:
+                message = self._receiver.recv(4096).decode()
+            except TimeoutError:
+                break
+            self.messages.append(message)
+            if until is not None and message.startswith(until):
+                return message
+        return None
+
+    def end(self, number, within_s=20):
+        """Send a signal and return the exit status."""
+        self.process.send_signal(number)
+        self.process.send_signal(signal.SIGCONT)
+        return self.process.wait(within_s)
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        self._receiver.close()
+
 
 @pytest.fixture
-def free_udp_port():
-    """A UDP port on loopback that was free a moment ago."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+def start_unit(tmp_path):
+    """Start the program in a role: ``start_unit(role, watchdog_s)``, configured as deploy/examples has it."""
+    write_key(tmp_path / "bridge.key", generate_key())
+    (tmp_path / "api.token").write_text("t" * 40 + "\n")
+    (tmp_path / "api.token").chmod(0o600)
+    port = _free_port(socket.SOCK_DGRAM)
+    units = []
+
+    def start(role, watchdog_s):
+        text = (ROOT / "deploy" / "examples" / f"{role}.toml").read_text()
+        for old, new in {
+            "127.0.0.1:20571": f"127.0.0.1:{port}",
+            {"cube": "127.0.0.1:20573", "tracker": "127.0.0.1:20572"}[role]: (
+                f"127.0.0.1:{_free_port(socket.SOCK_STREAM)}"
+            ),
+            f"/var/lib/heliocube/{role}": str(tmp_path / role),
+        }.items():
+            assert old in text
+            text = text.replace(old, new)
+        config = tmp_path / f"{role}.toml"
+        config.write_text(text)
+        units.append(Unit(tmp_path, role, ["run", "--role", role, "--config", str(config)], watchdog_s))
+        return units[-1]
+
+    yield start
+    for unit in units:
+        unit.close()
+
+
+def _free_port(kind):
+    with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A copy of what the installation needs, which nobody changes meanwhile."""
+    copy = tmp_path / "checkout"
+    for name in ("solar", "drivers", "sim_drivers", "daemon", "deploy"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy / name)
+    return copy

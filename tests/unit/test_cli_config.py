@@ -3,6 +3,7 @@ import sys
 
 import pytest
 
+from daemon.api.token import load_token
 from daemon.bridge.signing import load_key
 from daemon.cli import main
 from daemon.config import Settings
@@ -28,8 +29,10 @@ def test_init_writes_a_file_and_a_key_that_check_finds_good(heliocube, tmp_path,
     folder = tmp_path / "new" / "rig"
     code, out, err = heliocube("config", "init", folder, "--role", role)
     assert (code, err) == (0, "")
-    assert f"written: {folder / 'heliocube.toml'} and {folder / 'bridge.key'}" in out
-    assert stat.S_IMODE((folder / "bridge.key").stat().st_mode) == 0o600
+    assert f"written: {folder / 'heliocube.toml'}, {folder / 'bridge.key'} and {folder / 'api.token'}" in out
+    for secret in ("bridge.key", "api.token"):
+        assert stat.S_IMODE((folder / secret).stat().st_mode) == 0o600
+    assert len(load_token(folder / "api.token")) >= 32
     assert len(load_key(folder / "bridge.key")) == 32
 
     code, out, err = heliocube("config", "check", folder / "heliocube.toml")
@@ -39,21 +42,23 @@ def test_init_writes_a_file_and_a_key_that_check_finds_good(heliocube, tmp_path,
     assert "\x1b" not in out
 
 
-def test_init_differs_from_the_defaults_by_the_key_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
+def test_init_differs_from_the_defaults_by_its_secrets_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
     for role, listen in (("both", "127.0.0.1:20571"), ("tracker", "0.0.0.0:20571")):
         heliocube("config", "init", tmp_path / role, "--role", role)
         found = check_file(tmp_path / role / "heliocube.toml")
         bridge = Settings().bridge.model_copy(update={"key_file": tmp_path / role / "bridge.key", "listen": listen})
-        assert found == Settings().model_copy(update={"bridge": bridge})
+        api = Settings().api.model_copy(update={"token_file": tmp_path / role / "api.token"})
+        assert found == Settings().model_copy(update={"bridge": bridge, "api": api})
 
 
-def test_two_rigs_get_two_keys(heliocube, tmp_path):
+def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
     heliocube("config", "init", tmp_path / "a")
     heliocube("config", "init", tmp_path / "b")
     assert load_key(tmp_path / "a" / "bridge.key") != load_key(tmp_path / "b" / "bridge.key")
+    assert load_token(tmp_path / "a" / "api.token") != load_token(tmp_path / "b" / "api.token")
 
 
-@pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key"])
+@pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key", "api.token"])
 def test_init_never_overwrites_and_then_writes_nothing(heliocube, tmp_path, there):
     (tmp_path / there).write_text("mine")
     code, out, err = heliocube("config", "init", tmp_path)

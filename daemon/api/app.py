@@ -1,0 +1,258 @@
+"""The routes of the local interface."""
+
+import asyncio
+import json
+import math
+import secrets
+from collections.abc import AsyncIterator, Awaitable, Callable
+from datetime import UTC, datetime
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from daemon.api.commands import Answer, CommandError, Operator
+from daemon.api.metrics import Metrics
+from daemon.api.recent import Recent
+from daemon.api.state import kind_of, number, record_json, state
+from daemon.records import Record
+from daemon.service import Service
+from daemon.store import StoreStatus
+
+_LONGEST_BODY = 4096
+# A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
+_LONGEST_READ = 64 << 20
+_LONGEST_WHY = 200
+_MOST_SCANS = 2000
+_MOST_LISTENERS = 16
+_STATE_EVERY_S = 1.0
+_STUCK_AFTER_S = 30.0
+
+
+class Api:
+    """What the routes do.
+
+    Parameters
+    ----------
+    service, recent
+        What is shown and commanded, and what came over the bus lately.
+    token
+        That commands must bear.
+    speed
+        How many times as fast as the machine's the service's clock runs.
+    store
+        Returns how the store is, or None where there is none.
+    """
+
+    def __init__(
+        self,
+        service: Service,
+        recent: Recent,
+        token: str,
+        speed: float,
+        store: Callable[[], StoreStatus | None],
+    ) -> None:
+        self._service = service
+        self._recent = recent
+        self._token = token.encode()
+        self._speed = speed
+        self._store = store
+        self._operator = Operator(service, speed)
+        self._metrics = Metrics(service, recent, store)
+        self._closing = asyncio.Event()
+        plain = {name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear")}
+        self.app = Starlette(
+            routes=[
+                Route("/api/state", self._state),
+                Route("/api/scans", self._scans),
+                Route("/api/events", self._events),
+                Route("/healthz", self._health),
+                Route("/metrics", self._metrics_text),
+                Route("/api/goto", self._goto, methods=["POST"]),
+                *[Route(f"/api/{name}", self._plain(name, call), methods=["POST"]) for name, call in plain.items()],
+            ],
+            exception_handlers={HTTPException: _refused, Exception: _broken},
+        )
+
+    def close(self) -> None:
+        """End the streams of all listeners."""
+        self._closing.set()
+
+    async def _state(self, _: Request) -> Response:
+        return JSONResponse(self._snapshot())
+
+    def _snapshot(self) -> dict[str, Any]:
+        return state(self._service, self._recent, self._speed, self._store())
+
+    async def _scans(self, request: Request) -> Response:
+        scans = self._recent.scans_since(_since(request.query_params.get("since")), _MOST_SCANS)
+        return JSONResponse({"scans": [record_json(scan) for scan in scans], "more": len(scans) == _MOST_SCANS})
+
+    async def _events(self, _: Request) -> Response:
+        if self._recent.listeners >= _MOST_LISTENERS:
+            raise HTTPException(503, "too many programs listen to the events already; close one")
+        return StreamingResponse(self._stream(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+
+    async def _stream(self) -> AsyncIterator[str]:
+        """Yield the state once a second of wall time, and every record as it comes."""
+        loop = asyncio.get_running_loop()
+        with self._recent.listening() as records:
+            closing = asyncio.create_task(self._closing.wait())
+            try:
+                due_s = -math.inf
+                while not self._closing.is_set():
+                    if loop.time() >= due_s:
+                        due_s = loop.time() + _STATE_EVERY_S * self._speed
+                        yield _event("state", self._snapshot())
+                    following = asyncio.create_task(records.get())
+                    try:
+                        await asyncio.wait(
+                            (following, closing),
+                            timeout=max(due_s - loop.time(), 0.0),
+                            return_when=asyncio.FIRST_COMPLETED,
+                        )
+                    finally:
+                        following.cancel()
+                    if following.done() and not following.cancelled():
+                        yield _record_event(following.result())
+            finally:
+                closing.cancel()
+
+    async def _health(self, _: Request) -> Response:
+        """Tell whether the work goes on; a device that is down is told, and no reason for a restart."""
+        service = self._service
+        troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
+        if service.control is not None:
+            silent_s = service.clock.monotonic() - service.control.last_tick_s
+            if silent_s > longest_s:
+                troubles.append(f"control has not looked for {silent_s:.0f} s")
+        down = []
+        if service.acquisition is not None and service.acquisition.outage.is_down:
+            down.append(f"cube: {service.acquisition.outage.reason}")
+        if service.motion is not None and service.motion.outage.is_down:
+            down.append(f"positioner: {service.motion.outage.reason}")
+        status = self._store()
+        if status is not None and status.down_why is not None:
+            down.append(f"store: {status.down_why}")
+        found = {"ok": not troubles, "troubles": troubles, "down": down, "simulated": service.rig.simulated}
+        return JSONResponse(found, status_code=503 if troubles else 200)
+
+    async def _metrics_text(self, _: Request) -> Response:
+        return Response(self._metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+    def _plain(self, name: str, call: Callable[[str], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Response]]:
+        async def command(request: Request) -> Response:
+            body = await self._body(request, ("why",))
+            return await _carried_out(name, call(_why(body)))
+
+        return command
+
+    async def _goto(self, request: Request) -> Response:
+        body = await self._body(request, ("a_deg", "b_deg", "why"))
+        a_deg, b_deg = _degrees(body, "a_deg"), _degrees(body, "b_deg")
+        return await _carried_out("goto", self._operator.goto(a_deg, b_deg, _why(body)))
+
+    async def _body(self, request: Request, names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the body of a command whose sender may give it."""
+        content = await _read(request)
+        self._authorise(request)
+        if content is None:
+            raise HTTPException(413, f"the body is longer than {_LONGEST_BODY} bytes")
+        if not content:
+            return {}
+        try:
+            found = json.loads(content)
+        except (ValueError, RecursionError):
+            raise HTTPException(400, "the body is not JSON") from None
+        if not isinstance(found, dict):
+            raise HTTPException(400, 'the body is not a JSON object, such as {"why": "maintenance"}')
+        for name in found:
+            if name not in names:
+                raise HTTPException(400, f"the body has {ascii(name)[:40]}, but may have only {', '.join(names)}")
+        return found
+
+    def _authorise(self, request: Request) -> None:
+        scheme, _, given = request.headers.get("authorization", "").partition(" ")
+        if scheme.lower() != "bearer" or not given:
+            raise HTTPException(
+                401, "a command needs the header 'Authorization: Bearer TOKEN'", {"WWW-Authenticate": "Bearer"}
+            )
+        if not secrets.compare_digest(given.strip().encode("latin-1", "replace"), self._token):
+            raise HTTPException(
+                401, "the token is not the service's: see api.token_file", {"WWW-Authenticate": "Bearer"}
+            )
+
+
+async def _carried_out(name: str, command: Awaitable[Answer]) -> Response:
+    try:
+        answer = await command
+    except CommandError as error:
+        raise HTTPException(422 if error.wrong else 409, str(error)) from None
+    return JSONResponse({"command": name, "done": answer.done, "text": answer.text})
+
+
+async def _read(request: Request) -> bytes | None:
+    """Return the body, or None for one that is too long."""
+    content, length = bytearray(), 0
+    try:
+        async for chunk in request.stream():
+            length += len(chunk)
+            if length <= _LONGEST_BODY:
+                content += chunk
+            if length > _LONGEST_READ:
+                break
+    except ClientDisconnect:
+        raise HTTPException(400, "the connection ended within the body") from None
+    return bytes(content) if length <= _LONGEST_BODY else None
+
+
+def _why(body: dict[str, Any]) -> str:
+    why = body.get("why", "an operator asked")
+    if not isinstance(why, str) or not 0 < len(why) <= _LONGEST_WHY or not why.isprintable():
+        raise HTTPException(400, f'"why" must be one line of text with at most {_LONGEST_WHY} letters')
+    return why
+
+
+def _degrees(body: dict[str, Any], name: str) -> float:
+    value = body.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise HTTPException(400, 'goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _since(text: str | None) -> float:
+    if text is None:
+        return -math.inf
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise HTTPException(400, f"since={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
+    return (found.replace(tzinfo=UTC) if found.tzinfo is None else found).timestamp()
+
+
+def _record_event(record: Record) -> str:
+    return _event(kind_of(record), record_json(record))
+
+
+def _event(kind: str, data: dict[str, Any]) -> str:
+    return f"event: {kind}\ndata: {json.dumps(data, default=number)}\n\n"
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 - narrowing; Starlette calls this for no other
+    sentence = error.detail
+    if error.status_code == 404:
+        sentence = f"there is no {ascii(request.url.path)[1:-1][:80]} here; see docs/api.md"
+    elif error.status_code == 405:
+        sentence = f"{request.url.path} does not take {request.method}, but {(error.headers or {}).get('Allow', 'GET')}"
+    return JSONResponse({"error": sentence}, status_code=error.status_code, headers=error.headers)
+
+
+async def _broken(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": f"the service met an error of its own ({type(error).__name__})"}, status_code=500)

@@ -1,0 +1,132 @@
+"""The command line's way to the running service. It imports little: a stop must not wait for libraries to load."""
+
+import http.client
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daemon.api.address import DEFAULT_LISTEN
+from daemon.api.token import load_token
+from daemon.bridge.addresses import Address, parse_address
+from daemon.errors import UserError
+
+TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it
+CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
+
+_TIMEOUT_S = 15.0
+_LONGEST_REPLY = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Client:
+    """Speaks to one service.
+
+    Attributes
+    ----------
+    address
+        Where its local interface listens.
+    token
+        For commands; None where there is none at hand.
+    """
+
+    address: Address
+    token: str | None
+
+    def state(self) -> dict[str, Any]:
+        """Return the service's state; raises `UserError`."""
+        return self._ask("GET", "/api/state", None)
+
+    def command(self, name: str, **arguments: float | str) -> str:
+        """Give a command and return what the tracker did upon it, in a sentence; raises `UserError`."""
+        if self.token is None:
+            raise UserError(
+                f"'{name}' needs the service's token: name its configuration with --config, or its token with"
+                f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
+            )
+        return str(self._ask("POST", f"/api/{name}", arguments).get("text", ""))
+
+    def _ask(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
+        headers = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+        connection = http.client.HTTPConnection(self.address.host, self.address.port, timeout=_TIMEOUT_S)
+        try:
+            connection.request(method, path, None if body is None else json.dumps(body), headers)
+            response = connection.getresponse()
+            content = response.read(_LONGEST_REPLY)
+        except ConnectionRefusedError:
+            raise UserError(
+                f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
+            ) from None
+        except (OSError, http.client.HTTPException) as error:
+            raise UserError(f"the service at {self.address} does not answer: {error or type(error).__name__}") from None
+        finally:
+            connection.close()
+        try:
+            found = json.loads(content)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict) or (response.status != http.HTTPStatus.OK and "error" not in found):
+            raise UserError(f"what answers at {self.address} is not heliocube: see api.listen of its configuration")
+        if response.status != http.HTTPStatus.OK:
+            raise UserError(str(found["error"]))
+        return found
+
+
+def find(
+    config: Path | None, api: str | None, token_file: Path | None, environment: Mapping[str, str] = os.environ
+) -> Client:
+    """Return the way to a service.
+
+    Of the configuration nothing but its [api] is read: a mistake elsewhere in the file must not keep anyone from
+    stopping the tracker.
+
+    Parameters
+    ----------
+    config, api, token_file
+        What the command line names: a configuration file, an address with a port, a token's file.
+    environment
+        May hold the path of the configuration and the token, where the command line names none.
+
+    Raises
+    ------
+    UserError
+        A file cannot be read, or an address is none.
+    """
+    address, named = _place(config, api, environment)
+    if token_file is None and environment.get(TOKEN_VARIABLE):
+        return Client(address, environment[TOKEN_VARIABLE].strip())
+    chosen = token_file or named
+    return Client(address, None if chosen is None else load_token(chosen))
+
+
+def find_unarmed(config: Path | None, api: str | None, environment: Mapping[str, str] = os.environ) -> Client:
+    """Return the way to a service for looking only: no token is read. Arguments and errors are those of `find`."""
+    return Client(_place(config, api, environment)[0], None)
+
+
+def _place(config: Path | None, api: str | None, environment: Mapping[str, str]) -> tuple[Address, Path | None]:
+    if config is None and environment.get(CONFIG_VARIABLE):
+        config = Path(environment[CONFIG_VARIABLE])
+    listen, token_file = (DEFAULT_LISTEN, None) if config is None else _read_api(config)
+    try:
+        return parse_address(api or listen).reachable, token_file
+    except ValueError as error:
+        raise UserError(f"{'--api' if api else 'api.listen'}: {error}") from None
+
+
+def _read_api(config: Path) -> tuple[str, Path | None]:
+    """Return where the service of a configuration listens, and its token's file."""
+    try:
+        found = tomllib.loads(config.read_bytes().decode("utf-8-sig")).get("api", {})
+    except OSError as error:
+        raise UserError(f"{config} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"{config} is not TOML: {error}; see 'heliocube config check {config}'") from None
+    listen = found.get("listen", DEFAULT_LISTEN) if isinstance(found, dict) else None
+    token_file = found.get("token_file", "") if isinstance(found, dict) else None
+    if not isinstance(listen, str) or not isinstance(token_file, str):
+        raise UserError(f"the [api] of {config} is wrong; see 'heliocube config check {config}'")
+    return listen, (config.parent / Path(token_file).expanduser()) if token_file else None

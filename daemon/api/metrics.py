@@ -1,0 +1,151 @@
+"""The state of the service as metrics for Prometheus, in a registry of its own."""
+
+import math
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from operator import attrgetter
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from daemon.api.recent import Recent
+from daemon.control import Control
+from daemon.motion import Motion
+from daemon.records import FACES, Mode, MoveOutcome, Quality
+from daemon.service import Service
+from daemon.store import StoreStatus
+
+_REFUSALS = (
+    "duplicate",
+    "reordered",
+    "late",
+    "skewed",
+    "malformed",
+    "forged",
+    "oversized",
+    "refused_sender",
+    "other_source",
+    "replayed",
+)
+
+
+class Metrics(Collector):
+    """Reads the service anew at each scrape; what is stale or unknown is left out, not repeated.
+
+    Parameters
+    ----------
+    service, recent
+        What is read.
+    store
+        Returns how the store is, or None where there is none.
+    """
+
+    def __init__(self, service: Service, recent: Recent, store: Callable[[], StoreStatus | None]) -> None:
+        self._service = service
+        self._recent = recent
+        self._store = store
+        self._registry = CollectorRegistry()
+        self._registry.register(self)
+
+    def text(self) -> bytes:
+        """Return all metrics in the text format of Prometheus."""
+        return generate_latest(self._registry)
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield each metric; called by the registry."""
+        service = self._service
+        info = _gauge("info", "Always 1; which program and role this is.", "version", "role", "simulated")
+        info.add_metric([version("heliocube"), service.role.value, str(service.rig.simulated).lower()], 1.0)
+        yield info
+        elevation_deg = service.sun_elevation_deg(service.clock.utc())
+        yield _one("sun_elevation_degrees", "Elevation of the sun by ephemeris.", elevation_deg)
+        yield from self._cube()
+        if service.control is not None and service.motion is not None:
+            yield from self._tracker(service.control, service.motion)
+        yield from self._bridge()
+        status = self._store()
+        if status is not None:
+            yield _one("store_up", "1 while the store can write.", float(status.down_why is None))
+            yield _one("store_waiting", "Records that wait to be written.", float(status.waiting))
+            yield _count("store_written", "Records written.", status.written)
+            yield _count("store_lost", "Records lost for want of room.", status.lost)
+
+    def _cube(self) -> Iterator[Metric]:
+        now_s, scan = self._service.clock.monotonic(), self._recent.scan
+        acquisition = self._service.acquisition
+        if acquisition is not None:
+            yield _one("cube_up", "1 while the cube's instruments answer.", float(not acquisition.outage.is_down))
+        yield _count("scans", "Scans taken, or accepted from the bridge.", self._recent.counts["Scan"])
+        if scan is None:
+            return
+        age_s = now_s - scan.time_monotonic_s
+        yield _one("scan_age_seconds", "Age of the newest scan.", age_s)
+        values = _gauge("irradiance_watts_per_square_meter", "Irradiance on a face, while it is good.", "face")
+        good = _gauge("face_ok", "1 while a face's reading is good.", "face")
+        fresh = age_s <= self._service.settings.safety.scan_stale_s
+        for name, face in zip(FACES, scan.faces, strict=True):
+            ok = fresh and face.quality is Quality.OK
+            good.add_metric([name], float(ok))
+            if ok:
+                values.add_metric([name], face.irradiance_w_m2)
+        yield values
+        yield good
+
+    def _tracker(self, control: Control, motion: Motion) -> Iterator[Metric]:
+        modes = _gauge("mode", "1 for the mode the tracker is in.", "mode")
+        for mode in Mode:
+            modes.add_metric([mode.value], float(mode is control.mode))
+        yield modes
+        yield _one("positioner_up", "1 while the positioner sends telemetry.", float(motion.connected))
+        yield _one("moving", "1 during a move or a reference run.", float(motion.moving))
+        yield _one(
+            "faults", "Latched faults of the positioner.", len(motion.telemetry.faults) if motion.telemetry else 0
+        )
+        pose = motion.pose
+        if pose is not None:
+            age_s = self._service.clock.monotonic() - pose.time_monotonic_s
+            yield _one("pose_age_seconds", "Age of the newest telemetry.", age_s)
+        if pose is not None and motion.connected:
+            yield _angles("angle_degrees", "Where the tracker stands.", pose.a_deg, pose.b_deg)
+            if motion.telemetry is not None:
+                yield _one("supply_volts", "Motor supply of the positioner.", motion.telemetry.supply_v)
+        if control.state.decision is not None:
+            target = control.state.decision.target
+            yield _angles("target_degrees", "Where the latest decision points.", target.a_deg, target.b_deg)
+        yield _count("decisions", "Decisions of the pointing law.", self._recent.counts["Decision"])
+        moves = CounterMetricFamily("heliocube_moves", "Moves, by how they ended.", labels=["outcome"])
+        for outcome in MoveOutcome:
+            moves.add_metric([outcome.value], self._recent.moves[outcome])
+        yield moves
+
+    def _bridge(self) -> Iterator[Metric]:
+        if self._service.receiver is None:
+            return
+        counts = self._service.receiver.statistics
+        yield _count("bridge_accepted", "Scans accepted from the bridge.", counts.accepted)
+        yield _count("bridge_lost", "Scans that never came.", counts.lost)
+        refused = CounterMetricFamily("heliocube_bridge_refused", "Datagrams refused, by reason.", labels=["reason"])
+        for reason in _REFUSALS:
+            refused.add_metric([reason], attrgetter(reason)(counts))
+        yield refused
+
+
+def _gauge(name: str, about: str, *labels: str) -> GaugeMetricFamily:
+    return GaugeMetricFamily(f"heliocube_{name}", about, labels=labels)
+
+
+def _one(name: str, about: str, value: float) -> GaugeMetricFamily:
+    return GaugeMetricFamily(f"heliocube_{name}", about, value=value)
+
+
+def _count(name: str, about: str, value: float) -> CounterMetricFamily:
+    return CounterMetricFamily(f"heliocube_{name}", about, value=value)
+
+
+def _angles(name: str, about: str, a_deg: float, b_deg: float) -> GaugeMetricFamily:
+    family = _gauge(name, about, "axis")
+    for axis, angle_deg in (("a", a_deg), ("b", b_deg)):
+        if math.isfinite(angle_deg):
+            family.add_metric([axis], angle_deg)
+    return family

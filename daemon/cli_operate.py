@@ -1,0 +1,111 @@
+"""`heliocube status`, and the operator's commands to the running service."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer()
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration: its [api] is used."),
+]
+ApiOption = Annotated[
+    str | None, typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, instead.")
+]
+TokenOption = Annotated[
+    Path | None, typer.Option("--token-file", help="File of the service's token, instead; or set HELIOCUBE_TOKEN.")
+]
+WhyOption = Annotated[str, typer.Option(help="Reason, for the records.")]
+_AN_OPERATOR = "an operator asked"
+
+
+@app.command()
+def status(
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON.")] = False,
+) -> None:
+    """Show what the running service does, where the tracker stands and what the cube reads."""
+    import json
+
+    from rich.console import Console
+
+    from daemon.api.client import find_unarmed
+    from daemon.status_view import render
+
+    state = find_unarmed(config, api).state()
+    if as_json:
+        typer.echo(json.dumps(state, indent=2))
+    else:
+        Console(highlight=False).print(render(state))
+
+
+@app.command()
+def stow(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Go to the stow position and stay there until `auto`; whatever moves is stopped first."""
+    _command("stow", config, api, token_file, why)
+
+
+@app.command()
+def hold(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Stay where the tracker is until `auto`."""
+    _command("hold", config, api, token_file, why)
+
+
+@app.command()
+def auto(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Track again: end a stow, hold, stop or goto that was asked for."""
+    _command("auto", config, api, token_file, why)
+
+
+@app.command()
+def stop(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Stop the axes at once and stay there until `auto`."""
+    _command("stop", config, api, token_file, why)
+
+
+@app.command(context_settings={"ignore_unknown_options": True})
+def goto(
+    a_deg: Annotated[float, typer.Argument(metavar="A", help="Angle A in degrees, negative towards the east.")],
+    b_deg: Annotated[float, typer.Argument(metavar="B", help="Angle B in degrees, 90 is flat.")],
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+) -> None:
+    """Go to a position inside the limits and stay there until `auto`."""
+    _command("goto", config, api, token_file, why, a_deg=a_deg, b_deg=b_deg)
+
+
+@app.command()
+def home(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Start a reference run of both axes; faults are cleared by it."""
+    _command("home", config, api, token_file, why)
+
+
+@app.command()
+def clear(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Clear the positioner's latched faults and doubts about its reference, without a reference run."""
+    _command("clear", config, api, token_file, why)
+
+
+def _command(
+    name: str, config: Path | None, api: str | None, token_file: Path | None, why: str, **arguments: float
+) -> None:
+    from daemon.api.client import find
+
+    typer.echo(find(config, api, token_file).command(name, why=why, **arguments))

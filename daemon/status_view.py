@@ -1,0 +1,119 @@
+"""The service's state as a person reads it at a glance."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+_MODE_STYLES = {
+    "tracking": "bold green",
+    "night": "bold blue",
+    "fallback": "bold yellow",
+    "stow": "bold magenta",
+    "fault": "bold red",
+}
+_NEWS = 5
+_BAD = "bold red"
+
+
+def render(state: dict[str, Any]) -> RenderableType:
+    """Return one screen for the JSON of /api/state."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column()
+    for name, text in _rows(state):
+        grid.add_row(name, text)
+    news = [Text(f"{_clock(item['time'])}  {item['text']}", style="dim") for item in (state["news"] or [])[-_NEWS:]]
+    return Group(_title(state), grid, *([Text(), *news] if news else []))
+
+
+def _title(state: dict[str, Any]) -> Text:
+    simulated = ("SIMULATED ", "bold yellow") if state["simulated"] else ""
+    pace = f", {state['speed']:g} x real time" if state["speed"] != 1 else ""
+    return Text.assemble(("heliocube ", "bold"), simulated, f"{state['role']} at {state['site']['name']}{pace}")
+
+
+def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+    time, sun_deg = state["time"], state["sun_elevation_deg"]
+    yield "time", Text(f"{time[:10]} {_clock(time)} UTC, sun at {_number(sun_deg, '.1f')} deg")
+    if state["mode"] is not None:
+        mode = state["mode"]
+        style = _MODE_STYLES.get(mode["name"], "bold")
+        yield "mode", Text.assemble((mode["name"], style), f" since {_clock(mode['since'])}: {mode['why']}")
+    if state["tracker"] is not None:
+        yield "tracker", _tracker(state["tracker"])
+        yield from _target(state)
+    yield from _cube(state)
+    if state["bridge"] is not None:
+        counts = state["bridge"]
+        yield "bridge", Text(f"{counts['accepted']} scans accepted, {counts['lost']} lost, {counts['refused']} refused")
+    if state["store"] is not None:
+        yield "store", _store(state["store"])
+
+
+def _tracker(tracker: dict[str, Any]) -> Text:
+    pose = tracker["pose"]
+    if pose is None:
+        return Text(tracker["down_why"] or "no telemetry yet", style=_BAD)
+    text = Text(f"A {_number(pose['a_deg'], '+.1f')}, B {_number(pose['b_deg'], '.1f')} deg")
+    if tracker["homing"]:
+        text.append(", homing")
+    elif tracker["target"] is not None:
+        text.append(f", moving to A {tracker['target']['a_deg']:+.1f}, B {tracker['target']['b_deg']:.1f} deg")
+    if pose["stale"]:
+        text.append(f"  STALE, {_age(pose['age_s'])} old", style=_BAD)
+    for why in (tracker["down_why"], tracker["blocked_why"], tracker["doubt_why"]):
+        if why:
+            text.append(f"  {why}", style=_BAD)
+            break
+    return text
+
+
+def _target(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+    decision, next_s = state["decision"], state["next_decision_s"]
+    if decision is None or next_s is None:
+        return
+    where = f"A {_number(decision['target_a_deg'], '+.1f')}, B {_number(decision['target_b_deg'], '.1f')} deg"
+    yield "target", Text(f"{where} by {decision['law']}; next in {next_s:.0f} s")
+
+
+def _cube(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+    if state["cube_down_why"]:
+        yield "cube", Text(state["cube_down_why"], style=_BAD)
+    scan = state["scan"]
+    if scan is None:
+        yield "scan", Text("none yet", style="" if state["cube_down_why"] else "yellow")
+        return
+    text = Text(f"{_age(scan['age_s'])} old, number {scan['sequence']} of {scan['source']}")
+    if scan["stale"]:
+        text.append("  STALE", style=_BAD)
+    yield "scan", text
+    for name, face in scan["faces"].items():
+        good = face["quality"] == "ok"
+        value = Text(f"{_number(face['irradiance_w_m2'], '7.1f')} W/m2", style="" if good else "dim")
+        yield f"  {name}", value if good else Text.assemble(value, (f"  {face['quality']}", _BAD))
+
+
+def _store(store: dict[str, Any]) -> Text:
+    counts = f"{store['written']} records written, {store['waiting']} waiting"
+    if store["lost"]:
+        counts += f", {store['lost']} lost"
+    if store["down_why"]:
+        return Text.assemble(("cannot write: ", _BAD), (store["down_why"], _BAD), f"; {counts}")
+    return Text(counts)
+
+
+def _clock(time: str) -> str:
+    return time[11:19]
+
+
+def _age(age_s: float | None) -> str:
+    if age_s is None:
+        return "?"
+    return f"{age_s:.1f} s" if age_s < 100 else f"{age_s / 60:.0f} min" if age_s < 6000 else f"{age_s / 3600:.0f} h"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

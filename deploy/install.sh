@@ -1,0 +1,225 @@
+#!/bin/sh
+# Installs, upgrades or removes heliocube on a Debian machine. Run it again at any time: what is there stays.
+set -eu
+umask 022
+
+usage() {
+  cat <<'TEXT'
+usage: install.sh [--role cube|tracker|both] [--from WHEEL|CHECKOUT] [--python PROGRAM] [--root DIR]
+       install.sh --remove [--root DIR]
+
+Puts the program into a Python environment under /opt/heliocube, its units and device rules under /etc, and, where there
+is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves before you say so.
+
+  --role ROLE       what this machine does (default: both, as two units)
+  --from PATH       a heliocube wheel, or a checkout (default: the checkout that this script is in)
+  --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
+  --root DIR        install into the tree DIR instead of this machine
+  --remove          take everything away but /etc/heliocube, /var/lib/heliocube and the user that owns them
+TEXT
+}
+
+fail() {
+  printf 'install.sh: %s\n' "$1" >&2
+  exit 2
+}
+
+say() { printf '%s\n' "$1"; }
+
+role=both from='' python=python3 root='' remove=no
+while [ $# -gt 0 ]; do
+  case $1 in
+    -h | --help) usage; exit 0 ;;
+    --remove) remove=yes; shift; continue ;;
+    --role | --from | --python | --root) [ $# -ge 2 ] || fail "$1 needs a value; see --help" ;;
+    *) fail "'$1' is no option; see --help" ;;
+  esac
+  case $1 in
+    --role) role=$2 ;;
+    --from) from=$2 ;;
+    --python) python=$2 ;;
+    --root) root=$2 ;;
+  esac
+  shift 2
+done
+
+case $role in
+  cube | tracker) roles=$role ;;
+  both) roles='cube tracker' ;;
+  *) fail "--role $role: must be cube, tracker or both" ;;
+esac
+[ "$(id -u)" -eq 0 ] || fail 'this needs root: run it with sudo'
+if [ -n "$root" ]; then
+  [ -d "$root" ] || fail "--root $root: there is no such folder"
+  root=$(cd "$root" && pwd)
+  [ "$root" != / ] || root=''
+fi
+
+here=$(cd "$(dirname "$0")" && pwd)
+opt=$root/opt/heliocube
+etc=$root/etc/heliocube
+live=no
+if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
+
+# The files outside of /opt/heliocube that belong to the program.
+system_files="
+/etc/systemd/system/heliocube-cube.service
+/etc/systemd/system/heliocube-tracker.service
+/etc/udev/rules.d/70-heliocube.rules
+/etc/modules-load.d/heliocube.conf
+/etc/sysusers.d/heliocube.conf
+/etc/tmpfiles.d/heliocube.conf
+/etc/profile.d/heliocube.sh
+/usr/local/bin/heliocube
+"
+
+reload() {
+  [ $live = yes ] || return 0
+  systemctl daemon-reload
+  if command -v udevadm >/dev/null 2>&1; then
+    udevadm control --reload 2>/dev/null && udevadm trigger --subsystem-match=tty --action=change ||
+      say 'note: udev does not run here; its rules hold from the next boot'
+  fi
+}
+
+if [ $remove = yes ]; then
+  for role in cube tracker; do
+    unit=heliocube-$role.service
+    [ $live = no ] || [ ! -e "/etc/systemd/system/$unit" ] || systemctl disable --quiet --now "$unit"
+    rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit"
+  done
+  for file in $system_files; do rm -f "$root$file"; done
+  rm -rf "$opt"
+  reload
+  say "heliocube is removed; $etc, $root/var/lib/heliocube and the user heliocube are left"
+  exit 0
+fi
+
+# --- what is to be installed, and with what
+
+[ -n "$from" ] || from=$(dirname "$here")
+case $from in
+  *.whl) [ -f "$from" ] || fail "--from $from: there is no such wheel" ;;
+  *)
+    [ -f "$from/pyproject.toml" ] && [ -d "$from/daemon" ] ||
+      fail "--from $from: neither a heliocube wheel nor a checkout of heliocube"
+    from=$(cd "$from" && pwd)
+    ;;
+esac
+
+command -v "$python" >/dev/null 2>&1 || fail "there is no $python: apt-get install python3 python3-venv"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+  fail "$("$python" --version) is too old, 3.11 or newer is needed: name one with --python"
+"$python" -c 'import ensurepip, venv' 2>/dev/null ||
+  fail "$python cannot make environments: apt-get install python3-venv"
+for tool in systemd-sysusers systemd-tmpfiles; do
+  command -v $tool >/dev/null 2>&1 || fail "there is no $tool: apt-get install systemd"
+done
+
+# --- the program: a release is complete or not there, and the one that runs is not touched
+
+fingerprint() {
+  {
+    "$python" --version
+    cat "$here/lock/runtime.txt"
+    if [ -f "$from" ]; then
+      cat "$from"
+    else
+      cd "$from"
+      cat pyproject.toml
+      find solar drivers sim_drivers daemon -type f ! -name '*.pyc' | LC_ALL=C sort | while read -r file; do
+        printf '%s\n' "$file"
+        cat "$file"
+      done
+    fi
+  } | sha256sum | cut -c1-12
+}
+
+id=$(fingerprint)
+release=$opt/releases/$id
+if [ ! -e "$release/.complete" ]; then
+  say "building the environment in $release"
+  rm -rf "$release"
+  mkdir -p "$opt/releases"
+  "$python" -m venv "$release"
+  pip="$release/bin/python -m pip --disable-pip-version-check --quiet install"
+  $pip --only-binary :all: --require-hashes -r "$here/lock/runtime.txt" ||
+    fail 'pip could not install what heliocube needs, see above; nothing has been changed'
+  $pip --no-deps "$from" || fail 'pip could not install heliocube itself, see above; nothing has been changed'
+  "$release/bin/heliocube" --version >/dev/null || fail 'the new environment does not run; nothing has been changed'
+  touch "$release/.complete"
+fi
+
+link() { # TARGET LINK: replaces a link in one step
+  ln -sfn "$1" "$2.new"
+  mv -fT "$2.new" "$2"
+}
+
+before=''
+if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
+link "releases/$id" "$opt/current"
+# The release that was current until now may still be running.
+for old in "$opt/releases"/*; do
+  case $(basename "$old") in
+    "$id" | "$before") ;;
+    *) rm -rf "$old" ;;
+  esac
+done
+
+# --- its place in the system
+
+put() { install -D -m 0644 "$here/$1" "$root$2"; }
+
+for other in cube tracker; do
+  unit=heliocube-$other.service
+  case " $roles " in
+    *" $other "*) put $unit /etc/systemd/system/$unit ;;
+    *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from before and stays" ;;
+  esac
+done
+put heliocube.rules /etc/udev/rules.d/70-heliocube.rules
+put heliocube.modules-load.conf /etc/modules-load.d/heliocube.conf
+put heliocube.sysusers.conf /etc/sysusers.d/heliocube.conf
+put heliocube.tmpfiles.conf /etc/tmpfiles.d/heliocube.conf
+put heliocube.profile.sh /etc/profile.d/heliocube.sh
+mkdir -p "$root/usr/local/bin"
+link /opt/heliocube/current/bin/heliocube "$root/usr/local/bin/heliocube"
+systemd-sysusers ${root:+--root="$root"} heliocube.conf
+
+# --- configuration: only what is missing
+
+umask 027
+mkdir -p "$etc"
+for role in $roles; do
+  [ -e "$etc/$role.toml" ] || install -m 0640 "$here/examples/$role.toml" "$etc/$role.toml"
+done
+# The trackers' machines have the key of the cube's.
+case " $roles " in
+  *' cube '*) key=$etc/bridge.key ;;
+  *) key= ;;
+esac
+"$release/bin/python" -I - "$etc/api.token" ${key:+"$key"} <<'PYTHON'
+import sys
+from pathlib import Path
+
+from daemon.api.token import generate_token, write_token
+from daemon.bridge.signing import generate_key, write_key
+
+token, *keys = (Path(argument) for argument in sys.argv[1:])
+if not token.exists():
+    write_token(token, generate_token())
+for key in keys:
+    if not key.exists():
+        write_key(key, generate_key())
+PYTHON
+systemd-tmpfiles ${root:+--root="$root"} --create heliocube.conf
+reload
+
+say "heliocube $id is installed in $opt"
+for role in $roles; do
+  say "next: edit $etc/$role.toml"
+  say "      sudo -u heliocube heliocube config check /etc/heliocube/$role.toml"
+done
+[ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
+for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: systemctl restart)"; done
+say 'Before the first move: docs/install.md'

@@ -1,0 +1,82 @@
+"""The service manager's watchdog is answered while the work goes on, and only then."""
+
+import asyncio
+import contextlib
+import socket
+
+import pytest
+
+from daemon.records import Mode, Move, MoveOutcome
+from daemon.sd_notify import Notifier
+from daemon.watchdog import Watchdog
+from sim_drivers.positioner_setup import Drive, Setup
+
+
+@pytest.fixture
+def manager(tmp_path):
+    """A service manager's socket and the notifier that talks to it; `heard` listens for a while."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "notify"))
+        listening.setblocking(False)
+        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "20000000"}
+
+        async def heard(during_s):
+            # The kernel keeps only a few datagrams, so they are fetched as they come.
+            lines = []
+            for _ in range(round(during_s / 10)):
+                await asyncio.sleep(10)
+                with contextlib.suppress(BlockingIOError):
+                    while True:
+                        lines += listening.recv(4096).decode().split("\n")
+            return lines
+
+        yield Notifier(environment, 1), heard
+
+
+def watch(bench, notifier):
+    service = bench.service
+    return Watchdog(bench.clock, notifier, service.control, service.acquisition, speed=1.0)
+
+
+@pytest.mark.parametrize("part", ["control", "acquisition"])
+def test_pings_end_when_a_part_of_the_work_hangs(run_rig, manager, part):
+    notifier, heard = manager
+
+    async def scenario(bench):
+        watching = asyncio.create_task(watch(bench, notifier).run())
+        assert (await heard(60)).count("WATCHDOG=1") >= 5
+        if part == "control":
+            bench.control.tick = lambda: None
+        else:
+            bench.multiplexer.select = lambda _channel: asyncio.sleep(1e6)
+        await heard(60)
+        lines = await heard(120)
+        assert "WATCHDOG=1" not in lines
+        assert any(line.startswith("STATUS=") and "for" in line for line in lines)
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+
+    run_rig(scenario)
+
+
+def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
+    notifier, heard = manager
+
+    async def scenario(bench):
+        watching = asyncio.create_task(watch(bench, notifier).run())
+        bench.voltmeter.link_up = bench.positioner.link_up = False
+        await heard(120)
+        assert (await heard(120)).count("WATCHDOG=1") >= 11
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+
+    run_rig(scenario)
+
+
+def test_an_axis_that_runs_past_its_target_is_stopped_and_named(run_rig):
+    async def scenario(bench):
+        await bench.until_mode(Mode.FAULT, 300)
+        assert "beyond its target" in bench.control.why
+
+    bench = run_rig(scenario, setup=Setup(drive=Drive(overshoot_mm=25.0)))
+    assert MoveOutcome.OVERSHOT in [move.outcome for move in bench.of(Move)]

@@ -1,0 +1,291 @@
+import asyncio
+import os
+import re
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+from random import Random
+
+import pytest
+
+from daemon.bridge.signing import generate_key, write_key
+from daemon.bus import Bus
+from daemon.clock import LoopClock
+from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.config import Settings
+from daemon.config_file import check_file, load_settings
+from daemon.sd_notify import Notifier
+from daemon.service import Role, Service
+from daemon.timeloop import VirtualTimeLoop
+
+from .conftest import ROOT
+
+DEPLOY = ROOT / "deploy"
+EXAMPLES = DEPLOY / "examples"
+ROLES = ("cube", "tracker")
+pytestmark = pytest.mark.system
+needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+
+
+def run(*command, **options):
+    return subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False, **options)
+
+
+# The units
+
+
+def stand_in(tmp_path, role, change=lambda text: text):
+    """The unit, with a program that exists here in place of the installed one."""
+    installed = "/opt/heliocube/current/bin/heliocube"
+    text = (DEPLOY / f"heliocube-{role}.service").read_text()
+    assert f"ExecStart={installed} run --role {role} --config /etc/heliocube/{role}.toml\n" in text
+    unit = tmp_path / f"heliocube-{role}.service"
+    unit.write_text(change(text.replace(installed, "/bin/true")))
+    return unit
+
+
+@needs_analyze
+@pytest.mark.parametrize("role", ROLES)
+def test_systemd_understands_every_line_of_the_units(tmp_path, role):
+    done = run("systemd-analyze", "verify", stand_in(tmp_path, role))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_analyze
+def test_a_misspelt_line_of_a_unit_would_be_told(tmp_path):
+    unit = stand_in(tmp_path, "cube", lambda text: text.replace("WatchdogSec=", "WatchdogSecs="))
+    assert "WatchdogSecs" in run("systemd-analyze", "verify", unit).stderr
+
+
+@needs_analyze
+@pytest.mark.parametrize("role", ROLES)
+def test_the_units_may_do_little(tmp_path, role):
+    done = run("systemd-analyze", "security", "--offline=true", "--threshold=20", stand_in(tmp_path, role))
+    assert done.returncode == 0, done.stdout
+    exposure = float(re.search(r"exposure level.*: ([\d.]+)", done.stdout)[1])
+    assert exposure <= 2.0
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_class_of_devices_is_allowed_only_with_its_module_loaded(role):
+    unit = (DEPLOY / f"heliocube-{role}.service").read_text()
+    modules = (DEPLOY / "heliocube.modules-load.conf").read_text().split("\n")
+    module_of = {"char-ttyACM": "cdc_acm", "char-ttyUSB": "usbserial", "char-usb_device": None}
+    for allowed in re.findall(r"^DeviceAllow=(\S+)", unit, re.MULTILINE):
+        module = module_of[allowed]
+        assert module is None or (module in modules and f"modprobe@{module}.service" in unit)
+
+
+# The device rules
+
+
+def rules():
+    text = (DEPLOY / "heliocube.rules").read_text()
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
+
+
+def test_every_device_rule_is_well_formed_and_its_jumps_land():
+    term = re.compile(r'\s*[A-Z]+(\{[\w/]+\})?\s*(==|!=|=|\+=|-=|:=)\s*"[^"]*"\s*')
+    for line in rules():
+        assert all(term.fullmatch(part) for part in re.split(r",(?=\s*[A-Z])", line)), line
+    gotos = {name for line in rules() for name in re.findall(r'GOTO="(\w+)"', line)}
+    labels = {name for line in rules() for name in re.findall(r'LABEL="(\w+)"', line)}
+    assert gotos == labels
+
+
+def test_the_positioner_has_one_name_one_group_and_no_echo():
+    text = "\n".join(rules())
+    for part in ('SYMLINK+="heliocube/positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
+        assert part in text
+    raw = next(line for line in rules() if "stty" in line)
+    assert 'ACTION=="add"' in raw
+    assert " raw -echo " in raw
+
+
+def test_the_line_settings_of_the_rules_end_the_echo():
+    stty = re.search(r'RUN\+="/usr/bin/(stty) -F \$devnode ([^"]*)"', "\n".join(rules()))
+    controller, terminal = os.openpty()
+    try:
+        done = run(stty[1], "-F", os.ttyname(terminal), *stty[2].split())
+        assert (done.returncode, done.stderr) == (0, "")
+        os.write(controller, b"$,12.3$-45.6")
+        os.set_blocking(controller, False)
+        with pytest.raises(BlockingIOError):
+            os.read(controller, 100)
+    finally:
+        os.close(controller)
+        os.close(terminal)
+
+
+# The examples
+
+
+@pytest.mark.parametrize("name", ["both", *ROLES])
+def test_the_examples_are_good_configurations(tmp_path, name):
+    shutil.copy(EXAMPLES / f"{name}.toml", tmp_path)
+    write_key(tmp_path / "bridge.key", generate_key())
+    (tmp_path / "api.token").write_text("t" * 40)
+    (tmp_path / "api.token").chmod(0o600)
+    assert check_file(tmp_path / f"{name}.toml").instruments.kind == "simulated"
+
+
+def test_the_examples_of_cube_and_tracker_fit_together_on_one_machine():
+    cube, tracker = (load_settings(EXAMPLES / f"{role}.toml") for role in ROLES)
+    assert tracker.bridge.listen in cube.bridge.send_to
+    assert tracker.bridge.key_file == cube.bridge.key_file
+    assert tracker.cube.name == cube.cube.name
+    assert tracker.cube.scan_every_s == cube.cube.scan_every_s
+    assert tracker.api.listen != cube.api.listen
+    assert tracker.store.directory != cube.store.directory
+
+
+# The service under a service manager
+
+
+def test_both_roles_start_answer_the_watchdog_and_stop(start_unit):
+    units = {role: start_unit(role, watchdog_s=4.0) for role in ROLES}
+    for unit in units.values():
+        unit.wait_for("READY=1", 60)
+    for role, unit in units.items():
+        unit.messages.clear()
+        for _ in range(2):
+            unit.wait_for("WATCHDOG=1", 4.0)
+        status, _ = unit.wait_for("STATUS=", 4.0)
+        assert status.removeprefix("STATUS="), role
+        assert unit.end(signal.SIGTERM) == 0, unit.log.read_text()
+        unit.wait_for("STOPPING=1", 1.0)
+        assert "Traceback" not in unit.log.read_text()
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_frozen_process_does_not_answer_the_watchdog(start_unit, role):
+    unit = start_unit(role, watchdog_s=1.0)
+    unit.wait_for("WATCHDOG=1", 60)
+    unit.process.send_signal(signal.SIGSTOP)
+    unit.listen(0.2)
+    assert unit.listen(2.0, until="WATCHDOG=1") is None
+    assert unit.end(signal.SIGABRT) == -signal.SIGABRT, "the service manager's next step ends it"
+
+
+@pytest.mark.parametrize(("part", "words"), [("control", "control has not looked"), ("acquisition", "no scan has")])
+def test_a_stalled_part_leaves_the_watchdog_unanswered_though_the_loop_runs(tmp_path, part, words):
+    messages = []
+
+    async def scenario(receiver):
+        loop = asyncio.get_running_loop()
+        settings = Settings.model_validate({"bridge": {"listen": "127.0.0.1:0", "send_to": ()}})
+        clock = LoopClock(loop.time, DEFAULT_START.timestamp())
+        weather, _ = build_weather(settings, clock.utc(), clock.utc() + 3600)
+        notifier = Notifier({"NOTIFY_SOCKET": receiver.getsockname(), "WATCHDOG_USEC": "10000000"}, os.getpid())
+        rig = build_rig(settings, Role.BOTH, clock, weather)
+        service = Service(settings, Role.BOTH, rig, clock, Random(1), Bus(), generate_key(), notifier)
+        stop = asyncio.Event()
+        serving = asyncio.create_task(service.run(stop))
+
+        async def pass_time(for_s):
+            for _ in range(for_s):
+                await asyncio.sleep(1)
+                messages.extend(received(receiver))
+
+        await pass_time(60)
+        assert messages.count("WATCHDOG=1") >= 10
+        next(task for task in asyncio.all_tasks() if task.get_name() == part).cancel()
+        await pass_time(60)
+        messages.clear()
+        await pass_time(60)
+        stop.set()
+        await serving
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(tmp_path / "notify"))
+        receiver.setblocking(False)
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            runner.run(scenario(receiver))
+    assert "WATCHDOG=1" not in messages
+    assert all(words in message for message in messages)
+    assert messages
+
+
+def received(receiver):
+    while True:
+        try:
+            yield receiver.recv(4096).decode()
+        except BlockingIOError:
+            return
+
+
+# The installation
+
+
+def files_in(tree, but=()):
+    found = (path for path in tree.rglob("*") if path.is_file() or path.is_symlink())
+    names = {str(path.relative_to(tree)) for path in found}
+    return {name for name in names if not name.startswith(but)}
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
+@pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
+def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_path, checkout):
+    tree = tmp_path / "tree"
+    tree.mkdir()
+    install = ("sh", checkout / "deploy" / "install.sh", "--root", tree)
+
+    first = run(*install)
+    assert first.returncode == 0, first.stderr
+    assert "systemctl enable --now heliocube-tracker" in first.stdout
+    program = tree / "opt/heliocube/current/bin/heliocube"
+    assert run(program, "--version").stdout.startswith("heliocube ")
+    for role in ROLES:
+        checked = run(program, "config", "check", tree / f"etc/heliocube/{role}.toml")
+        assert checked.returncode == 0, checked.stderr
+    key = tree / "etc/heliocube/bridge.key"
+    passwd = (tree / "etc/passwd").read_text()
+    uid = int(re.search(r"^heliocube:x:(\d+):", passwd, re.MULTILINE)[1])
+    assert (key.stat().st_uid, stat.S_IMODE(key.stat().st_mode)) == (uid, 0o600)
+    assert (tree / "var/lib/heliocube").stat().st_uid == uid
+    assert stat.S_IMODE((tree / "etc/heliocube/api.token").stat().st_mode) == 0o640
+
+    (tree / "etc/heliocube/tracker.toml").write_text("# mine\n")
+    (tree / "var/lib/heliocube/records.sqlite").write_text("data")
+    secret = key.read_text()
+    second = run(*install)
+    assert second.returncode == 0, second.stderr
+    assert "building" not in second.stdout, "an environment that is complete is not built again"
+    assert (tree / "etc/heliocube/tracker.toml").read_text() == "# mine\n"
+    assert key.read_text() == secret
+
+    removed = run(*install, "--remove")
+    assert removed.returncode == 0, removed.stderr
+    assert files_in(tree, but=("etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock")) == {
+        "etc/heliocube/api.token",
+        "etc/heliocube/bridge.key",
+        "etc/heliocube/cube.toml",
+        "etc/heliocube/tracker.toml",
+        "var/lib/heliocube/records.sqlite",
+    }
+    assert run(*install, "--remove").returncode == 0, "removing twice is no error"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--role", "sun"], "--role sun: must be cube, tracker or both"),
+        (["--role"], "--role needs a value"),
+        (["--frm", "x"], "'--frm' is no option"),
+        (["--root", "/nowhere/at/all"], "--root /nowhere/at/all: there is no such folder"),
+        (["--from", "gone.whl"], "--from gone.whl: there is no such wheel"),
+        (["--from", "/"], "--from /: neither a heliocube wheel nor a checkout"),
+        (["--python", "python9"], "there is no python9: apt-get install python3 python3-venv"),
+    ],
+)
+@pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
+def test_a_mistake_at_installing_is_one_sentence_and_changes_nothing(tmp_path, arguments, sentence):
+    root = [] if "--root" in arguments else ["--root", tmp_path]
+    done = run("sh", DEPLOY / "install.sh", *root, *arguments)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

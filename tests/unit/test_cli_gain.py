@@ -1,0 +1,264 @@
+import csv
+import io
+import sys
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from daemon.cli import main
+from solar import gain
+from solar.gain import printed
+
+POINTS = "phi_deg,beta_deg,n,lambda_deg\n45,35,172,5\n-33.87,-30,10,15\n82,60,1,0\n10,60,172,90\n"
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Runs the command line; returns its exit code and what it wrote to either stream."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code or 0, written.out, written.err
+
+    return run
+
+
+def rows(text):
+    return [{name: float(cell) for name, cell in row.items()} for row in csv.DictReader(io.StringIO(text))]
+
+
+def test_one_latitude_compares_the_devices_at_their_best_tilts(heliocube):
+    code, out, err = heliocube("gain", "--lat", "48.7")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("Latitude 48.7 deg, the year, in theory")
+    assert lines[1].split() == ["against", "tilt", "azimuth", "K", "dual", "gains", "over", "static"]
+    assert lines[2].split() == ["static", "panel", "45.4", "0", "1.6875", "+68.7", "%"]
+    assert lines[3].split() == ["vertical", "axis", "63.5", "sun", "1.0465", "+4.7", "%", "+61.2", "%"]
+    assert lines[4].split()[:4] == ["horizontal", "axis", "37.5", "0"]
+
+
+def test_a_grid_has_a_row_for_each_latitude_tilt_azimuth_and_day(heliocube):
+    code, out, _ = heliocube(
+        "gain", "--lat-range", "0:60:30", "--tilt", "10,40", "--azimuth=-20:20:20", "--day", "1:3", "--format", "csv"
+    )
+    found = rows(out)
+    assert code == 0
+    assert len(found) == 3 * 2 * 3 * 3
+    assert [row["n"] for row in found[:4]] == [1, 2, 3, 1]
+    for row in found:
+        day = gain.daily(row["phi_deg"], row["beta_deg"], row["n"], row["lambda_deg"])
+        assert row["K_DS_clip"] == day.k_ds_clip
+        assert row["K_DV"] == day.k_dv
+        assert row["eta_HS"] == pytest.approx(float(day.k_ds_clip / day.k_dh - 1.0))
+
+
+def test_a_year_is_the_ratio_of_its_sums(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "-33.9", "--tilt=-30", "--year", "--format", "csv")
+    (row,) = rows(out)
+    year = gain.yearly(-33.9, -30.0)
+    assert row["K_DS_abs"] == pytest.approx(float(year.k_ds_abs), rel=1e-13)
+    assert row["K_DH"] == pytest.approx(float(year.k_dh), rel=1e-13)
+
+
+def test_only_what_is_asked_for_is_told(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "30", "--against", "vertical", "--format", "csv")
+    assert out.splitlines()[0] == "phi_deg,beta_vertical_deg,lambda_deg,K_DV"
+
+
+def test_printed_days_carry_the_papers_forms_and_printed_years_its_scripts(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "45", "--tilt", "35", "--azimuth", "5", "--day", "172", "--printed",
+                          "--format", "csv")  # fmt: skip
+    (row,) = rows(out)
+    assert row["K_DS_eq11"] == pytest.approx(2.1, abs=0.2)
+    assert {"K_DV_eq25", "K_DV_script2", "K_DH_eq49", "K_DH_script3"} < set(row)
+    _, out, _ = heliocube("gain", "--lat", "45", "--tilt", "35", "--azimuth", "5", "--printed", "--format", "csv")
+    (row,) = rows(out)
+    days = printed.script1(45.0, 35.0, gain.DAYS, 5.0).k_ds
+    assert row["eta_DS_script1_min"] == pytest.approx(float(days.min()) - 1.0)
+    assert {"eta_DV_script2_min", "eta_DH_script3_min"} < set(row)
+
+
+def test_points_are_answered_row_by_row_at_full_precision(heliocube, tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text("id," + POINTS.replace("\n", "\n7,").removesuffix("7,"))
+    code, out, _ = heliocube("gain", "--points", file, "--printed")
+    found = rows(out)
+    assert code == 0
+    assert list(found[0]) == [
+        "phi_deg", "beta_deg", "n", "lambda_deg", "K_DS_abs", "K_DS_clip", "K_DV", "K_DH",
+        "K_DS_eq11", "K_DV_eq25", "K_DV_script2", "K_DH_eq49", "K_DH_script3",
+    ]  # fmt: skip
+    assert found[1]["K_DV"] == gain.k_dv(-33.87, -30.0, 10)
+    assert np.isnan(list(found[2].values())[4:]).all()
+    assert np.isnan(found[3]["K_DS_eq11"])
+    assert np.isfinite(found[3]["K_DS_clip"])
+
+
+def test_points_agree_with_the_reference(heliocube, measured):
+    file = measured / "theory" / "exact_points.csv"
+    if not file.is_file():
+        pytest.skip(f"the reference tables of the theory are not at {file.parent}")
+    _, out, _ = heliocube("gain", "--points", file)
+    for ours, expected in zip(rows(out), csv.DictReader(io.StringIO(file.read_text())), strict=True):
+        for name, reference in {"K_DS_clip": "KDS_clip", "K_DV": "KDV", "K_DH": "KDH_day_signed"}.items():
+            value = float(expected[reference] or "nan")
+            assert ours[name] == pytest.approx(value if not value > 1e15 else np.inf, rel=1e-9, nan_ok=True)
+
+
+def test_parquet_has_the_same_numbers(heliocube, tmp_path):
+    out = tmp_path / "answer.parquet"
+    assert heliocube("gain", "--lat", "30", "--day", "10", "--format", "parquet", "--out", out)[0] == 0
+    table = parquet.read_table(out).to_pydict()
+    assert table["n"] == [10]
+    _, text, _ = heliocube("gain", "--lat", "30", "--day", "10", "--format", "csv")
+    assert rows(text)[0]["K_DV"] == table["K_DV"][0]
+
+
+def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "30", "--day", "1:365")
+    assert out.splitlines()[-1] == "and 165 rows more: --format csv writes them all"
+
+
+def test_a_clear_sky_stands_beside_the_theory(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "48.7", "--weather", "clear", "--format", "csv")
+    (row,) = rows(out)
+    # The atmosphere takes from mornings and evenings, in which trackers are better.
+    assert 1.3 < row["K_DS_clip_sky"] < row["K_DS_clip"]
+    assert 1.0 < row["K_DV_sky"] < row["K_DV"]
+    assert row["eta_VS_sky"] == pytest.approx(row["K_DS_clip_sky"] / row["K_DV_sky"] - 1.0)
+
+
+def weather_file(folder):
+    """A day of thick cloud over Paris, brightest at noon."""
+    hours = np.arange(0.0, 24.0, 0.5)
+    diffuse = 150.0 * np.clip(np.cos((hours - 12.0) / 8.0 * np.pi / 2.0), 0.0, None) ** 1.5
+    lines = [
+        f"2016-06-05T{int(hour):02d}:{int(hour % 1 * 60):02d}:00Z,{dhi:.3f},0,{dhi:.3f}"
+        for hour, dhi in zip(hours, diffuse, strict=True)
+    ]
+    file = folder / "weather.csv"
+    file.write_text("time,ghi,dni,dhi\n" + "\n".join(lines) + "\n")
+    return file
+
+
+def test_under_a_measured_cloud_a_tracker_loses(heliocube, tmp_path):
+    file = weather_file(tmp_path)
+    code, out, err = heliocube(
+        "gain", "--lat", "48.7", "--lon", "2.2", "--weather", file, "--day", "157", "--tilt", "0", "--format", "csv"
+    )
+    assert (code, err) == (0, "")
+    assert rows(out)[0]["K_DS_clip_sky"] < 0.95
+
+
+def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
+    _, _, err = heliocube("gain", "--lat", "48.7", "--lon", "2.2", "--weather", weather_file(tmp_path))
+    assert err.startswith("heliocube: warning: weather.csv has 1 days")
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [
+        ("map", ["--lat-range", "0:60:20", "--tilt", "0:90:30"]),
+        ("best-tilt", ["--lat-range", "0:60:20"]),
+        ("daily", ["--lat", "70"]),
+        ("printed", ["--lat", "45", "--azimuth", "5", "--printed"]),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_each_request_has_its_figure(heliocube, tmp_path, kind, arguments, suffix):
+    fitting, named = tmp_path / f"fitting.{suffix}", tmp_path / f"named.{suffix}"
+    assert heliocube("gain", *arguments, "--plot", fitting)[0] == 0
+    code, _, err = heliocube("gain", *arguments, "--plot", named, "--plot-kind", kind)
+    assert (code, err) == (0, f"figure in {named}\n")
+    assert fitting.stat().st_size == pytest.approx(named.stat().st_size, rel=0.01)
+
+
+def test_figures_show_the_sky_too(heliocube, tmp_path):
+    for arguments in (["--lat-range", "0:60:60", "--tilt", "0:90:45"], ["--lat-range", "0:60:60"], ["--lat", "40"]):
+        plain, sky = tmp_path / "plain.svg", tmp_path / "sky.svg"
+        heliocube("gain", *arguments, "--against", "vertical", "--plot", plain)
+        assert heliocube("gain", *arguments, "--against", "vertical", "--weather", "clear", "--plot", sky)[0] == 0
+        assert sky.stat().st_size > 1.05 * plain.stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--lat", "91"], "--lat: 91 is not in -90..90"),
+        (["--lat", "nan"], "--lat: nan is not in -90..90"),
+        ([], "give one of --lat and --lat-range, such as --lat 48.7 or --lat-range 0:65:1"),
+        (["--lat", "1", "--lat-range", "0:1"], "give one of --lat and --lat-range, such as --lat 48.7 or"),
+        (["--lat-range", "0:95"], "--lat-range: 95 is not in -90..90"),
+        (["--lat-range", "50:40:1"], "--lat-range: the range '50:40:1' must rise by a step above 0"),
+        (["--lat-range", "0:50:nan"], "--lat-range: the range '0:50:nan' must rise by a step above 0"),
+        (["--lat-range", "0:50:1e-9"], "--lat-range: the range '0:50:1e-9' has more than 20000000 values"),
+        (["--lat-range", "a:b"], "--lat-range: 'a:b' is not a number, a list A,B,C or a range FROM:TO:STEP"),
+        (["--lat", "1", "--tilt", "100"], "--tilt: 100 is not in -90..90"),
+        (["--lat", "1", "--tilt", "1:2:3:4"], "--tilt: '1:2:3:4' is not a number"),
+        (["--lat", "1", "--azimuth", "200"], "--azimuth: 200 is not in -180..180"),
+        (["--lat", "1", "--day", "0"], "--day: 0 is not in 1..365"),
+        (["--lat", "1", "--day", "1.5"], "--day: '1.5' must give whole days of the year, 1..365"),
+        (["--lat", "1", "--day", "1", "--year"], "--day and --year exclude each other; give one of them"),
+        (["--lat", "1", "--against", "static,moon"], "--against: there is no device 'moon'; choose from static, "),
+        (["--lat-range", "0:90:0.01", "--tilt", "0:90:0.01"], "this asks for 81018001 rows, more than 20000000"),
+        (["--lat", "1", "--weather", "none.csv"], "there is no weather file at none.csv"),
+        (["--lat-range", "0:9", "--weather", "w.csv"], "a weather file belongs to one site; give its latitude"),
+        (["--lat", "1", "--lon", "2"], "--lon and --altitude say where the weather was measured; add --weather"),
+        (["--lat", "1", "--plot", "figure.doc"], "--plot: figure.doc must end in .png, .svg or .pdf"),
+        (["--lat", "1", "--plot", "no/such/figure.png"], "--plot: no/such/figure.png cannot be written: No such file"),
+        (["--lat", "1", "--plot", "f.png", "--plot-kind", "map"], "the map needs several latitudes and at least three"),
+        (
+            ["--lat", "1", "--plot", "f.png", "--plot-kind", "best-tilt"],
+            "the best tilt is drawn by latitude: give seve",
+        ),
+        (["--lat-range", "0:2", "--printed", "--plot", "f.png"], "the comparison with the paper is drawn for one lat"),
+        (["--lat", "1", "--plot-kind", "map"], "--plot-kind needs a file to draw in; add --plot FILE"),
+        (["--lat", "1", "--out", "x.csv"], "--out takes a CSV or a Parquet file; add --format csv or --format parquet"),
+        (["--lat", "1", "--format", "csv", "--out", "no/x.csv"], "--out: no/x.csv cannot be written: No such file"),
+        (["--points", "none.csv"], "there is no points file at none.csv"),
+        (["--points", "none.csv", "--lat", "1"], "--points answers its own rows; leave out --lat"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = heliocube("gain", *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"heliocube: {sentence}")
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "is empty"),
+        ("phi_deg,beta_deg,n\n", "has no column lambda_deg; found: phi_deg, beta_deg, n"),
+        ("phi_deg,beta_deg,n,lambda_deg\n", "has a header and no data"),
+        (POINTS + "\n91,0,1,0\n", "line 7: phi_deg is '91', not a number in -90..90"),
+        (POINTS.replace("172,5", "172,nan"), "line 2: lambda_deg is 'nan', not a number in -180..180"),
+        (POINTS.replace(",10,15", ",1.5,15"), "line 3: n is '1.5', not a whole number in 1..365"),
+        (POINTS.replace(",10,15", ""), "line 3: n is '', not a whole number in 1..365"),
+        ("phi_deg,beta_deg,n,lambda_deg\n\xff".encode("latin-1"), "cannot be read"),
+    ],
+)
+def test_a_bad_points_file_is_refused_with_its_place(heliocube, tmp_path, text, sentence):
+    file = tmp_path / "points.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    code, out, err = heliocube("gain", "--points", file)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"heliocube: points file {file}")
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
+def test_weather_that_does_not_say_its_place_or_does_not_cover_the_day_is_refused(heliocube, tmp_path):
+    file = weather_file(tmp_path)
+    code, _, err = heliocube("gain", "--lat", "48.7", "--weather", file)
+    assert (code, "give its longitude with --lon" in err) == (2, True)
+    code, _, err = heliocube("gain", "--lat", "48.7", "--lon", "2.2", "--weather", file, "--day", "10")
+    assert (code, "has no daylight on the days asked for with --day" in err) == (2, True)

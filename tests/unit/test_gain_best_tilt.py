@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from solar import gain
+
+latitudes = st.floats(-90.0, 90.0)
+
+
+@settings(max_examples=25)
+@given(latitudes, st.floats(0.0, 90.0))
+def test_a_vertical_axis_receives_the_cosine_of_its_distance_from_the_best_tilt(phi, tilt):
+    best = gain.best_tilt_vertical(phi)
+    expected = best.energy_h * np.cos(np.radians(tilt - best.tilt_deg))
+    assert gain.yearly(phi, tilt).vertical == pytest.approx(expected, rel=1e-12)
+
+
+@settings(max_examples=25)
+@given(latitudes, st.floats(-90.0, 90.0), st.floats(-90.0, 90.0))
+def test_no_tilt_receives_more_than_the_best(phi, tilt, deviation):
+    year = gain.yearly(phi, tilt, deviation)
+    assert year.static <= gain.best_tilt_static(phi, deviation).energy_h * (1 + 1e-9)
+    assert year.horizontal <= gain.best_tilt_horizontal(phi, deviation).energy_h * (1 + 1e-9) + 1e-9
+
+
+@settings(max_examples=25)
+@given(latitudes, st.floats(-90.0, 90.0))
+def test_the_best_tilt_receives_what_it_says(phi, deviation):
+    static, horizontal = gain.best_tilt_static(phi, deviation), gain.best_tilt_horizontal(phi, deviation)
+    assert gain.yearly(phi, static.tilt_deg, deviation).static == pytest.approx(static.energy_h)
+    assert gain.yearly(phi, horizontal.tilt_deg, deviation).horizontal == pytest.approx(
+        float(horizontal.energy_h), abs=1e-8
+    )
+
+
+def test_a_static_panel_leans_a_little_less_than_the_latitude_and_towards_the_equator():
+    tilts = gain.best_tilt_static(np.array([-40.0, 0.0, 40.0])).tilt_deg
+    assert tilts == pytest.approx([-37.675, 0.0, 37.675], abs=1e-3)
+
+
+def test_at_the_pole_the_tilt_towards_the_equator_is_named():
+    assert gain.best_tilt_static(90.0).tilt_deg > 0.0
+    assert gain.best_tilt_static(-90.0).tilt_deg < 0.0
+
+
+def test_on_the_equator_at_the_equinox_the_vertical_axis_leans_half_a_right_angle():
+    # Integrals of cos and sin of the elevation over the day are both 1.
+    best = gain.best_tilt_vertical(0.0, days=[81])
+    assert best.tilt_deg == pytest.approx(45.0)
+    assert best.energy_h == pytest.approx(24.0 / np.pi * np.sqrt(2.0))
+
+
+def test_without_sun_there_is_no_best_tilt():
+    for best in (gain.best_tilt_vertical(85.0, days=[355]), gain.best_tilt_static(85.0, days=[355]),
+                 gain.best_tilt_horizontal(85.0, days=[355])):  # fmt: skip
+        assert np.isnan(best.tilt_deg)
+        assert best.energy_h == 0.0
+
+
+def test_one_percent_is_eight_degrees_wide_at_every_latitude():
+    assert gain.tilt_tolerance_deg(0.01) == pytest.approx(8.1096, abs=1e-4)
+    phi = np.array([0.0, 30.0, 60.0, 85.0])
+    best = gain.best_tilt_vertical(phi)
+    off = gain.yearly(phi, best.tilt_deg - gain.tilt_tolerance_deg(0.01)).vertical
+    assert off / best.energy_h == pytest.approx(np.full(4, 0.99))
+
+
+def test_a_loss_is_a_share():
+    with pytest.raises(ValueError, match=r"a loss is a share in 0\.\.1, not nan"):
+        gain.tilt_tolerance_deg(float("nan"))

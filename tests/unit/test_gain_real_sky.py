@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from solar import gain
+from solar.ephemeris import Site
+from solar.gain import real_sky
+
+DAY_S = 86400.0
+
+
+def series_of_day(latitude, n, dni, dhi):
+    site = Site(latitude, 0.0, 0.0)
+    year = real_sky.year_instants(0.0, 60.0)
+    instants = real_sky.daylight(site, year[(n - 1) * 1440 : n * 1440])
+    constant = np.ones(instants.size)
+    return real_sky.sky_series(site, instants, dni * constant, dhi * constant, "isotropic")
+
+
+# At the solstices Cooper's declination is the true one, and only refraction is left between the two.
+@pytest.mark.parametrize("n", [172, 355])
+@pytest.mark.parametrize("deviation", [0.0, 20.0])
+@pytest.mark.parametrize(("latitude", "tilt"), [(48.7, 35.0), (-33.0, -35.0), (10.0, 40.0)])
+def test_without_an_atmosphere_the_real_sky_has_the_ratios_of_the_theory(latitude, tilt, deviation, n):
+    series = series_of_day(latitude, n, 1000.0, 0.0)
+    assert (series.day == n).all()
+    dual = real_sky.dual_irradiance(series, albedo=0.0).sum()
+    static = real_sky.static_irradiance(series, tilt, deviation, albedo=0.0).sum()
+    vertical = real_sky.vertical_irradiance(series, tilt, albedo=0.0).sum()
+    horizontal = real_sky.horizontal_irradiance(series, tilt, deviation, albedo=0.0).sum()
+    assert dual / static == pytest.approx(float(gain.k_ds(latitude, tilt, n, deviation)), rel=0.01)
+    assert dual / vertical == pytest.approx(float(gain.k_dv(latitude, tilt, n)), rel=0.01)
+    # The theory's horizontal axis has a negative back, so it loses a little more near sunrise and sunset.
+    theory = float(gain.k_dh(latitude, tilt, n, deviation))
+    assert theory * 0.96 < dual / horizontal < theory * 1.01
+
+
+def test_under_a_uniform_cloud_a_flat_panel_beats_every_tracker():
+    series = series_of_day(48.7, 100, 0.0, 200.0)
+    flat = real_sky.static_irradiance(series, 0.0, albedo=0.0).sum()
+    assert flat == pytest.approx(200.0 * series.day.size)
+    assert real_sky.dual_irradiance(series, albedo=0.0).sum() < 0.8 * flat
+    assert real_sky.vertical_irradiance(series, 60.0, albedo=0.0).sum() == pytest.approx(0.75 * flat)
+
+
+def test_tilts_broadcast_against_instants():
+    series = series_of_day(48.7, 100, 800.0, 100.0)
+    tilts, deviations = np.array([[10.0], [40.0]]), np.array([0.0, 20.0, 40.0])
+    assert real_sky.static_irradiance(series, tilts, deviations).shape == (2, 3, series.day.size)
+    assert real_sky.horizontal_irradiance(series, tilts, deviations).shape == (2, 3, series.day.size)
+    one = real_sky.horizontal_irradiance(series, 40.0, 20.0)
+    assert real_sky.horizontal_irradiance(series, tilts, deviations)[1, 1] == pytest.approx(one)
+
+
+def test_a_panel_to_the_east_has_its_energy_in_the_morning():
+    series = series_of_day(48.7, 100, 800.0, 0.0)
+    east = real_sky.static_irradiance(series, 60.0, 90.0, albedo=0.0)
+    half = east.size // 2
+    assert east[:half].sum() > 3.0 * east[half:].sum()
+
+
+def test_a_clear_sky_is_bright_at_noon_and_its_best_tilt_flatter_than_the_theorys():
+    site = Site(48.7, 2.2, 0.0)
+    instants = real_sky.daylight(site, real_sky.year_instants(2.2, 1800.0))
+    dni, dhi = real_sky.clear_sky(site, instants)
+    assert 850.0 < dni.max() < 1050.0
+    assert 50.0 < dhi.max() < 200.0
+    series = real_sky.sky_series(site, instants, dni, dhi)
+    best = real_sky.best_tilt_vertical_sky(series, 0.01)
+    assert best.low_deg < best.best_deg < best.high_deg
+    assert 55.0 < best.best_deg < float(gain.best_tilt_vertical(48.7).tilt_deg)
+    top = real_sky.vertical_irradiance(series, best.best_deg).sum()
+    for edge in (best.low_deg, best.high_deg):
+        assert real_sky.vertical_irradiance(series, edge).sum() / top == pytest.approx(0.99, abs=2e-4)
+
+
+def test_instants_are_the_middles_of_365_solar_days():
+    instants = real_sky.year_instants(90.0, 3600.0)
+    assert instants.size == 365 * 24
+    # Solar midnight at 90 deg East is 18 h UTC of the day before.
+    assert (instants[0] - 1800.0) % DAY_S == pytest.approx(18 * 3600.0)
+
+
+def test_only_daylight_is_left():
+    site = Site(80.0, 0.0, 0.0)
+    assert real_sky.daylight(site, real_sky.year_instants(0.0, 3600.0)[:240]).size == 0
+
+
+@pytest.mark.parametrize(("latitude", "tilt"), [(48.7, 35.0), (-33.0, -35.0)])
+def test_the_horizontal_axis_turns_by_the_elevation_across_its_azimuth(latitude, tilt):
+    series = series_of_day(latitude, 172, 1000.0, 0.0)
+    azimuth, elevation = np.radians(series.azimuth_deg), np.radians(series.elevation_deg)
+    east, north, up = np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)
+    b, turned = np.radians(tilt), np.radians(40.0)
+    # Maiga (2022), (28), with the true azimuth; across the axis the panel is on the sun's side of noon.
+    across = np.where(east > 0.0, 1.0, -1.0) * (np.cos(turned) * east + np.sin(turned) * north)
+    along = np.cos(turned) * north - np.sin(turned) * east
+    cosine = np.cos(elevation) * across + up * (np.cos(b) * up - np.sin(b) * along)
+    received = real_sky.horizontal_irradiance(series, tilt, 40.0, albedo=0.0)
+    assert received == pytest.approx(1000.0 * np.maximum(cosine, 0.0), abs=1e-6)
