@@ -21,7 +21,6 @@ log = logging.getLogger("heliocube.store")
 _BATCH_ROWS = 1000
 # About 25 MB, and several hours of a service that runs at the machine's own speed.
 _MOST_WAITING = 50_000
-_RETRY_S = 5.0
 _CLOSE_WITHIN_S = 10.0
 _DELETE_ROWS = 5000
 _DAY_S = 86400.0
@@ -66,7 +65,7 @@ class Store:
     """Keeps records; taking one never blocks and never fails.
 
     A batch is written after `batch_s` seconds of wall time at the latest, in one transaction. While the disk is full
-    or fails, records wait in memory, the oldest giving way, and writing is tried again every few seconds.
+    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time.
 
     Parameters
     ----------
@@ -161,7 +160,7 @@ class Store:
             with self._changed:
                 if self._closing:
                     return
-                self._changed.wait_for(lambda: self._closing, _RETRY_S)
+                self._changed.wait_for(lambda: self._closing, self._batch_s)
 
     def _serve(self, connection: sqlite3.Connection) -> None:
         while True:
