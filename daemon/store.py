@@ -1,6 +1,8 @@
 """The store: every record of the service, kept in one SQLite file by a thread that nobody waits for."""
 
+import contextlib
 import logging
+import shutil
 import sqlite3
 import threading
 from collections import deque
@@ -24,6 +26,8 @@ _MOST_WAITING = 50_000
 _CLOSE_WITHIN_S = 10.0
 _DELETE_ROWS = 5000
 _DAY_S = 86400.0
+# SQLite needs a few pages to begin anything at all.
+_ROOM_BYTES = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +155,7 @@ class Store:
                 with closing(open_for_writing(self._path)) as connection:
                     self._serve(connection)
             except (sqlite3.Error, OSError, StoreError) as error:
-                self._failed(str(error))
+                self._failed(self._reason(error))
             except Exception as error:
                 log.exception("the store's thread met what it should not")
                 self._failed(repr(error))
@@ -238,6 +242,13 @@ class Store:
             was_down = self._outage.up(self._clock.monotonic())
         if was_down:
             self._tell(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
+
+    def _reason(self, error: Exception) -> str:
+        """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(self._path.parent).free < _ROOM_BYTES:
+                return f"the disk of {self._path.parent} is full"
+        return str(error)
 
     def _failed(self, reason: str) -> None:
         with self._changed:
