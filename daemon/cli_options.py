@@ -4,6 +4,12 @@ from datetime import UTC, datetime
 
 from daemon.errors import UserError
 
+# Headings of the list of commands.
+SERVICE = "The service"
+OPERATION = "To the running service"
+FILES = "Files and tools"
+SCIENCE = "Science"
+
 
 def instant(text: str, option: str) -> datetime:
     """Return the UTC instant that an option gives as a date or time; raises `UserError`."""
