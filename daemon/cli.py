@@ -25,7 +25,6 @@ app.add_typer(cli_operate.app)
 app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
 app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
 app.add_typer(cli_export.app)
-app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
 
 
 class RoleChoice(StrEnum):
@@ -129,6 +128,9 @@ def simulate(
     with progress_bar(console) as progress:
         summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
+
+
+app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
 
 
 def _settings(
