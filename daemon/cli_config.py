@@ -25,7 +25,7 @@ class RoleChoice(StrEnum):
 
 
 @app.command()
-def check(file: Annotated[Path, typer.Argument(help="The TOML file.", show_default=False)]) -> None:
+def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
     from daemon.config_file import check_file
 
@@ -43,7 +43,7 @@ def init(
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
 ) -> None:
-    """Write DIR/heliocube.toml, every key explained, a new key DIR/bridge.key and a new token DIR/api.token."""
+    """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
     from daemon.config_template import write_example
 
     *first, last = write_example(directory, role.value)

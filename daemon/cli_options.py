@@ -4,6 +4,12 @@ from datetime import UTC, datetime
 
 from daemon.errors import UserError
 
+# Headings of the list of commands.
+SERVICE = "The service"
+OPERATION = "To the running service"
+FILES = "Files and tools"
+SCIENCE = "Science"
+
 
 def parse_site(text: str) -> tuple[float, float, float]:
     """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""

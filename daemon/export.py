@@ -68,9 +68,7 @@ def export(
         The span is empty or ends before it begins; there is no store; the tables cannot be written.
     """
     if start is not None and end is not None and start >= end:
-        raise UserError(
-            f"--from {_text(start)} is not before --to {_text(end)}: exchange them; --to itself is not included"
-        )
+        raise UserError(f"--from {_text(start)} is not before --to {_text(end)}: exchange them")
     chosen = [name for name in KINDS if name in kinds or not kinds]
     with closing(open_for_reading(directory / FILE_NAME)) as connection:
         try:

@@ -97,7 +97,7 @@ def test_every_device_rule_is_well_formed_and_its_jumps_land():
 
 def test_the_positioner_has_one_name_one_group_and_no_echo():
     text = "\n".join(rules())
-    for part in ('SYMLINK+="heliocube/positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
+    for part in ('SYMLINK+="heliocube-positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
         assert part in text
     raw = next(line for line in rules() if "stty" in line)
     assert 'ACTION=="add"' in raw
