@@ -18,6 +18,7 @@ from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Recor
 from daemon.stow import OperatorStow, StowSource
 from daemon.waiting import wait_at_most
 from daemon.window import Window
+from daemon.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from solar.frames import normal_from_angles, separation_deg
 
@@ -75,6 +76,8 @@ class Control:
         Of UTC [s], to tell night from day.
     stow_sources
         Everything besides the operator that may ask for stow.
+    wish_file
+        Keeps what operators asked for over a restart.
     publish
         Called with decisions, mode changes and events.
     """
@@ -87,6 +90,7 @@ class Control:
         pointing: Pointing,
         sun_elevation_deg: Callable[[float], float],
         stow_sources: Sequence[StowSource],
+        wish_file: WishFile,
         publish: Callable[[Record], None],
     ) -> None:
         self._settings = settings
@@ -102,8 +106,12 @@ class Control:
             settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
         )
         self._wake = asyncio.Event()
-        self._stop_why: str | None = None
-        self._hold_why: str | None = None
+        self._wish_file = wish_file
+        before = wish_file.load()
+        self._stop_why = before.stop
+        self._hold_why = before.hold
+        if before.stow is not None:
+            self._operator.ask(before.stow)
         self._hold_at: Target | None = None
         self.mode = Mode.STARTING
         self.why = "starting"
@@ -136,13 +144,13 @@ class Control:
         """Go to the stow position and stay until released."""
         self._stop_why = None
         self._operator.ask(why)
-        self._wake.set()
+        self._keep_wishes()
 
     def hold(self, why: str) -> None:
         """Stay where the tracker is; a move in progress is stopped. Stow still goes before it."""
         self._stop_why = None
         self._hold_why, self._hold_at = why, None
-        self._wake.set()
+        self._keep_wishes()
 
     def goto(self, a_deg: float, b_deg: float, why: str) -> None:
         """Go to a position and hold there.
@@ -162,13 +170,13 @@ class Control:
         self._stop_why = None
         self._hold_why, self._hold_at = why, Target(a_deg, b_deg, why)
         self._parked_s = -math.inf
-        self._wake.set()
+        self._keep_wishes()
 
     def auto(self) -> None:
         """Release the stop, stow and hold that an operator asked for."""
         self._operator.release()
         self._stop_why = self._hold_why = self._hold_at = None
-        self._wake.set()
+        self._keep_wishes()
 
     async def stop(self, why: str) -> None:
         """Stop the axes at once and keep them stopped until released, even from stowing: somebody may be in reach.
@@ -177,8 +185,14 @@ class Control:
         """
         self._stop_why = why
         self._hold_at = None
+        try:
+            await self._motion.stop()
+        finally:
+            self._keep_wishes()
+
+    def _keep_wishes(self) -> None:
+        self._wish_file.save(Wishes(stop=self._stop_why, stow=self._operator.reason(0.0), hold=self._hold_why))
         self._wake.set()
-        await self._motion.stop()
 
     def home(self) -> None:
         """Start a reference run of both axes."""

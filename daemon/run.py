@@ -68,7 +68,9 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
         with _store(service, role, loop) as store:
             api = _api(service, recent, speed, store, console, journal=journal)
-            runner.run(_run(service, for_s, speed, LiveView(service, console, speed), api))
+            # In a journal the log says it all; status lines would only fill it.
+            view = None if journal else LiveView(service, console, speed)
+            runner.run(_run(service, for_s, speed, view, api))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -157,13 +159,15 @@ def _api(
     return server
 
 
-async def _run(service: Service, for_s: float | None, speed: float, view: LiveView, api: ApiServer | None) -> None:
+async def _run(
+    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None
+) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, view.run(), *([api.run()] if api else []))
+        await service.run(stop, *(companion.run() for companion in (view, api) if companion is not None))
 
 
 @contextlib.contextmanager

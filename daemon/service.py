@@ -22,6 +22,7 @@ from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
 from daemon.stow import StowSource, WindStow
 from daemon.watchdog import Watchdog
+from daemon.wishes import WishFile
 from drivers.errors import DeviceError
 from drivers.interfaces import Multiplexer, Positioner, Voltmeter
 
@@ -157,6 +158,7 @@ class Service:
             Pointing(settings.site, settings.law, limits),
             self.sun_elevation_deg,
             sources,
+            WishFile(settings.store.directory),
             self.bus.publish,
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)

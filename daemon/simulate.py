@@ -11,7 +11,7 @@ from typing import Literal
 from daemon.bus import Bus
 from daemon.clock import LoopClock
 from daemon.composition import build_rig, build_weather, site_of
-from daemon.config import Settings
+from daemon.config import Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.errors import UserError
 from daemon.records import Decision, Mode, ModeChange, Move, Record, Scan
@@ -74,7 +74,8 @@ def simulate(
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
-    settings = on_a_port_of_its_own(settings, insecure=True)
+    # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
     tally = _Tally(start_utc_s)
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
