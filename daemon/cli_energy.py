@@ -22,9 +22,7 @@ def energy(
         str, typer.Option(help="Skies, by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance).")
     ] = "perez1990",
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
-    speed: Annotated[
-        float, typer.Option(min=0.01, max=90, help="Of each axis [deg/s]; 0.9 is 3.2 mm/s on 300 mm arms.")
-    ] = 0.9,
+    speed: Annotated[float, typer.Option(min=0.01, max=90, help="Speed of each axis, deg/s.")] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
