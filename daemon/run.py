@@ -150,7 +150,6 @@ def _api(
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
     server = ApiServer(settings, service, recent, token, speed, lambda: store.status if store else None)
     if server.url is not None:
-        log.info("local interface at %s", server.url)
         where = f"the token of commands is in {settings.token_file}"
         if settings.token_file is None:
             # A journal is read by more people than a terminal.
