@@ -14,7 +14,7 @@ from random import Random
 from daemon.backoff import Backoff
 from daemon.clock import Clock
 from daemon.config import Motion as MotionSettings
-from daemon.config import PositionerSettings
+from daemon.config_instruments import PositionerSettings
 from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
