@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config
+from daemon import cli_bench, cli_bridge, cli_config
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -22,6 +22,7 @@ app = typer.Typer(
 )
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
+app.command("bench-ctl")(cli_bench.control)
 
 
 class RoleChoice(StrEnum):
@@ -110,6 +111,25 @@ def simulate(
     with progress_bar(console) as progress:
         summary = run_simulation(settings, _instant(start, "--start"), days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
+
+
+@app.command()
+def bench(
+    directory: Annotated[
+        Path, typer.Option("--dir", help="Folder for the ports, the control socket and heliocube.toml.")
+    ],
+    weather: WeatherOption = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Start of the simulated clock.")] = None,
+    seed: SeedOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
+
+    The configuration that is given is the basis of the one that is written.
+    """
+    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
+    cli_bench.serve(settings, directory)
 
 
 def _settings(

@@ -1,8 +1,11 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
+import asyncio
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,22 +54,12 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
 
 def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
     """Build the simulated instruments that a role needs, under one sky."""
-    simulation = settings.simulation
-    scene = Scene(
-        site_of(settings),
-        weather,
-        sky_model=simulation.sky,
-        albedo=simulation.albedo,
-        seed=simulation.seed,
-        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
-        faces=_faces(settings),
-    )
+    scene = _build_scene(settings, weather)
     multiplexer = voltmeter = positioner = None
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
     if role is not Role.CUBE:
-        core = PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=simulation.motor_speed_mm_s)))
-        positioner = InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+        positioner = InMemoryPositioner(_build_unit(settings, clock), clock.monotonic, settings.limits.limits())
     return Rig(
         multiplexer,
         voltmeter,
@@ -77,7 +70,39 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
     )
 
 
+def _build_scene(settings: Settings, weather: Weather) -> Scene:
+    simulation = settings.simulation
+    return Scene(
+        site_of(settings),
+        weather,
+        sky_model=simulation.sky,
+        albedo=simulation.albedo,
+        seed=simulation.seed,
+        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
+        faces=_faces(settings),
+    )
+
+
+def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
+    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=settings.simulation.motor_speed_mm_s)))
+
+
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
+    switch, core = _build_cube_cores(settings, clock, scene)
+    meter = settings.instruments.voltmeter
+    return (
+        InMemoryMultiplexer(switch, clock.monotonic),
+        InMemoryVoltmeter(
+            core,
+            clock.monotonic,
+            range_v=meter.range_v,
+            nplc=meter.nplc,
+            deadline_s=settings.cube.reading_deadline_s,
+        ),
+    )
+
+
+def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
 
     def sensor(channel: int, now_s: float) -> float | None:
@@ -92,17 +117,9 @@ def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemor
         input_voltage=switch.output_voltage,
         random=np.random.default_rng([settings.simulation.seed, 1]),
         line_frequency_hz=meter.line_frequency_hz,
+        terminator=meter.terminator,
     )
-    return (
-        InMemoryMultiplexer(switch, clock.monotonic),
-        InMemoryVoltmeter(
-            core,
-            clock.monotonic,
-            range_v=meter.range_v,
-            nplc=meter.nplc,
-            deadline_s=settings.cube.reading_deadline_s,
-        ),
-    )
+    return switch, core
 
 
 def _faces(settings: Settings) -> list[FaceGeometry]:
@@ -120,3 +137,55 @@ def _sky_text(scene: Scene, clock: Clock) -> str:
     wind = scene.wind_speed(clock.utc())
     text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
     return text if wind is None else f"{text}, wind {wind:.1f} m/s"
+
+
+async def run_bench(
+    settings: Settings,
+    directory: Path,
+    clock: Clock,
+    weather: Weather,
+    stop: asyncio.Event,
+    ready: Callable[[int], None],
+) -> None:
+    """Serve the simulated instruments on real transports until `stop` is set.
+
+    `ready` is called with the port of the NI gRPC server as soon as all of them are there. Raises `UserError` when the
+    directory cannot be used.
+    """
+    # Pseudo-terminals and the mock server are needed here only, and not everywhere to be had.
+    from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - see above
+    from sim_drivers.bench_control import BenchControl, BenchError  # noqa: PLC0415 - see above
+
+    scene = _build_scene(settings, weather)
+    switch, meter = _build_cube_cores(settings, clock, scene)
+    bench = Bench(
+        directory,
+        scene,
+        switch,
+        meter,
+        _build_unit(settings, clock),
+        BenchClock(clock.monotonic, clock.utc),
+        settings.instruments.voltmeter.baud_rate,
+    )
+    try:
+        async with BenchControl(bench):
+            await bench.run(stop, lambda: ready(bench.multiplexer.port))
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
+    """Send a command to the bench in a directory and return its answer; raises `UserError`."""
+    from sim_drivers.bench_control import BenchError, request  # noqa: PLC0415 - not needed by the service
+
+    try:
+        return request(directory, verb, arguments)
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def bench_verbs() -> dict[str, tuple[str, str]]:
+    """Return the bench's commands by name: what each takes, and what it does."""
+    from sim_drivers.bench_control import VERBS  # noqa: PLC0415 - not needed by the service
+
+    return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

@@ -103,12 +103,12 @@ async def _run(service: Service, for_s: float | None, speed: float, view: LiveVi
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
-    with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
         await service.run(stop, view.run())
 
 
 @contextlib.contextmanager
-def _on_signals(stop: Callable[[], object]) -> Iterator[None]:
+def on_signals(stop: Callable[[], object]) -> Iterator[None]:
     """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
