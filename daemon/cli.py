@@ -87,6 +87,8 @@ def run(
     from daemon.service import Role
 
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
+    if settings.instruments.kind == "real":
+        _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     run_service(settings, Role(role), for_s, Console())
 
 
@@ -160,6 +162,16 @@ def _settings(
     if start is not None:
         changes["simulation"]["start_utc"] = _instant(start, "--start")
     return override(settings, changes)
+
+
+def _refuse_simulation(options: dict[str, object]) -> None:
+    """Refuse what only a simulated rig can do."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise UserError(
+            f"{', '.join(given)}: this configuration has real instruments (instruments.kind), whose time and sky are"
+            " real; leave the option out, or try it on a simulated rig"
+        )
 
 
 def _site(text: str) -> dict[str, Any]:

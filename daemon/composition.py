@@ -12,6 +12,7 @@ import numpy as np
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.errors import UserError
+from daemon.real_rig import build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
 from daemon.service import Rig, Role
 from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
@@ -26,6 +27,9 @@ from solar.ephemeris import Site
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
+
+_RAMP_S = 0.5
+"""How long the simulated motors take to full speed."""
 
 
 def site_of(settings: Settings) -> Site:
@@ -52,7 +56,29 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
         raise UserError(str(error)) from error
 
 
-def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
+def is_real(settings: Settings) -> bool:
+    """Tell whether the settings ask for real instruments."""
+    return settings.instruments.kind == "real"
+
+
+def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
+    """Build the real instruments that a role needs; nothing is connected yet.
+
+    Raises
+    ------
+    UserError
+        The settings do not say where one of them is.
+    """
+    return Rig(
+        None if role is Role.TRACKER else build_multiplexer(settings),
+        None if role is Role.TRACKER else build_voltmeter(settings),
+        None if role is Role.CUBE else build_positioner(settings, clock),
+        wind_speed_m_s=None,
+        simulated=False,
+    )
+
+
+def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
     """Build the simulated instruments that a role needs, under one sky."""
     scene = _build_scene(settings, weather)
     multiplexer = voltmeter = positioner = None
@@ -84,7 +110,8 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
 
 
 def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
-    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=settings.simulation.motor_speed_mm_s)))
+    speed = settings.simulation.motor_speed_mm_s
+    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed, acceleration_mm_s2=speed / _RAMP_S)))
 
 
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
@@ -154,7 +181,8 @@ async def run_bench(
     """
     # Pseudo-terminals and the mock server are needed here only, and not everywhere to be had.
     from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - see above
-    from sim_drivers.bench_control import BenchControl, BenchError  # noqa: PLC0415 - see above
+    from sim_drivers.bench_client import BenchError  # noqa: PLC0415 - see above
+    from sim_drivers.bench_control import BenchControl  # noqa: PLC0415 - see above
 
     scene = _build_scene(settings, weather)
     switch, meter = _build_cube_cores(settings, clock, scene)
@@ -176,7 +204,7 @@ async def run_bench(
 
 def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
     """Send a command to the bench in a directory and return its answer; raises `UserError`."""
-    from sim_drivers.bench_control import BenchError, request  # noqa: PLC0415 - not needed by the service
+    from sim_drivers.bench_client import BenchError, request  # noqa: PLC0415 - not needed by the service
 
     try:
         return request(directory, verb, arguments)
@@ -186,6 +214,6 @@ def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
 
 def bench_verbs() -> dict[str, tuple[str, str]]:
     """Return the bench's commands by name: what each takes, and what it does."""
-    from sim_drivers.bench_control import VERBS  # noqa: PLC0415 - not needed by the service
+    from sim_drivers.bench_client import VERBS  # noqa: PLC0415 - not needed by the service
 
     return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

@@ -16,12 +16,12 @@ from daemon import logs
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
-from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.composition import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
 from daemon.sd_notify import Notifier
-from daemon.service import Role, Service
+from daemon.service import Rig, Role, Service
 from daemon.timeloop import new_loop
 from solar.ephemeris import DAY_S
 
@@ -39,18 +39,17 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     key = bridge_key(settings, role)
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
-    speed = settings.simulation.speed
+    # Real instruments have real time; what the simulation's table says is not for them.
+    speed = 1.0 if is_real(settings) else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
-        clock = _clock(settings, loop)
-        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
-        if warning:
-            log.warning(warning)
+        clock = SystemClock() if is_real(settings) else _clock(settings, loop)
+        rig = _rig(settings, role, clock)
         bus = Bus()
         service = Service(
             settings,
             role,
-            build_rig(settings, role, clock, weather),
+            rig,
             clock,
             SystemRandom(),
             bus,
@@ -58,7 +57,11 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             Notifier(os.environ, os.getpid()),
             speed,
         )
-        log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
+        if rig.simulated:
+            fields = {"role": role, "speed": speed}
+            log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
+        else:
+            log.info("real instruments", extra={"fields": {"role": role}})
         runner.run(_run(service, for_s, speed, LiveView(service, console, speed)))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
@@ -82,6 +85,15 @@ def bridge_key(settings: Settings, role: Role) -> bytes | None:
         f"bridge.key_file: the role '{role}' needs the key that cube and tracker share; "
         "make one with 'heliocube config init DIR', or set bridge.insecure = true for a closed lab network"
     )
+
+
+def _rig(settings: Settings, role: Role, clock: Clock) -> Rig:
+    if is_real(settings):
+        return build_real_rig(settings, role, clock)
+    weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
+    if warning:
+        log.warning(warning)
+    return build_simulated_rig(settings, role, clock, weather)
 
 
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:

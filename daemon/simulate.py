@@ -11,7 +11,7 @@ from typing import Literal
 from daemon.bridge.signing import generate_key
 from daemon.bus import Bus
 from daemon.clock import LoopClock
-from daemon.composition import build_rig, build_weather, site_of
+from daemon.composition import build_simulated_rig, build_weather, site_of
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.records import Decision, Mode, ModeChange, Move, Record, Scan
@@ -87,7 +87,7 @@ def simulate(
         service = Service(
             settings,
             Role.BOTH,
-            build_rig(settings, Role.BOTH, clock, weather),
+            build_simulated_rig(settings, Role.BOTH, clock, weather),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
