@@ -14,7 +14,7 @@ from processes import HELIOCUBE, wait_until
 
 from daemon.config_file import check_file
 from drivers.pozsol_wire import TokenStream
-from sim_drivers.bench_control import BenchError
+from sim_drivers.bench_client import BenchError
 
 pytestmark = pytest.mark.system
 
