@@ -264,7 +264,10 @@ class Store(Section):
 
 
 class Simulation(Section):
-    """The simulated rig: its sky, its clock and its imperfections. Real instruments do not look here."""
+    """The simulated rig: its sky, its clock and its imperfections.
+
+    Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.
+    """
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
     sky: Literal["perez1990", "isotropic", "haydavies"] = Field(

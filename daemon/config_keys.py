@@ -16,6 +16,7 @@ from daemon.config_section import Section
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _UNITS = {
     "w_m2_per_mv": "W/m2 per mV",
+    "per_deg": "per deg",
     "deg_per_s": "deg/s",
     "w_m2": "W/m2",
     "mm_s": "mm/s",

@@ -43,7 +43,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     speed = 1.0 if is_real(settings) else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
-        clock = SystemClock() if is_real(settings) else _clock(settings, loop)
+        clock = _clock(settings, loop)
         rig = _rig(settings, role, clock)
         bus = Bus()
         service = Service(
@@ -62,6 +62,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
         else:
             log.info("real instruments", extra={"fields": {"role": role}})
+            if not isinstance(clock, SystemClock):
+                log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         runner.run(_run(service, for_s, speed, LiveView(service, console, speed)))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
@@ -99,14 +101,17 @@ def _rig(settings: Settings, role: Role, clock: Clock) -> Rig:
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     simulation = settings.simulation
     system = SystemClock()
+    if is_real(settings) and (simulation.start_utc is None or simulation.anchor_utc is None):
+        return system
     if simulation.start_utc is None and simulation.speed == 1.0:
         return system
+    speed = 1.0 if is_real(settings) else simulation.speed
     start = simulation.start_utc or DEFAULT_START
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     if simulation.anchor_utc is not None:
         anchor = simulation.anchor_utc
         anchor_utc_s = anchor.replace(tzinfo=anchor.tzinfo or UTC).timestamp()
-        start_utc_s += (system.utc() - anchor_utc_s) * simulation.speed
+        start_utc_s += (system.utc() - anchor_utc_s) * speed
     return LoopClock(loop.time, start_utc_s)
 
 
