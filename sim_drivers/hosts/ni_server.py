@@ -18,6 +18,7 @@ from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 from sim_drivers.multiplexer_core import ALL_HIGH, DaqWriteError, MultiplexerCore
 
 DEVICE = "Dev1"
+PRODUCT = "USB-6008"
 
 DEVICE_GONE = -88705
 INVALID_DEVICE = -200220
@@ -34,6 +35,7 @@ TEXTS = {
 
 _VERSION = {0x1272: 26, 0x1923: 5, 0x2F22: 0}
 _TASK_NAME, _TASK_CHANNELS = 0x1276, 0x1273
+_PRODUCT_TYPE = 0x0631
 _DIGITAL_OUTPUT = 10153
 _ONE_CHANNEL_FOR_ALL_LINES = 1
 _LINES = re.compile(r"/?(\w+)/port0/line(\d+)(?::(\d+))?")
@@ -130,6 +132,13 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def GetSystemInfoAttributeUInt32(self, request: Any, _context: Any) -> Any:
         await self._running.wait()
         return messages.GetSystemInfoAttributeUInt32Response(value=_VERSION.get(_chosen(request, "attribute"), 0))
+
+    async def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:
+        await self._running.wait()
+        if request.device_name != DEVICE or not self.plugged:
+            await _fail(context, INVALID_DEVICE)
+        text = PRODUCT if _chosen(request, "attribute") == _PRODUCT_TYPE else ""
+        return messages.GetDeviceAttributeStringResponse(value=text)
 
     async def CreateTask(self, request: Any, _context: Any) -> Any:
         await self._running.wait()
