@@ -103,7 +103,8 @@ class Acquisition:
         # The meter first: a second service fails at its port before it can touch the switch of the first.
         meter = await self._voltmeter.open()
         switch = await self._multiplexer.open()
-        log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
+        if not self.outage.is_down:
+            log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
 
     async def _close(self) -> None:
         await self._voltmeter.close()

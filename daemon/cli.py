@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bench, cli_bridge, cli_config
+from daemon import cli_bench, cli_bridge, cli_config, cli_probe
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -22,6 +22,7 @@ app = typer.Typer(
 )
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
+app.add_typer(cli_probe.app, name="probe")
 app.command("bench-ctl")(cli_bench.control)
 
 

@@ -1,5 +1,6 @@
 """The real instruments, built from the settings."""
 
+from collections.abc import Callable
 from functools import partial
 
 from daemon.clock import Clock
@@ -32,8 +33,8 @@ def build_multiplexer(settings: Settings, tap: Tap = no_tap) -> NiMultiplexer:
     )
 
 
-def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
-    """Return the voltmeter, not yet connected; `UserError` if the settings do not say where it is."""
+def voltmeter_line(settings: Settings, tap: Tap = no_tap) -> Callable[[], VisaLine]:
+    """Return how to open the voltmeter's line; `UserError` if the settings do not say where it is."""
     meter = settings.instruments.voltmeter
     if meter.resource is None:
         raise UserError(
@@ -43,8 +44,14 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
     where = VisaSettings(
         meter.resource, meter.visa, meter.prologix_port, meter.baud_rate, meter.terminator, meter.flow_control
     )
+    return partial(VisaLine, where, tap)
+
+
+def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
+    """Return the voltmeter, not yet connected; `UserError` if the settings do not say where it is."""
+    meter = settings.instruments.voltmeter
     return Keithley2000(
-        partial(VisaLine, where, tap),
+        voltmeter_line(settings, tap),
         range_v=meter.range_v,
         nplc=meter.nplc,
         deadline_s=settings.cube.reading_deadline_s,
@@ -53,15 +60,23 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
 
 def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PozsolPositioner:
     """Return the positioner, not yet connected; `UserError` if the settings do not say where it is."""
-    positioner, limits = settings.instruments.positioner, settings.limits
+    positioner = settings.instruments.positioner
     return PozsolPositioner(
         partial(SerialPort, "positioner", positioner_port(settings), tap),
         clock.monotonic,
-        AxisSetup(_geometry(positioner, positioner.a_axis), limits.a_min_deg, limits.a_max_deg),
-        AxisSetup(_geometry(positioner, positioner.b_axis), limits.b_min_deg, limits.b_max_deg),
+        *axis_setups(settings),
         boards=positioner.boards,
         stale_s=positioner.telemetry_stale_s,
         b_out_bit=_B_OUT_BIT[positioner.status_layout],
+    )
+
+
+def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:
+    """Return geometry and limits of the axes A and B."""
+    positioner, limits = settings.instruments.positioner, settings.limits
+    return (
+        AxisSetup(_geometry(positioner, positioner.a_axis), limits.a_min_deg, limits.a_max_deg),
+        AxisSetup(_geometry(positioner, positioner.b_axis), limits.b_min_deg, limits.b_max_deg),
     )
 
 

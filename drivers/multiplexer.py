@@ -7,6 +7,7 @@ when it is unplugged, and that one write of all lines changes them together.
 """
 
 import contextlib
+import os
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
@@ -154,6 +155,8 @@ class _Session:
     def _new_task(self, port: str) -> Any:
         if self._server is None:
             return self._nidaqmx.Task()
+        # gRPC's own library writes to stderr what is told here as an error anyway; it looks only when it is loaded.
+        os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
         import grpc  # noqa: PLC0415 - only where a server is used
 
         self._channel = grpc.insecure_channel(self._server)

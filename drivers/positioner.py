@@ -114,6 +114,10 @@ class PozsolPositioner:
         """Return the newest telemetry; `LinkLostError` when it is old."""
         return self._look()[0]
 
+    def fields(self) -> dict[int, str]:
+        """Return every field that has come since `open`, by its code, as the unit prints it."""
+        return {code: _text(value) for code, value in sorted(self._require_reader().snapshot().items())}
+
     async def disable_autonomy(self) -> None:
         """Switch the unit's own tracking off if it is on; a slave would take the command for "on"."""
         if not self._look()[0].autonomous:

@@ -63,7 +63,7 @@ class SerialPort:
             if data:
                 data += self._port.read(min(self._port.in_waiting, _LARGEST_READ))
         except self._gone as error:
-            raise LinkLostError(self._device, f"{self._path} is gone: {error}") from error
+            raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
         if data:
             self._tap("<", data)
         return data

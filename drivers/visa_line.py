@@ -144,14 +144,14 @@ class VisaLine:
             port.exclusive = True
 
     def _write(self, data: bytes) -> None:
-        self._resource.timeout = 1000 * (1.0 + self._transfer_s)
         with self._translated():
+            self._resource.timeout = 1000 * (1.0 + self._transfer_s)
             self._resource.write_raw(data)
         self._tap(">", data)
 
     def _read(self, within_s: float) -> str:
-        self._resource.timeout = max(1000 * within_s, 1)
         with self._translated():
+            self._resource.timeout = max(1000 * within_s, 1)
             data: bytes = self._resource.read_raw()
         self._tap("<", data)
         return data.decode("latin-1").strip("\r\n")
@@ -165,7 +165,7 @@ class VisaLine:
                 raise DeadlineError(_DEVICE, "no line came in time") from error
             raise LinkLostError(_DEVICE, f"{self._settings.resource}: {error}") from error
         except self._gone as error:
-            raise LinkLostError(_DEVICE, f"{self._settings.resource} is gone: {error}") from error
+            raise LinkLostError(_DEVICE, f"{self._settings.resource} is gone; has it been unplugged?") from error
 
     def _refuse_open(self, error: BaseException) -> NoReturn:
         settings = self._settings
