@@ -64,7 +64,7 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         for text in await thread.call(ask, (len(_SETTINGS) + 3) * deadline_s + 10.0):
             say(text)
     finally:
-        await thread.finish(lambda: None, 1.0)
+        await thread.finish(None, 1.0)
     if not write:
         return
     meter = build_voltmeter(settings, tap)

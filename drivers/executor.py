@@ -73,8 +73,10 @@ class DeviceThread:
             raise
         return result
 
-    async def finish(self, function: Callable[[], object], deadline_s: float) -> None:
-        """Run a last call and end the thread; waits no longer than `deadline_s` and never raises a device's error."""
+    async def finish(self, function: Callable[[], object] | None, deadline_s: float) -> None:
+        """Run a last call, if any, and end the thread; waits at most `deadline_s`, never raises a device's error."""
+        if self._worker is None and function is None:
+            return
         try:
             worker = self._worker or self._start()
         except ConnectError:

@@ -81,14 +81,17 @@ class Keithley2000:
             return _Session(self._connect(), self._settings, self._deadline_s)
 
         answers = 2 * len(self._settings.commands) + len(self._settings.expected)
-        self._session = await self._thread.call(start, answers * self._deadline_s + 5.0, _Session.close)
+        try:
+            self._session = await self._thread.call(start, answers * self._deadline_s + 5.0, _Session.close)
+        except BaseException:
+            await self.close()
+            raise
         return self._session.identity
 
     async def close(self) -> None:
         """Release the line; the meter keeps its settings."""
         session, self._session = self._session, None
-        if session is not None:
-            await self._thread.finish(session.close, _CLOSE_S)
+        await self._thread.finish(None if session is None else session.close, _CLOSE_S)
 
     async def read_voltage(self) -> float:
         """Return a fresh conversion [V]."""
@@ -108,8 +111,8 @@ class _Settings:
     def __init__(self, range_v: float, nplc: float) -> None:
         self.range_v = range_v
         self.commands = (
-            "*RST",
             "*CLS",
+            "*RST",
             "*ESE 0",
             ":INIT:CONT OFF;:ABOR",
             ":SENS:FUNC 'VOLT:DC'",

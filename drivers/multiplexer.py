@@ -69,7 +69,11 @@ class NiMultiplexer:
         def connect() -> _Session:
             return _Session(self._port, self._lines, self._server, self._deadline_s)
 
-        self._session = await self._thread.call(connect, 3 * self._deadline_s + 5.0, _Session.close)
+        try:
+            self._session = await self._thread.call(connect, 3 * self._deadline_s + 5.0, _Session.close)
+        except BaseException:
+            await self.close()
+            raise
         return self._session.identity
 
     async def close(self) -> None:
@@ -78,7 +82,7 @@ class NiMultiplexer:
         if session is not None:
             # What still waits for a server that has gone silent must come back first.
             session.interrupt()
-            await self._thread.finish(session.close, _CLOSE_S)
+        await self._thread.finish(None if session is None else session.close, _CLOSE_S)
 
     async def select(self, channel: int) -> None:
         """Write the address of an input in one value."""

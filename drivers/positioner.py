@@ -87,15 +87,15 @@ class PozsolPositioner:
         self._sent_s = now() - wire.COMMAND_SPACING_S
         self._stops = 0
         self._homing: HomingRun | None = None
-        self._homed_s = -math.inf
+        self._forgiven_s = -math.inf
         self._reference_lost = False
 
     async def open(self) -> PositionerIdentity:
         """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s."""
         await self.close()
-        self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
-        self._reader = TelemetryReader(port, self._now)
         try:
+            self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
+            self._reader = TelemetryReader(port, self._now)
             return await self._identify(self._reader)
         except BaseException:
             await self.close()
@@ -108,7 +108,7 @@ class PozsolPositioner:
         self._homing = None
         if reader is not None:
             reader.stop()
-            await self._thread.finish(reader.close, _CLOSE_S)
+        await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
 
     async def read_telemetry(self) -> Telemetry:
         """Return the newest telemetry; `LinkLostError` when it is old."""
@@ -175,9 +175,7 @@ class PozsolPositioner:
         stops = self._stops
         await self._send(Field.ACTION, wire.STOP, stops)
         sent_s = await self._send(Field.STATUS, wire.CLEAR, stops)
-        self._reference_lost = False
-        if self._reader is not None:
-            self._reader.jumped_s = None
+        self._reference_lost, self._forgiven_s = False, sent_s
         await self._confirm(
             lambda seen, status_s: status_s > sent_s and not (seen.faults or seen.was_reset),
             "to clear its status",
@@ -282,7 +280,7 @@ class PozsolPositioner:
             homing = homing or not self._homing.over
             if self._homing.over:
                 self._homing = None
-                self._homed_s = self._now()
+                self._forgiven_s = self._now()
         self._note_jump(homing)
         return Telemetry(
             time_monotonic_s=oldest_s,
@@ -305,8 +303,8 @@ class PozsolPositioner:
         reader = self._reader
         if reader is None or reader.jumped_s is None:
             return
-        # At the end of a reference run the count is meant to jump.
-        if not homing and reader.jumped_s > self._homed_s + _JUMP_SHOWS_S:
+        # At the end of a reference run the count is meant to jump, and what was cleared may still be on its way.
+        if not homing and reader.jumped_s > self._forgiven_s + _JUMP_SHOWS_S:
             self._reference_lost = True
         reader.jumped_s = None
 
