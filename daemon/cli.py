@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate
-from daemon.cli_options import FILES, SCIENCE, SERVICE, instant, parse_site
+from daemon import cli_bench, cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate, cli_probe
+from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, parse_site
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -24,6 +24,8 @@ app = typer.Typer(
 app.add_typer(cli_operate.app)
 app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
 app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
+app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
+app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
 app.add_typer(cli_export.app)
 
 
@@ -104,6 +106,8 @@ def run(
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
     if config is None and role is RoleChoice.both:
         settings = on_a_port_of_its_own(settings)
+    if settings.instruments.kind == "real":
+        _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     run_service(settings, Role(role), for_s, Console())
 
 
@@ -134,6 +138,25 @@ app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
 app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
 
 
+@app.command(rich_help_panel=BENCH)
+def bench(
+    directory: Annotated[
+        Path, typer.Option("--dir", help="Folder for the ports, the control socket and heliocube.toml.")
+    ],
+    weather: WeatherOption = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Start of the simulated clock.")] = None,
+    seed: SeedOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
+
+    The configuration that is given is the basis of the one that is written.
+    """
+    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
+    cli_bench.serve(settings, directory)
+
+
 def _settings(
     config: Path | None,
     *,
@@ -162,6 +185,16 @@ def _settings(
     if start is not None:
         changes["simulation"]["start_utc"] = instant(start, "--start")
     return override(settings, changes)
+
+
+def _refuse_simulation(options: dict[str, object]) -> None:
+    """Refuse what only a simulated rig can do."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise UserError(
+            f"{', '.join(given)}: this configuration has real instruments (instruments.kind), whose time and sky are"
+            " real; leave the option out, or try it on a simulated rig"
+        )
 
 
 def _site(text: str) -> dict[str, Any]:

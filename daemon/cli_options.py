@@ -9,6 +9,7 @@ SERVICE = "The service"
 OPERATION = "To the running service"
 FILES = "Files and tools"
 SCIENCE = "Science"
+BENCH = "Instruments and the bench"
 
 
 def parse_site(text: str) -> tuple[float, float, float]:

@@ -11,12 +11,9 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import (
     AfterValidator,
     AwareDatetime,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
     model_validator,
 )
@@ -24,9 +21,10 @@ from pydantic import (
 from daemon import config_rules
 from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
+from daemon.config_instruments import Instruments
+from daemon.config_section import Positive, Section, text_of, with_defaults
 from solar.frames import Limits
 
-Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Azimuth = Annotated[float, Field(ge=0, lt=360)]
 Channel = Annotated[int, Field(ge=0, le=15)]
@@ -34,17 +32,6 @@ Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "chronometric", "flat"]
 WeatherName = Literal["clear", "overcast", "variable"]
-VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
-
-
-def _text(form: str) -> WithJsonSchema:
-    return WithJsonSchema({"type": "string", "format": form})
-
-
-def _range(value: float) -> float:
-    if value not in VOLTMETER_RANGES_V:
-        raise ValueError("not a range of the voltmeter")
-    return value
 
 
 def _listen_address(text: str) -> str:
@@ -88,20 +75,13 @@ def _no_misspelt_weather(path: Path) -> Path:
     return path
 
 
-RangeV = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(VOLTMETER_RANGES_V)})]
 FilePath = Annotated[Path, Field(strict=False), BeforeValidator(_no_empty_path)]
 WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
-ListenAddress = Annotated[str, AfterValidator(_listen_address), _text("listen")]
-SendAddress = Annotated[str, AfterValidator(_send_address), _text("address")]
-Group = Annotated[str, AfterValidator(_group), _text("group")]
-Host = Annotated[str, AfterValidator(_host), _text("ip")]
-Interface = Annotated[str, AfterValidator(_interface), _text("ipv4")]
-
-
-class Section(BaseModel):
-    """A table of the file: frozen, closed to keys it does not know, and with no guessing of types."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
+ListenAddress = Annotated[str, AfterValidator(_listen_address), text_of("listen")]
+SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
+Group = Annotated[str, AfterValidator(_group), text_of("group")]
+Host = Annotated[str, AfterValidator(_host), text_of("ip")]
+Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
 
 
 class Site(Section):
@@ -170,39 +150,7 @@ class Cube(Section):
     @classmethod
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
         """Give a face of which the file names some keys that same face's defaults for the others."""
-        if not isinstance(value, dict) or info.field_name is None:
-            return value
-        return {**cls.model_fields[info.field_name].default.model_dump(), **value}
-
-
-class MultiplexerSettings(Section):
-    """The switch between the faces and the voltmeter."""
-
-    settle_s: float = Field(0.3, ge=0, le=5, description="Time from switching to the start of a conversion.")
-
-
-class VoltmeterSettings(Section):
-    """The Keithley 2000."""
-
-    range_v: RangeV = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
-    nplc: float = Field(1.0, ge=0.01, le=10, description="Integration time, in periods of the mains.")
-    line_frequency_hz: Literal[50, 60] = Field(50, description="Frequency of the mains.")
-
-
-class PositionerSettings(Section):
-    """The POZSOL positioner: what the service may expect of its motion."""
-
-    slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
-    telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
-
-
-class Instruments(Section):
-    """How the instruments are reached. There is no silent fallback from one kind to another."""
-
-    kind: Literal["simulated"] = Field("simulated", description="Kind of the instruments.")
-    multiplexer: MultiplexerSettings = MultiplexerSettings()
-    voltmeter: VoltmeterSettings = VoltmeterSettings()
-    positioner: PositionerSettings = PositionerSettings()
+        return with_defaults(cls, value, info)
 
 
 class Law(Section):
@@ -343,7 +291,10 @@ class Api(Section):
 
 
 class Simulation(Section):
-    """The simulated rig: its sky, its clock and its imperfections. Real instruments do not look here."""
+    """The simulated rig: its sky, its clock and its imperfections.
+
+    Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.
+    """
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
     sky: Literal["perez1990", "isotropic", "haydavies"] = Field(

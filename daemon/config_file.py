@@ -5,15 +5,18 @@ import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
 from daemon import config_keys, config_rules
 from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
-from daemon.config import Section, Settings
+from daemon.config import Settings
 from daemon.errors import UserError
+
+if TYPE_CHECKING:
+    from daemon.config_section import Section
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.

@@ -15,7 +15,7 @@ from random import Random
 from daemon.backoff import Backoff
 from daemon.clock import Clock
 from daemon.config import Motion as MotionSettings
-from daemon.config import PositionerSettings
+from daemon.config_instruments import PositionerSettings
 from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
@@ -203,10 +203,10 @@ class Motion:
         await self._look(moving=False)
         assert self.pose is not None  # noqa: S101 - narrowing for the type checker; _look has just set it
         name = f"{self.identity.board}, firmware {self.identity.firmware}, serial {self.identity.serial}"
-        log.info("the positioner is connected: %s", name)
-        if self.outage.is_down:
-            self.outage.up(self._clock.monotonic())
-            self._tell(f"positioner back: {name}")
+        if self.outage.up(self._clock.monotonic()):
+            self._publish_event(f"positioner back: {name}")
+        else:
+            log.info("the positioner is connected: %s", name)
         if before is not None and self._jumped(before, self.pose):
             self._tell(
                 f"positioner stands at A {self.pose.a_deg:.1f}, B {self.pose.b_deg:.1f} deg; before the loss it was "
@@ -226,7 +226,7 @@ class Motion:
         first = not self.outage.is_down
         self.outage.down(self._clock.monotonic(), str(error))
         if first:
-            self._tell(f"positioner lost: {error}")
+            self._publish_event(f"positioner lost: {error}")
         self._note_readiness()
         await self._positioner.close()
 
@@ -407,4 +407,7 @@ class Motion:
 
     def _tell(self, text: str) -> None:
         log.info(text)
+        self._publish_event(text)
+
+    def _publish_event(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

@@ -20,13 +20,13 @@ from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
-from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.composition import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
 from daemon.records import Event
 from daemon.sd_notify import Notifier
-from daemon.service import Role, Service
+from daemon.service import Rig, Role, Service
 from daemon.store import Origin, Store
 from daemon.timeloop import new_loop
 
@@ -44,20 +44,19 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     key = bridge_key(settings, role)
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
-    speed = settings.simulation.speed
+    # Real instruments have real time; what the simulation's table says is not for them.
+    speed = 1.0 if is_real(settings) else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
         clock = _clock(settings, loop)
-        weather, warning = build_weather(settings, clock.utc(), clock.utc() + (for_s or 0.0) * speed)
-        if warning:
-            log.warning(warning)
+        rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
         bus = Bus()
         recent = Recent()
         bus.subscribe(recent.note)
         service = Service(
             settings,
             role,
-            build_rig(settings, role, clock, weather),
+            rig,
             clock,
             SystemRandom(),
             bus,
@@ -65,7 +64,13 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             Notifier(os.environ, os.getpid()),
             speed,
         )
-        log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
+        if rig.simulated:
+            fields = {"role": role, "speed": speed}
+            log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
+        else:
+            log.info("real instruments", extra={"fields": {"role": role}})
+            if not isinstance(clock, SystemClock):
+                log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         with _store(service, role, loop) as store:
             api = _api(service, recent, speed, store, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
@@ -95,17 +100,29 @@ def bridge_key(settings: Settings, role: Role) -> bytes | None:
     )
 
 
+def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
+    if is_real(settings):
+        return build_real_rig(settings, role, clock)
+    weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s)
+    if warning:
+        log.warning(warning)
+    return build_simulated_rig(settings, role, clock, weather)
+
+
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     simulation = settings.simulation
     system = SystemClock()
+    if is_real(settings) and (simulation.start_utc is None or simulation.anchor_utc is None):
+        return system
     if simulation.start_utc is None and simulation.speed == 1.0:
         return system
+    speed = 1.0 if is_real(settings) else simulation.speed
     start = simulation.start_utc or DEFAULT_START
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     if simulation.anchor_utc is not None:
         anchor = simulation.anchor_utc
         anchor_utc_s = anchor.replace(tzinfo=anchor.tzinfo or UTC).timestamp()
-        start_utc_s += (system.utc() - anchor_utc_s) * simulation.speed
+        start_utc_s += (system.utc() - anchor_utc_s) * speed
     return LoopClock(loop.time, start_utc_s)
 
 
@@ -165,12 +182,12 @@ async def _run(
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
-    with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
         await service.run(stop, *(companion.run() for companion in (view, api) if companion is not None))
 
 
 @contextlib.contextmanager
-def _on_signals(stop: Callable[[], object]) -> Iterator[None]:
+def on_signals(stop: Callable[[], object]) -> Iterator[None]:
     """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}

@@ -10,7 +10,7 @@ from typing import Literal
 
 from daemon.bus import Bus
 from daemon.clock import LoopClock
-from daemon.composition import build_rig, build_weather, site_of
+from daemon.composition import build_simulated_rig, build_weather, site_of
 from daemon.config import Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.errors import UserError
@@ -86,7 +86,7 @@ def simulate(
         service = Service(
             settings,
             Role.BOTH,
-            build_rig(settings, Role.BOTH, clock, weather),
+            build_simulated_rig(settings, Role.BOTH, clock, weather),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
