@@ -269,7 +269,7 @@ class Store(Section):
         400,
         ge=1,
         le=36500,
-        description="How many days with records are kept, at about 7 MB a day; the oldest go first.",
+        description="How many days with records are kept, at about 5 MB a day; the oldest go first.",
     )
 
 

@@ -59,6 +59,22 @@ def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_r
     run_rig(scenario)
 
 
+def test_a_stow_while_another_target_is_being_sent_does_not_wait_for_it(run_rig, monkeypatch):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.control.goto(30, 50, "test")
+        await asyncio.sleep(0.01)
+        sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
+        await operator(bench).stow("storm")
+        assert sent[0][1].startswith(b"$9s")
+        assert sent[0][0] - asked_s < 0.2
+        await at_rest(bench)
+        assert bench.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
+
+    run_rig(scenario)
+
+
 def test_a_second_stow_does_not_stop_the_first(run_rig, monkeypatch):
     async def scenario(bench):
         await tracking(bench)

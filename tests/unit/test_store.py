@@ -7,6 +7,7 @@ import re
 import sqlite3
 import subprocess
 import sys
+import threading
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -259,18 +260,32 @@ def small_disk(tmp_path):
     if made.returncode:
         pytest.skip("mounting a small file system needs root")
     yield disk
-    subprocess.run(["umount", disk], check=True)
+    subprocess.run(["umount", "--lazy", disk], check=True)
+
+
+class CountedClock(SystemClock):
+    """Knows when it has been asked often enough: the store asks it at each failure."""
+
+    def __init__(self, enough):
+        self.left, self.enough = enough, threading.Event()
+
+    def monotonic(self):
+        self.left -= 1
+        if self.left <= 0:
+            self.enough.set()
+        return super().monotonic()
 
 
 def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk, caplog, tmp_path):
     caplog.set_level(logging.INFO)
-    told = queue.Queue()
-    store = Store(small_disk, 0.1, 400, ORIGIN, SystemClock(), told.put)
+    told, clock = queue.Queue(), CountedClock(5)
+    store = Store(small_disk, 0.1, 400, ORIGIN, clock, told.put)
     store.keep(scan(0))
     filler = small_disk / "filler"
     fill(filler)
     for n in range(1, 3000):
         store.keep(scan(n))
+    assert clock.enough.wait(20)
     event = told.get(timeout=20)
     full = f"the disk of {small_disk} is full"
     assert (event.subject, event.text) == ("store", f"cannot write: {full}; records wait in memory")
