@@ -56,7 +56,7 @@ def gain(
     plot: Annotated[Path | None, typer.Option(help="Draw a figure too: .png, .svg or .pdf.")] = None,
     plot_kind: Annotated[
         PlotKind | None,
-        typer.Option(help="Which figure; without it the one that fits the request."),
+        typer.Option(help="Kind of figure."),
     ] = None,
     table_format: Annotated[
         TableFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")

@@ -145,16 +145,22 @@ class VisaLine:
 
     def _write(self, data: bytes) -> None:
         with self._translated():
-            self._resource.timeout = 1000 * (1.0 + self._transfer_s)
+            self._set_timeout(1.0 + self._transfer_s)
             self._resource.write_raw(data)
         self._tap(">", data)
 
     def _read(self, within_s: float) -> str:
         with self._translated():
-            self._resource.timeout = max(1000 * within_s, 1)
+            self._set_timeout(within_s)
             data: bytes = self._resource.read_raw()
         self._tap("<", data)
         return data.decode("latin-1").strip("\r\n")
+
+    def _set_timeout(self, seconds: float) -> None:
+        # Behind a Prologix adapter the adapter's own time-out counts.
+        for part in (self._adapter, self._resource):
+            if part is not None:
+                part.timeout = max(1000 * seconds, 1)
 
     @contextlib.contextmanager
     def _translated(self) -> Iterator[None]:

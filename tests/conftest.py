@@ -1,11 +1,17 @@
 """Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
 
 import gc
+import os
 import socket
 import threading
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# Machines are shared and slow now and then; CI draws the same examples every time.
+settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("heliocube")
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
 

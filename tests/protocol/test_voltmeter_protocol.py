@@ -2,7 +2,9 @@ import asyncio
 import os
 import re
 import threading
+import time
 import tty
+from collections import deque
 from functools import partial
 
 import numpy as np
@@ -205,6 +207,68 @@ def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_h
             await meter.close()
 
     asyncio.run(scene())
+
+
+class Prologix(threading.Thread):
+    """A GPIB-USB adapter with a simulated meter on its bus: talks when it is told to."""
+
+    def __init__(self, core, link):
+        super().__init__(daemon=True)
+        self._core = core
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self.addresses = set()
+        self.start()
+
+    def run(self):
+        said, data = deque(), b""
+        while True:
+            try:
+                data += os.read(self._master, 256)
+            except OSError:
+                return
+            while b"\n" in data:
+                line, _, data = data.partition(b"\n")
+                if line == b"end":
+                    return
+                if line.startswith(b"++addr"):
+                    self.addresses.add(int(line.split()[1]))
+                elif line == b"++read eoi" and said:
+                    os.write(self._master, said.popleft())
+                elif not line.startswith(b"++"):
+                    text = re.sub(rb"\x1b(.)", rb"\1", line)
+                    said.extend(reply for _, reply in self._core.feed(text + b"\n", time.monotonic()))
+
+    def end(self):
+        os.write(self._slave, b"end\n")
+        self.join(5.0)
+        os.close(self._slave)
+        os.close(self._master)
+
+
+def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
+    core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3), now=time.monotonic())
+    adapter = Prologix(core, tmp_path / "prologix")
+
+    async def scene():
+        settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "prologix"))
+        meter = Keithley2000(partial(VisaLine, settings), deadline_s=1.0)
+        for _ in range(2):
+            assert "MODEL 2000" in await meter.open()
+            for _ in range(3):
+                assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+        core.drop_next()
+        with pytest.raises(DeadlineError):
+            await meter.read_voltage()
+        assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+        await meter.close()
+
+    try:
+        asyncio.run(scene())
+    finally:
+        adapter.end()
+    assert adapter.addresses == {16}
 
 
 def test_a_bus_or_library_that_is_not_there_is_named_with_the_remedy():

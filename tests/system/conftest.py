@@ -14,6 +14,7 @@ import pytest
 from daemon.bridge.signing import generate_key, write_key
 
 from .processes import BenchProcess, Process
+from .rig import HIGH_SUN, Rig, brisk
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(sys.executable).with_name("heliocube")
@@ -145,3 +146,12 @@ def start_service(tmp_path):
     for service in started:
         assert service.stop() == 0, service.log()
         assert "Traceback" not in service.log()
+
+
+@pytest.fixture
+def start_rig(tmp_path, start_bench, start_service):
+    def start():
+        bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+        return Rig(bench, start_service(bench.config))
+
+    return start

