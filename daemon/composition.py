@@ -214,10 +214,12 @@ async def run_bench(
     `ready` is called with the port of the NI gRPC server as soon as all of them are there. Raises `UserError` when the
     directory cannot be used.
     """
-    # Pseudo-terminals and the mock server are needed here only, and not everywhere to be had.
-    from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - see above
-    from sim_drivers.bench_client import BenchError  # noqa: PLC0415 - see above
-    from sim_drivers.bench_control import BenchControl  # noqa: PLC0415 - see above
+    try:
+        from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
+        from sim_drivers.bench_client import BenchError  # noqa: PLC0415
+        from sim_drivers.bench_control import BenchControl  # noqa: PLC0415
+    except ImportError as error:
+        raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
 
     scene = _build_scene(settings, weather)
     switch, meter = _build_cube_cores(settings, clock, scene)
