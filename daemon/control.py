@@ -378,11 +378,12 @@ class Control:
         return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
 
     def _worth_moving(self, target: Target) -> bool:
-        pose = self._motion.pose
-        if pose is None:
+        """Tell whether the target is far enough from where the tracker stands or is already heading."""
+        whence = self._motion.target or self._motion.pose
+        if whence is None:
             return False
         apart = separation_deg(
-            normal_from_angles(pose.a_deg, pose.b_deg), normal_from_angles(target.a_deg, target.b_deg)
+            normal_from_angles(whence.a_deg, whence.b_deg), normal_from_angles(target.a_deg, target.b_deg)
         )
         return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
 

@@ -26,7 +26,7 @@ from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
 
-_IDLE_POLL_S = 10.0
+_IDLE_POLL_S = 5.0
 _MOVING_POLL_S = 0.5
 _HOMING_POLL_S = 1.0
 _BETWEEN_ATTEMPTS_S = 1.0
