@@ -107,6 +107,8 @@ def mid_move(rig, _device):
 PHASES = (idle, mid_exchange, mid_move)
 
 BRISK = """
+[api]
+enabled = false
 [cube]
 scan_every_s = 0.5
 reading_deadline_s = 0.5
