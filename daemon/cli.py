@@ -40,6 +40,7 @@ class LawChoice(StrEnum):
 
     mu_prime = "mu-prime"
     sun_vector = "sun-vector"
+    optimal = "optimal"
     chronometric = "chronometric"
     flat = "flat"
 
@@ -62,7 +63,8 @@ WeatherOption = Annotated[
     ),
 ]
 LawOption = Annotated[
-    LawChoice | None, typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, chronometric or flat.")
+    LawChoice | None,
+    typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, optimal, chronometric or flat."),
 ]
 SiteOption = Annotated[
     str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")

@@ -16,7 +16,9 @@ from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
+from daemon.learned import LearnedFile
 from daemon.motion import Motion
+from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
@@ -25,6 +27,7 @@ from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
 from drivers.errors import DeviceError
 from drivers.interfaces import Multiplexer, Positioner, Voltmeter
+from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
 
@@ -160,8 +163,17 @@ class Service:
             sources,
             WishFile(settings.store.directory),
             self.bus.publish,
+            self._optimal(limits),
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
+
+    def _optimal(self, limits: Limits) -> OptimalPointing | None:
+        settings = self.settings
+        if settings.law.name != "optimal":
+            return None
+        file = LearnedFile(settings.store.directory)
+        scan_every_s = settings.cube.scan_every_s
+        return OptimalPointing(settings.site, settings.law, limits, scan_every_s, self.clock.utc(), file)
 
     def _look_again(self) -> None:
         if self.control is not None:
