@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate
+from daemon import cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate, cli_replay
 from daemon.cli_options import FILES, SCIENCE, SERVICE, instant, parse_site
 from daemon.config import Settings
 from daemon.errors import UserError
@@ -132,6 +132,7 @@ def simulate(
     report(summary, settings, out, console, Console())
 
 
+app.command(rich_help_panel=SERVICE)(cli_replay.replay)
 app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
 app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
 

@@ -75,8 +75,7 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
     if role is not Role.CUBE:
-        core = PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=simulation.motor_speed_mm_s)))
-        positioner = InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+        _, positioner = build_positioner(settings, clock)
     return Rig(
         multiplexer,
         voltmeter,
@@ -85,6 +84,12 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
         simulated=True,
         sky_text=partial(_sky_text, scene, clock),
     )
+
+
+def build_positioner(settings: Settings, clock: Clock) -> tuple[PositionerCore, InMemoryPositioner]:
+    """Build the simulated positioner: the unit, which knows where it truly stands, and the instrument on its link."""
+    core = PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=settings.simulation.motor_speed_mm_s)))
+    return core, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
 
 
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:

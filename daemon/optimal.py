@@ -75,6 +75,11 @@ class OptimalPointing:
             moves=round(float(self._law.moves)),
         )
 
+    @property
+    def learned(self) -> Learned:
+        """What was learned; another object when it has changed."""
+        return self._law.site.learned
+
     def relearn(self) -> None:
         """Forget what was learned of the site."""
         self._waiting.clear()

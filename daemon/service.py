@@ -17,7 +17,7 @@ from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
 from daemon.learned import LearnedFile
-from daemon.motion import Motion
+from daemon.motion import IDLE_POLL_S, Motion
 from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -85,6 +85,8 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
+    idle_poll_s
+        How often a tracker at rest is looked at.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
+        idle_poll_s: float = IDLE_POLL_S,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -107,6 +110,7 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
+        self._idle_poll_s = idle_poll_s
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -153,6 +157,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
+            self._idle_poll_s,
         )
         self.control = Control(
             settings,
