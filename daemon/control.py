@@ -235,6 +235,11 @@ class Control:
             self.tick()
             await wait_at_most(self._wake, self._until_next_tick())
 
+    @property
+    def next_tick_s(self) -> float:
+        """Monotonic time of the next look, unless somebody asks for one before."""
+        return self.last_tick_s + self._until_next_tick()
+
     def _until_next_tick(self) -> float:
         if self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))

@@ -125,6 +125,11 @@ class Motion:
         """Whether a move or a homing run is on."""
         return self.target is not None or self.homing
 
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves and nothing that was asked for waits to be taken up."""
+        return not (self.moving or self._wanted or self._home_wanted or self._clear_wanted) and self.connected
+
     def order(self, target: Target, *, stow: bool = False) -> None:
         """Ask for a move; whatever moves is stopped first. The one door for every move in the service.
 

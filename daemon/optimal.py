@@ -8,8 +8,8 @@ from daemon.config import Law, Site
 from daemon.learned import Kept, LearnedFile
 from daemon.pointing import Aim
 from daemon.records import Estimate, Quality, Scan, Target
-from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_position
-from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
+from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
+from solar.frames import Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.optimal import usable_faces
 from solar.optimal_law import OptimalLaw, OptimalSettings
 from solar.optimal_site import ALBEDO_RANGE, Learned
@@ -124,11 +124,12 @@ class OptimalPointing:
         utc_s
             Now [s].
         """
-        instants = np.array([utc_s, utc_s + self._settings.lead_s])
+        # One call for all instants: it costs little more than one instant.
+        instants = np.array([utc_s, utc_s + self._settings.lead_s, *(mean[0] for mean in self._waiting)])
         sun = sun_position(instants, *self._site)
-        ahead = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site[0])[1]
-        self._take_in()
-        choice = self._law.choose(a_deg, b_deg, ahead, self._daylight_left(utc_s))
+        directions = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site[0])
+        self._take_in(directions[2:])
+        choice = self._law.choose(a_deg, b_deg, directions[1], self._daylight_left(utc_s))
         azimuth, elevation = azimuth_from_direction(choice.vector, self._site[0])
         target, why = None, f"optimal: {float(choice.gain_w_m2):.1f} W/m2 to gain, not worth a move"
         if choice.move:
@@ -154,9 +155,7 @@ class OptimalPointing:
 
     def believes_zenith(self, faces_w_m2: tuple[float, float, float, float], utc_s: float) -> bool:
         """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
-        sun = sun_position(utc_s, *self._site)
-        direction = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site[0])
-        return bool(usable_faces(faces_w_m2, direction)[3])
+        return bool(usable_faces(faces_w_m2, sun_direction(utc_s, *self._site))[3])
 
     def _day_of(self, utc_s: float) -> int:
         """Count the solar days from midnight to midnight."""
@@ -177,15 +176,15 @@ class OptimalPointing:
         if len(self._waiting) >= _MOST_WAITING:
             self._take_in()
 
-    def _take_in(self) -> None:
+    def _take_in(self, sun: Array | None = None) -> None:
         """Tell the law all means that wait, in one call: it costs little more than a single one."""
         if not self._waiting:
             return
         utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
         self._waiting.clear()
-        sun = sun_position(np.array(utc_s), *self._site)
-        directions = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site[0])
-        self._law.observe(np.array(faces), directions, np.array(elapsed_s))
+        if sun is None:
+            sun = sun_direction(np.array(utc_s), *self._site)
+        self._law.observe(np.array(faces), sun, np.array(elapsed_s))
 
     def _daylight_left(self, utc_s: float) -> float:
         if self._sun_day is None or not (abs(self._sun_day.noon_utc_s - utc_s) < 0.51 * DAY_S):

@@ -159,12 +159,11 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
 
 async def _beside(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
     """Feed the tracker's parts while they run; a part that dies ends all."""
-    control, motion = _parts(service)
+    _, motion = _parts(service)
     async with asyncio.TaskGroup() as group:
-        working = [group.create_task(motion.run()), group.create_task(control.run())]
+        moving = group.create_task(motion.run())
         await group.create_task(feeding)
-        for task in working:
-            task.cancel()
+        moving.cancel()
 
 
 def _parts(service: Service) -> tuple[Control, Motion]:
@@ -174,7 +173,7 @@ def _parts(service: Service) -> tuple[Control, Motion]:
 
 
 class _Feeder:
-    """Stands where the bridge hands scans over."""
+    """Stands where the bridge hands scans over, and gives control its rhythm without a task and timers of its own."""
 
     def __init__(
         self, service: Service, core: PositionerCore, loop: VirtualTimeLoop, clock: LoopClock, log: _Log
@@ -186,33 +185,65 @@ class _Feeder:
         self._loop = loop
         self._clock = clock
         self._log = log
+        self._woken_s = -math.inf
+        self._seen = (math.nan,) * 4
+        self._seen_at_rest = False
         self._gap_s = max(_AWAKE_S, 2.0 * self._cube.scan_every_s)
 
     async def run(self, rows: Sequence[Row], progress: Callable[[float], None]) -> None:
-        control, loop = self._control, self._loop
-        # The tracker's own doubt about where it was set ends with its first move.
-        a_set, b_set = self._core.truth(loop.time())
+        log, control, loop = self._log, self._control, self._loop
+        start_s = _WARM_UP_S - rows[0].time_utc_s
         for number, row in enumerate(rows):
-            due_s = row.time_utc_s - rows[0].time_utc_s + _WARM_UP_S
+            due_s = row.time_utc_s + start_s
             if due_s - loop.time() > self._gap_s:
                 await self._pass(due_s)
-            await asyncio.sleep(due_s - loop.time())
-            now_s = loop.time()
-            control.receive(_scan(self._cube, number, row, now_s))
-            heading = self._motion.target
-            if heading is not None:
-                a_set, b_set = heading.a_deg, heading.b_deg
-            elif (last := self._motion.last_move) is not None:
-                a_set, b_set = last.target_a_deg, last.target_b_deg
-            self._log.angles.extend((a_set, b_set, *self._core.truth(now_s)))
-            self._log.modes.append(control.mode)
-            if control.optimal is not None and (
-                not self._log.learned or self._log.learned[-1][1] is not control.optimal.learned
-            ):
-                self._log.learned.append((number, control.optimal.learned))
+            await self._live_until(due_s)
+            control.receive(_scan(self._cube, number, row, loop.time()))
+            log.angles.extend(self._look())
+            log.modes.append(control.mode)
+            if control.optimal is not None and (not log.learned or log.learned[-1][1] is not control.optimal.learned):
+                log.learned.append((number, control.optimal.learned))
             if number % _PROGRESS_EVERY_ROWS == 0:
                 progress(number / len(rows))
         progress(1.0)
+
+    async def _live_until(self, due_s: float) -> None:
+        """Let control look whenever it would by itself, until it is time for the next reading."""
+        control, loop = self._control, self._loop
+        while True:
+            now_s = loop.time()
+            tick_s = max(control.next_tick_s, now_s)
+            await self._wait(min(tick_s, due_s) - now_s)
+            if tick_s > due_s:
+                return
+            control.tick()
+
+    async def _wait(self, duration_s: float) -> None:
+        """Let time pass; while the tracker is at rest there is nobody else who would use it, but for a look at rest."""
+        if self._motion.resting and self._loop.time() - self._woken_s < _IDLE_POLL_S:
+            self._loop.skip(max(duration_s, 0.0))
+        else:
+            await asyncio.sleep(max(duration_s, 0.0))
+            self._woken_s = self._loop.time()
+
+    def _look(self) -> tuple[float, float, float, float]:
+        """Return where the tracker was sent last and where it stands; what rests need not be looked at twice."""
+        motion = self._motion
+        if motion.resting and self._seen_at_rest:
+            return self._seen
+        truth = self._core.truth(self._loop.time())
+        heading, last = motion.target, motion.last_move
+        if heading is not None:
+            a_set, b_set = heading.a_deg, heading.b_deg
+        elif last is not None:
+            a_set, b_set = last.target_a_deg, last.target_b_deg
+        else:
+            # Never sent anywhere: it is meant to be where it is.
+            a_set, b_set = truth
+        seen = (a_set, b_set, *truth)
+        self._seen_at_rest = motion.resting and seen == self._seen
+        self._seen = seen
+        return seen
 
     async def _pass(self, due_s: float) -> None:
         """Let a gap pass; at night, with the tracker at rest, nothing happens that would have to be looked at."""
@@ -222,12 +253,12 @@ class _Feeder:
                 skip_s = (left_s // DAY_S - 1.0) * DAY_S
             if self._asleep_until(skip_s):
                 self._loop.skip(skip_s)
-                await asyncio.sleep(0.1)
+                self._control.tick()
             else:
-                await asyncio.sleep(min(left_s, _AWAKE_S))
+                await self._live_until(self._loop.time() + min(left_s, _AWAKE_S))
 
     def _asleep_until(self, skip_s: float) -> bool:
-        if self._control.mode is not Mode.NIGHT or self._motion.moving:
+        if self._control.mode is not Mode.NIGHT or not self._motion.resting:
             return False
         utc_s = self._clock.utc()
         return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))
