@@ -223,6 +223,8 @@ class _Feeder:
         if self._motion.resting and self._loop.time() - self._woken_s < _IDLE_POLL_S:
             self._loop.skip(max(duration_s, 0.0))
         else:
+            # A short move may begin and end in here.
+            self._seen_at_rest = False
             await asyncio.sleep(max(duration_s, 0.0))
             self._woken_s = self._loop.time()
 
