@@ -9,7 +9,17 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bench, cli_bridge, cli_config, cli_energy, cli_export, cli_gain, cli_operate, cli_probe
+from daemon import (
+    cli_bench,
+    cli_bridge,
+    cli_config,
+    cli_energy,
+    cli_export,
+    cli_gain,
+    cli_operate,
+    cli_probe,
+    cli_replay,
+)
 from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, parse_site
 from daemon.config import Settings
 from daemon.errors import UserError
@@ -42,6 +52,7 @@ class LawChoice(StrEnum):
 
     mu_prime = "mu-prime"
     sun_vector = "sun-vector"
+    optimal = "optimal"
     chronometric = "chronometric"
     flat = "flat"
 
@@ -64,7 +75,8 @@ WeatherOption = Annotated[
     ),
 ]
 LawOption = Annotated[
-    LawChoice | None, typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, chronometric or flat.")
+    LawChoice | None,
+    typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, optimal, chronometric or flat."),
 ]
 SiteOption = Annotated[
     str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")
@@ -134,6 +146,7 @@ def simulate(
     report(summary, settings, out, console, Console())
 
 
+app.command(rich_help_panel=SERVICE)(cli_replay.replay)
 app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
 app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
 

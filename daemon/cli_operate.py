@@ -107,6 +107,14 @@ def clear(
     _command("clear", config, api, token_file, why)
 
 
+@app.command(rich_help_panel=OPERATION)
+def relearn(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Forget the albedo and the gains that the law 'optimal' has learned."""
+    _command("relearn", config, api, token_file, why)
+
+
 def _command(
     name: str, config: Path | None, api: str | None, token_file: Path | None, why: str, **arguments: float
 ) -> None:

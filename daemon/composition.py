@@ -94,7 +94,7 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
     if role is not Role.CUBE:
-        positioner = InMemoryPositioner(_build_unit(settings, clock), clock.monotonic, settings.limits.limits())
+        _, positioner = build_simulated_positioner(settings, clock)
     return Rig(
         multiplexer,
         voltmeter,
@@ -116,6 +116,12 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
         sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
         faces=_faces(settings),
     )
+
+
+def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[PositionerCore, InMemoryPositioner]:
+    """Build the simulated positioner: the unit, which knows where it truly stands, and the instrument on its link."""
+    core = _build_unit(settings, clock)
+    return core, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
 
 
 def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:

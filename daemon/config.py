@@ -30,7 +30,7 @@ Azimuth = Annotated[float, Field(ge=0, lt=360)]
 Channel = Annotated[int, Field(ge=0, le=15)]
 Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
-LawName = Literal["mu-prime", "sun-vector", "chronometric", "flat"]
+LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
 WeatherName = Literal["clear", "overcast", "variable"]
 
 
@@ -159,22 +159,37 @@ class Law(Section):
     name: LawName = Field(
         "mu-prime",
         description="mu-prime: towards sun and bright sky, the paper's (12). sun-vector: towards the sun as the cube"
-        " sees it. chronometric: towards the sun by ephemeris. flat: up.",
+        " sees it. optimal: where the expected light is collected best, for little travel."
+        " chronometric: towards the sun by ephemeris. flat: up.",
     )
-    albedo: float = Field(0.2, ge=0, le=1, description="Share of the irradiance that the ground reflects.")
+    albedo: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
+    )
     uniform_threshold: float = Field(
         0.01,
         ge=0,
         le=0.5,
         description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
     )
+    thrift: float = Field(
+        1.0, ge=0.1, le=100, description="optimal: weight of wear against harvest; 2 travels less for a little energy."
+    )
+    travel_per_day_deg: Positive = Field(
+        1300.0, le=100000, description="optimal: degrees of travel in a day, A and B added, that are never exceeded."
+    )
+    moves_per_day: int = Field(250, ge=1, le=1440, description="optimal: moves in a day that are never exceeded.")
 
 
 class Windows(Section):
     """The rhythm of control: the paper's mean over 120 s, every 300 s."""
 
     mean_s: Duration = Field(120.0, description="Span of the newest readings that a decision averages.")
-    decide_every_s: Duration = Field(300.0, description="Time from one decision to the next.")
+    decide_every_s: Duration = Field(
+        300.0, description="Time from one decision to the next; optimal looks every minute, whatever stands here."
+    )
     minimum_coverage: float = Field(
         0.5, gt=0, le=1, description="Share of the span that good readings must cover for a decision."
     )

@@ -13,8 +13,9 @@ from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
 from daemon.modes import Data, Situation, next_mode
 from daemon.motion import Motion
+from daemon.optimal import DECIDE_EVERY_S, FACES_NEEDED, OptimalPointing
 from daemon.pointing import Pointing
-from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
+from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Quality, Record, Scan, Target
 from daemon.stow import OperatorStow, StowSource
 from daemon.waiting import wait_at_most
 from daemon.window import Window
@@ -27,6 +28,7 @@ log = logging.getLogger("heliocube.control")
 _TICK_S = 5.0
 # A parked tracker that is not where it should be is sent there again this often.
 _REPARK_S = 60.0
+_BY_THE_CLOCK = ("chronometric", "optimal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ class ControlState:
     scan
         The newest scan that was accepted, good or bad.
     scan_age_s
-        Age of the newest scan with four good faces; infinite before the first.
+        Age of the newest scan with as many good faces as the law needs; infinite before the first.
     irradiances
         Mean over the window, or None.
     decision
@@ -80,6 +82,8 @@ class Control:
         Keeps what operators asked for over a restart.
     publish
         Called with decisions, mode changes and events.
+    optimal
+        The law `optimal`, where it is the law; the others are in `pointing`.
     """
 
     def __init__(
@@ -92,8 +96,11 @@ class Control:
         stow_sources: Sequence[StowSource],
         wish_file: WishFile,
         publish: Callable[[Record], None],
+        optimal: OptimalPointing | None = None,
     ) -> None:
         self._settings = settings
+        self.optimal = optimal
+        self._faces_needed = 4 if optimal is None else FACES_NEEDED
         self._clock = clock
         self._motion = motion
         self._pointing = pointing
@@ -132,8 +139,10 @@ class Control:
         """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
         self._scan = scan
         self._window.add(scan)
-        if scan.ok:
+        if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
             self._good_s = scan.time_monotonic_s
+        if self.optimal is not None and self._clock_watch.trusted:
+            self.optimal.receive(scan, self._clock.utc())
         self._publish(scan)
 
     def look_again(self) -> None:
@@ -215,7 +224,7 @@ class Control:
             self._since_utc_s,
             self._scan,
             now_s - self._good_s,
-            self._window.mean(now_s),
+            self._window.mean(now_s, self._faces_needed),
             self._decision,
             max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
@@ -226,6 +235,11 @@ class Control:
             self.tick()
             await wait_at_most(self._wake, self._until_next_tick())
 
+    @property
+    def next_tick_s(self) -> float:
+        """Monotonic time of the next look, unless somebody asks for one before."""
+        return self.last_tick_s + self._until_next_tick()
+
     def _until_next_tick(self) -> float:
         if self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))
@@ -235,7 +249,9 @@ class Control:
         """Look at the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
-        mean = self._window.mean(now_s)
+        if self.optimal is not None and self._clock_watch.trusted:
+            self.optimal.turn(self._clock.utc())
+        mean = self._window.mean(now_s, self._faces_needed)
         mode, why = next_mode(self.mode, self._situation(now_s, mean))
         if mode is not self.mode:
             self._enter(mode, why, now_s)
@@ -286,12 +302,22 @@ class Control:
         return f" ({', '.join(bad)})"
 
     def _too_dark(self, mean: Irradiances) -> bool:
-        return not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
+        return self._sees_zenith(mean) and not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
+
+    def _sees_zenith(self, mean: Irradiances) -> bool:
+        """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
+        zenith = mean.zenith_w_m2
+        if self.optimal is None or zenith >= self._settings.safety.night_above_w_m2:
+            return True
+        if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
+            return True
+        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
+        return self.optimal.believes_zenith(faces, self._clock.utc())
 
     def _judge_night(self, data: Data, mean: Irradiances | None) -> str | None:
         safety = self._settings.safety
         sun_deg = self._sun_elevation_deg(self._clock.utc())
-        if data is Data.FRESH and mean is not None:
+        if data is Data.FRESH and mean is not None and self._sees_zenith(mean):
             threshold = safety.night_above_w_m2 if self._night else safety.night_below_w_m2
             self._night = mean.zenith_w_m2 < threshold and sun_deg <= safety.night_highest_sun_deg
             why = f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2"
@@ -349,14 +375,18 @@ class Control:
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        self._due_s = now_s + self._settings.windows.decide_every_s
-        utc_s = self._clock.utc()
         law = self._settings.law.name if self.mode is Mode.TRACKING else "chronometric"
-        aim = self._pointing.aim(law, mean, utc_s)
-        if law == "chronometric" and not self._clock_watch.trusted:
+        self._due_s = now_s + (DECIDE_EVERY_S if law == "optimal" else self._settings.windows.decide_every_s)
+        utc_s = self._clock.utc()
+        heading = self._motion.target or self._motion.pose
+        if law == "optimal" and self.optimal is not None and heading is not None:
+            aim = self.optimal.aim(heading.a_deg, heading.b_deg, utc_s)
+        else:
+            aim = self._pointing.aim(law, mean, utc_s)
+        if law in _BY_THE_CLOCK and not self._clock_watch.trusted:
             aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
         target = aim.target or self._standing(aim.why)
-        moved = aim.target is not None and self._worth_moving(aim.target) and self._order(aim.target)
+        moved = aim.target is not None and self._worth_moving(aim.target) and self._order_within_budget(aim.target)
         log.info("%s", "moving" if moved else "staying", extra={"fields": _told(law, target)})
         self._decision = Decision(
             utc_s,
@@ -370,6 +400,7 @@ class Control:
             aim.sun.elevation_deg,
             target,
             moved,
+            aim.estimate,
         )
         self._publish(self._decision)
 
@@ -386,6 +417,17 @@ class Control:
             normal_from_angles(whence.a_deg, whence.b_deg), normal_from_angles(target.a_deg, target.b_deg)
         )
         return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
+
+    def _order_within_budget(self, target: Target) -> bool:
+        """Order a move of a law; the budget of `optimal` holds in fallback too."""
+        heading = self._motion.target or self._motion.pose
+        if self.optimal is None or heading is None:
+            return self._order(target)
+        distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
+        if not (self.optimal.affords(distance_deg) and self._order(target)):
+            return False
+        self.optimal.book(distance_deg)
+        return True
 
     def _order(self, target: Target) -> bool:
         try:

@@ -16,7 +16,9 @@ from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
-from daemon.motion import Motion
+from daemon.learned import LearnedFile
+from daemon.motion import IDLE_POLL_S, Motion
+from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
@@ -25,6 +27,7 @@ from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
 from drivers.errors import DeviceError
 from drivers.interfaces import Multiplexer, Positioner, Voltmeter
+from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
 
@@ -82,6 +85,8 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
+    idle_poll_s
+        How often a tracker at rest is looked at.
     """
 
     def __init__(
@@ -95,6 +100,7 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
+        idle_poll_s: float = IDLE_POLL_S,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -104,6 +110,7 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
+        self._idle_poll_s = idle_poll_s
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -150,6 +157,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
+            self._idle_poll_s,
         )
         self.control = Control(
             settings,
@@ -160,8 +168,17 @@ class Service:
             sources,
             WishFile(settings.store.directory),
             self.bus.publish,
+            self._optimal(limits),
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
+
+    def _optimal(self, limits: Limits) -> OptimalPointing | None:
+        settings = self.settings
+        if settings.law.name != "optimal":
+            return None
+        file = LearnedFile(settings.store.directory)
+        scan_every_s = settings.cube.scan_every_s
+        return OptimalPointing(settings.site, settings.law, limits, scan_every_s, self.clock.utc(), file)
 
     def _look_again(self) -> None:
         if self.control is not None:

@@ -13,7 +13,7 @@ from daemon.records import Record, Scan
 from daemon.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 1
+VERSION = 2
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -84,6 +84,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
                 connection.execute(f"PRAGMA user_version = {VERSION}")
             else:
                 _check(connection, path)
+                _bring_up_to_date(connection)
             connection.execute("COMMIT")
     except BaseException:
         connection.close()
@@ -155,6 +156,21 @@ class Rows:
 
 def _is_empty(connection: sqlite3.Connection) -> bool:
     return not connection.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone()
+
+
+def _bring_up_to_date(connection: sqlite3.Connection) -> None:
+    """Give a store of an older version the columns it lacks; they are new at the end of their tables."""
+    for name, columns in COLUMNS.values():
+        there = columns_of(connection, name)
+        for column in columns:
+            if column.name not in there:
+                connection.execute(f"ALTER TABLE {name} ADD COLUMN {column.name} {_TYPES[column.holds]}")
+    connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def columns_of(connection: sqlite3.Connection, table: str) -> set[str]:
+    """Return the names of a table's columns, which in a store of an older version are fewer."""
+    return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:

@@ -100,6 +100,8 @@ class Choice(NamedTuple):
         Expected of the best pose over the present one.
     price_w_m2
         What it had to exceed.
+    vector
+        The direction of the best pose before limits, shape (..., 3), of any length.
     """
 
     a_deg: Array
@@ -107,6 +109,7 @@ class Choice(NamedTuple):
     move: Flags
     gain_w_m2: Array
     price_w_m2: Array
+    vector: Array
 
 
 class OptimalLaw:
@@ -122,6 +125,13 @@ class OptimalLaw:
         Of every array that goes in and comes out.
     learned
         Albedo and gains to begin with, from :meth:`SiteLearning.learned` of an earlier run or the default.
+
+    Attributes
+    ----------
+    site
+        What the site has taught.
+    light
+        What the newest readings show; NaN where they show nothing.
     """
 
     def __init__(
@@ -139,6 +149,7 @@ class OptimalLaw:
         self._slow = np.zeros((3, *shape))
         self._deviation = np.zeros(shape)
         self._since_good_s = np.full(shape, np.inf)
+        self.light = Light(*np.full((3, *shape), np.nan))
         self.new_day()
 
     def new_day(self) -> None:
@@ -160,22 +171,30 @@ class OptimalLaw:
     def observe(self, faces: ArrayLike, sun: ArrayLike, elapsed_s: ArrayLike) -> None:
         """Take in the mean faces [W/m2], shape (*shape, 4), of the last `elapsed_s` seconds.
 
-        `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN.
+        `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN. All three may
+        have one more axis in front: means that followed each other, the oldest first.
         """
-        sun = np.asarray(sun, dtype=np.float64)
+        faces, sun, elapsed = (np.asarray(value, dtype=np.float64) for value in (faces, sun, elapsed_s))
+        if faces.ndim == len(self._shape) + 1:
+            faces, sun, elapsed = faces[None], sun[None], elapsed[None]
+        elapsed = np.broadcast_to(elapsed, faces.shape[:-1])
         faces = self.site.corrected(faces)
-        elapsed = np.broadcast_to(np.asarray(elapsed_s, dtype=np.float64), self._shape)
         usable = usable_faces(faces, sun)
         good = (usable.sum(axis=-1) >= _FACES_NEEDED) & (sun[..., 2] > 0.0)
-        light = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable))
+        lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
+        for light, is_good, seconds in zip(lights, good, elapsed, strict=True):
+            self._remember(light, is_good, seconds)
+        self.light = Light(*np.where(good[-1], lights[-1], np.nan))
+        self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
+
+    def _remember(self, light: Array, good: Flags, elapsed: Array) -> None:
         fresh = good & ~(self._since_good_s + elapsed <= self._settings.forget_after_s)
         self._quick = _towards(self._quick, light, good, fresh, elapsed / self._settings.quick_half_life_s)
-        self._slow = _towards(self._slow, light, good, fresh, elapsed / self._settings.slow_half_life_s)
-        deviation = np.abs(self._quick[0] - self._slow[0])
         pace = elapsed / self._settings.slow_half_life_s
+        self._slow = _towards(self._slow, light, good, fresh, pace)
+        deviation = np.abs(self._quick[0] - self._slow[0])
         self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
         self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
-        self.site.observe(faces, sun, usable, light[0], elapsed)
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
         """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
@@ -187,7 +206,14 @@ class OptimalLaw:
         return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
 
     def decide(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
-        """Choose where to stand, and book the move if there is one.
+        """Choose where to stand, and book the move if there is one; parameters as for `choose`."""
+        choice = self.choose(a_deg, b_deg, sun, daylight_left)
+        distance = np.abs(choice.a_deg - np.asarray(a_deg)) + np.abs(choice.b_deg - np.asarray(b_deg))
+        self.book(distance, choice.move)
+        return choice
+
+    def choose(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
+        """Choose where to stand, and leave it to the caller to `book` the move that comes of it.
 
         Parameters
         ----------
@@ -209,10 +235,18 @@ class OptimalLaw:
         distance = np.abs(best_a - a) + np.abs(best_b - b)
         gain = product(vector, best_a, best_b) - product(vector, a, b)
         price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
-        move = (gain > price) & (sun[..., 2] > 0.0) & self._affordable(distance)
-        self._travelled_deg = self._travelled_deg + np.where(move, distance, 0.0)
-        self._moves = self._moves + move
-        return Choice(np.where(move, best_a, a), np.where(move, best_b, b), move, gain, price)
+        move = (gain > price) & (sun[..., 2] > 0.0) & self.affords(distance)
+        return Choice(np.where(move, best_a, a), np.where(move, best_b, b), move, gain, price, vector)
+
+    def book(self, distance_deg: ArrayLike, move: ArrayLike = True) -> None:
+        """Take moves out of the day's budget: what was travelled, or ordered to be, A and B added [deg]."""
+        self._travelled_deg = self._travelled_deg + np.where(move, distance_deg, 0.0)
+        self._moves = self._moves + np.asarray(move)
+
+    def resume(self, travelled_deg: ArrayLike, moves: ArrayLike) -> None:
+        """Go on with a day of which so much of the budget has been used."""
+        self._travelled_deg = np.broadcast_to(np.asarray(travelled_deg, dtype=np.float64), self._shape)
+        self._moves = np.broadcast_to(np.asarray(moves, dtype=np.float64), self._shape)
 
     def _thrift(self, daylight_left: Array) -> Array:
         """Return what prices are multiplied by: the setting, and more when the daylight outlasts the budget."""
@@ -225,11 +259,13 @@ class OptimalLaw:
         pressure = np.clip(np.clip(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
         return settings.thrift * pressure**settings.pacing
 
-    def _affordable(self, distance: Array) -> Flags:
+    def affords(self, distance_deg: ArrayLike) -> Flags:
+        """Tell whether one more move of this length [deg] stays within the day's budget."""
         settings = self._settings
-        return (self._travelled_deg + distance <= settings.travel_per_day_deg) & (
+        result: Flags = (self._travelled_deg + np.asarray(distance_deg) <= settings.travel_per_day_deg) & (
             self._moves + 1 <= settings.moves_per_day
         )
+        return result
 
 
 def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:

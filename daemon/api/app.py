@@ -63,7 +63,9 @@ class Api:
         self._operator = Operator(service, speed)
         self._metrics = Metrics(service, recent, store)
         self._closing = asyncio.Event()
-        plain = {name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear")}
+        plain = {
+            name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear", "relearn")
+        }
         self.app = Starlette(
             routes=[
                 Route("/api/state", self._state),

@@ -145,6 +145,16 @@ class Operator:
         control.tick()
         return Answer(done, self._seen())
 
+    async def relearn(self, why: str) -> Answer:
+        """Forget the albedo and the gains that the law `optimal` has learned."""
+        control, _ = self._tracker()
+        if control.optimal is None:
+            law = self._service.settings.law.name
+            raise CommandError(f"there is nothing to forget: the law {law} learns nothing, only optimal does")
+        self._note("relearn", why)
+        control.optimal.relearn()
+        return Answer(done=True, text="albedo and gains are learned anew")
+
     def _tracker(self) -> tuple[Control, Motion]:
         control, motion = self._service.control, self._service.motion
         if control is None or motion is None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from daemon.api.recent import Recent
 from daemon.clock import iso_utc
+from daemon.control import Control
 from daemon.motion import Motion
 from daemon.records import FACES, Pose, Quality, Record, Scan
 from daemon.service import Service
@@ -67,6 +68,7 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
         "mode": None,
         "irradiances": None,
         "decision": None,
+        "law": None,
         "next_decision_s": None,
         "tracker": None,
         "bridge": None,
@@ -84,6 +86,7 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
                 "age_s": number(round(now_s - seen.decision.time_monotonic_s, 3))
             }
         found["next_decision_s"] = number(seen.next_decision_s)
+        found["law"] = {"name": settings.law.name} | _learned(control)
         found["tracker"] = _tracker(service.motion, now_s)
         limits = settings.limits.limits()
         found["tracker"]["limits"] = {
@@ -96,6 +99,15 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
         counts = service.receiver.statistics
         found["bridge"] = {"accepted": counts.accepted, "lost": counts.lost, "refused": counts.refused}
     return found
+
+
+def _learned(control: Control) -> dict[str, Any]:
+    """Return what the law has learned and used of its day; nothing for laws that learn nothing."""
+    if control.optimal is None:
+        return {}
+    kept = control.optimal.kept.model_dump(exclude={"day"})
+    used = {name: kept.pop(name) for name in ("travelled_deg", "moves")}
+    return {"learned": kept, "today": used}
 
 
 def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:

@@ -23,13 +23,13 @@ from daemon.cli import main
 from daemon.clock import SystemClock
 from daemon.errors import UserError
 from daemon.export import export
-from daemon.records import Event, Pose
+from daemon.records import Estimate, Event, Pose
 from daemon.store import Origin, Store
 from daemon.store_schema import FILE_NAME, open_for_reading, schema
 from daemon.tables import TableWriter
 from solar.frames import angles_from_direction, direction_from_azimuth
 
-from .test_tables import ALL, T0, scan
+from .test_tables import ALL, T0, decision, scan
 
 ORIGIN = Origin(T0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -157,7 +157,23 @@ def test_the_file_of_this_version_is_what_it_was():
         "CREATE TABLE poses ( run INTEGER NOT NULL, number INTEGER NOT NULL, time REAL, time_monotonic_s REAL,"
         " a_deg REAL, b_deg REAL, moving INTEGER, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
     )
-    assert sha256(text.encode()).hexdigest()[:12] == "1da37f8df2ae"
+    assert sha256(text.encode()).hexdigest()[:12] == "6bf9c617c37d"
+
+
+def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_service(keep, tmp_path):
+    folder = keep(decision())
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        for name in ("dni_est", "dhi_est", "albedo_est"):
+            connection.execute(f"ALTER TABLE decisions DROP COLUMN {name}")
+        connection.execute("PRAGMA user_version = 1")
+    export(folder, tmp_path / "old", "csv", None, None, ())
+    assert [row["dni_est"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
+    keep(replace(decision(), time_utc_s=T0 + 60, estimate=Estimate(800.0, 90.0, 0.25)))
+    export(folder, tmp_path / "new", "csv", None, None, ())
+    assert [(row["dni_est"], row["albedo_est"]) for row in rows(tmp_path / "new" / "decisions.csv")] == [
+        ("", ""),
+        ("800.0", "0.25"),
+    ]
 
 
 # What cannot be used
@@ -170,9 +186,9 @@ def open_store(folder):
 def test_a_store_of_a_newer_version_is_refused_by_service_and_export(keep, tmp_path):
     folder = keep(scan(0))
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
-        connection.execute("PRAGMA user_version = 2")
+        connection.execute("PRAGMA user_version = 3")
     sentence = re.escape(
-        f"the store {folder / FILE_NAME} is of version 2 and this program knows version 1: it was written by a newer"
+        f"the store {folder / FILE_NAME} is of version 3 and this program knows version 2: it was written by a newer"
         " heliocube; update this one, or name another folder"
     )
     with pytest.raises(UserError, match=sentence):
