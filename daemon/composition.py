@@ -16,6 +16,7 @@ from daemon.errors import UserError
 from daemon.real_rig import build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
 from daemon.service import Rig, Role
+from drivers.interfaces import Positioner
 from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore
@@ -25,6 +26,7 @@ from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site
+from solar.frames import Angles
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
@@ -118,10 +120,10 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
     )
 
 
-def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[PositionerCore, InMemoryPositioner]:
-    """Build the simulated positioner: the unit, which knows where it truly stands, and the instrument on its link."""
+def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
+    """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
     core = _build_unit(settings, clock)
-    return core, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+    return core.truth, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
 
 
 def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:

@@ -28,9 +28,8 @@ from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.store_schema import FILE_NAME, open_for_reading
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.positioner_core import PositionerCore
 from solar.ephemeris import DAY_S, sun_direction
-from solar.frames import Array
+from solar.frames import Angles, Array
 from solar.optimal import light_from_faces, usable_faces
 from solar.optimal_site import Learned, SiteLearning
 
@@ -141,7 +140,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
-        core, positioner = build_simulated_positioner(settings, clock)
+        truth, positioner = build_simulated_positioner(settings, clock)
         service = Service(
             settings,
             Role.TRACKER,
@@ -153,7 +152,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
             Notifier({}, 0),
             idle_poll_s=_IDLE_POLL_S,
         )
-        runner.run(_beside(service, _Feeder(service, core, loop, clock, log).run(rows, progress)))
+        runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 
 
@@ -176,12 +175,12 @@ class _Feeder:
     """Stands where the bridge hands scans over, and gives control its rhythm without a task and timers of its own."""
 
     def __init__(
-        self, service: Service, core: PositionerCore, loop: VirtualTimeLoop, clock: LoopClock, log: _Log
+        self, service: Service, truth: Callable[[float], Angles], loop: VirtualTimeLoop, clock: LoopClock, log: _Log
     ) -> None:
         self._control, self._motion = _parts(service)
         self._cube = service.settings.cube
         self._sun_elevation_deg = service.sun_elevation_deg
-        self._core = core
+        self._truth = truth
         self._loop = loop
         self._clock = clock
         self._log = log
@@ -233,7 +232,7 @@ class _Feeder:
         motion = self._motion
         if motion.resting and self._seen_at_rest:
             return self._seen
-        truth = self._core.truth(self._loop.time())
+        truth = self._truth(self._loop.time())
         heading, last = motion.target, motion.last_move
         if heading is not None:
             a_set, b_set = heading.a_deg, heading.b_deg
