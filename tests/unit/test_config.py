@@ -118,8 +118,10 @@ def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
 
 def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
     assert problems("[law]\ncolour = 3") == [
-        "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold, thrift,"
-        " travel_per_day_deg, moves_per_day"
+        (
+            "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold, thrift,"
+            " travel_per_day_deg, moves_per_day"
+        )
     ]
     assert problems("[zzz]")[0].startswith("zzz: there is no such section; the sections are site, cube,")
     assert problems("[law.zzz]") == ["law.zzz: there is no such section; [law] has no sections"]
