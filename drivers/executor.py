@@ -141,6 +141,8 @@ class _Worker:
     def __init__(self, name: str) -> None:
         self.jobs: SimpleQueue[_Job | None] = SimpleQueue()
         self.ended: Future[None] = Future()
+        # Whoever gives up waiting for the end must not cancel it.
+        self.ended.set_running_or_notify_cancel()
         # A daemon, so that a call that never returns does not keep the process from ending.
         threading.Thread(target=self._run, name=name, daemon=True).start()
 

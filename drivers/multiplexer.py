@@ -79,10 +79,10 @@ class NiMultiplexer:
     async def close(self) -> None:
         """Release the lines; they keep their state."""
         session, self._session = self._session, None
-        if session is not None:
-            # What still waits for a server that has gone silent must come back first.
-            session.interrupt()
         await self._thread.finish(None if session is None else session.close, _CLOSE_S)
+        if session is not None:
+            # What waits for a server that has gone silent comes back now.
+            session.interrupt()
 
     async def select(self, channel: int) -> None:
         """Write the address of an input in one value."""
@@ -172,8 +172,12 @@ class _Session:
         name = f"heliocube {port.replace('/', ' ')}"
         options = self._nidaqmx.GrpcSessionOptions(self._channel, name)
         # A program that died leaves its session on the server with the lines reserved: take it over, and end it.
-        self._nidaqmx.Task(name, grpc_options=options).close()
-        return self._nidaqmx.Task(name, grpc_options=options)
+        try:
+            self._nidaqmx.Task(name, grpc_options=options).close()
+            return self._nidaqmx.Task(name, grpc_options=options)
+        except self._nidaqmx.errors.DaqError:
+            # Its device was unplugged under it, and it cannot even be asked for its name: leave it, it holds nothing.
+            return self._nidaqmx.Task(grpc_options=self._nidaqmx.GrpcSessionOptions(self._channel, ""))
 
     def _product(self, port: str) -> str:
         """Return the device's type; older servers cannot tell, and after a replug NI's driver sometimes cannot."""

@@ -277,7 +277,7 @@ class PozsolPositioner:
         homing = status.homing
         if self._homing is not None:
             self._homing.look(positions, destinations, status, known[Field.STATUS].time_s, self._now())
-            homing = homing or not self._homing.over
+            homing = homing or (self._homing.begun and not self._homing.over)
             if self._homing.over:
                 self._homing = None
                 self._forgiven_s = self._now()

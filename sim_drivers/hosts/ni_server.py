@@ -25,11 +25,13 @@ INVALID_DEVICE = -200220
 NO_SUCH_CHANNEL = -200170
 LINES_RESERVED = -200587
 INVALID_TASK = -200088
+TASK_RUNS = -200479
 TEXTS = {
     DEVICE_GONE: "The specified device is not present or is not active in the system.",
     INVALID_DEVICE: "Device identifier is invalid.",
     NO_SUCH_CHANNEL: "Physical channel specified does not exist on this device.",
     LINES_RESERVED: "Specified resource is reserved by another task.",
+    TASK_RUNS: "Specified operation cannot be performed while the task is running.",
     INVALID_TASK: "Task specified is invalid or does not exist.",
 }
 
@@ -143,8 +145,11 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def CreateTask(self, request: Any, _context: Any) -> Any:
         await self._running.wait()
         name = request.session_name or f"_unnamedTask<{next(self._names)}>"
-        self._tasks[name] = _Task(name)
-        response = messages.CreateTaskResponse(new_session_initialized=True)
+        # Asked for a session that it has, the server hands that one out.
+        is_new = name not in self._tasks
+        if is_new:
+            self._tasks[name] = _Task(name)
+        response = messages.CreateTaskResponse(new_session_initialized=is_new)
         response.task.name = name
         return response
 
@@ -158,6 +163,8 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         match = _LINES.fullmatch(request.lines.strip())
         if match is None:
             await _fail(context, NO_SUCH_CHANNEL)
+        if task.lines:
+            await _fail(context, TASK_RUNS)
         if match[1] != DEVICE or not self.plugged:
             await _fail(context, INVALID_DEVICE)
         first = int(match[2])

@@ -53,11 +53,12 @@ def test_the_simulated_switch_selects_each_input_by_the_same_values(transcript):
         assert core.selected(piece.time_s) == channel
 
 
-def test_wiring_and_enable_are_configuration():
+@pytest.mark.parametrize(("enable", "level"), [("active-low", False), ("active-high", True)])
+def test_wiring_and_enable_are_configuration(enable, level):
     async def scene():
-        async with ni_server(enable="active-low", address_lines=(2, 1, 0)) as server:
+        async with ni_server(enable=enable, address_lines=(2, 1, 0)) as server:
             addresses = (0, 4, 2, 6, 1, 5, 3, 7)
-            multiplexer = multiplexer_at(server, addresses=addresses, enable_line=3, enable_level=False)
+            multiplexer = multiplexer_at(server, addresses=addresses, enable_line=3, enable_level=level)
             await multiplexer.open()
             for channel in range(8):
                 await multiplexer.select(channel)

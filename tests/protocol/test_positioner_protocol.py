@@ -1,4 +1,5 @@
 import asyncio
+import fcntl
 import os
 import socket
 import subprocess
@@ -376,6 +377,36 @@ def test_a_lost_count_is_a_lost_reference_until_it_is_cleared_and_homing_finds_t
             await until(over)
             assert host.core.truth(host._now()).b_deg == pytest.approx(13.0, abs=0.01)
             await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_reference_run_that_the_unit_does_not_begin_is_refused(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link)
+            await positioner.open()
+            host.core.inject("undervoltage", host._now())
+            with pytest.raises(RefusedError, match=r"home axis B: its motor supply is 15 V"):
+                await positioner.home("b")
+            assert not (await positioner.read_telemetry()).homing
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_the_mode_of_a_port_that_somebody_holds_is_left_alone(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            holder = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                fcntl.flock(holder, fcntl.LOCK_EX)
+                before = termios.tcgetattr(holder)
+                with pytest.raises(ConnectError, match="held by another program"):
+                    await positioner_on(host.port.link).open()
+                assert termios.tcgetattr(holder) == before
+            finally:
+                os.close(holder)
 
     asyncio.run(scene())
 
