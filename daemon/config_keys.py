@@ -64,6 +64,10 @@ _FORMS = {
     "address": 'a numeric address and a port from 1 to 65535, such as "192.168.1.20:20571" or "[fd00::20]:20571"',
     "group": 'an IPv4 multicast group and a port, such as "239.255.20.71:20571"',
     "ip": 'a numeric address such as "192.168.1.10"',
+    "topic": 'a topic without wildcards in quotes, such as "lab/roof"',
+    "level": 'one level of a topic in quotes, such as "roof"',
+    "json-path": 'names with full stops between, in quotes, such as "wind.speed", or ""',
+    "host": 'a name or an address in quotes, such as "broker.lab" or "192.168.1.5"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }
 

@@ -16,6 +16,7 @@ from rich.console import Console
 from daemon import logs
 from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
+from daemon.api.state import state
 from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
@@ -24,6 +25,7 @@ from daemon.composition import DEFAULT_START, build_rig, build_weather
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
+from daemon.mqtt.parts import Mqtt
 from daemon.records import Event
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
@@ -54,6 +56,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         bus = Bus()
         recent = Recent()
         bus.subscribe(recent.note)
+        mqtt = Mqtt(settings, role, clock, SystemRandom(), bus.publish, speed) if settings.mqtt.enabled else None
         service = Service(
             settings,
             role,
@@ -64,11 +67,17 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             key,
             Notifier(os.environ, os.getpid()),
             speed,
+            mqtt.stow_sources() if mqtt else (),
+            mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
         )
         log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
         with _store(service, role, loop) as store:
-            api = _api(service, recent, speed, store, console, journal=journal)
-            runner.run(_run(service, for_s, speed, LiveView(service, console, speed), api))
+            if mqtt is not None:
+                mqtt.attach(
+                    service, lambda: state(service, recent, speed, store.status if store else None, mqtt.status)
+                )
+            api = _api(service, recent, speed, store, mqtt, console, journal=journal)
+            runner.run(_run(service, for_s, speed, LiveView(service, console, speed), api, mqtt))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -139,14 +148,29 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
 
 
 def _api(
-    service: Service, recent: Recent, speed: float, store: Store | None, console: Console, *, journal: bool
+    service: Service,
+    recent: Recent,
+    speed: float,
+    store: Store | None,
+    mqtt: Mqtt | None,
+    console: Console,
+    *,
+    journal: bool,
 ) -> ApiServer | None:
     """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
     settings = service.settings.api
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    server = ApiServer(settings, service, recent, token, speed, lambda: store.status if store else None)
+    server = ApiServer(
+        settings,
+        service,
+        recent,
+        token,
+        speed,
+        lambda: store.status if store else None,
+        lambda: mqtt.status if mqtt else None,
+    )
     if server.url is not None:
         log.info("local interface at %s", server.url)
         where = f"the token of commands is in {settings.token_file}"
@@ -157,13 +181,15 @@ def _api(
     return server
 
 
-async def _run(service: Service, for_s: float | None, speed: float, view: LiveView, api: ApiServer | None) -> None:
+async def _run(
+    service: Service, for_s: float | None, speed: float, view: LiveView, api: ApiServer | None, mqtt: Mqtt | None
+) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, view.run(), *([api.run()] if api else []))
+        await service.run(stop, view.run(), *(part.run() for part in (api, mqtt) if part))
 
 
 @contextlib.contextmanager
