@@ -7,7 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.mqtt.broker import LEFT_OUT, MOSQUITTO
+
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_report_header():
+    """Say once what cannot be tested here."""
+    if MOSQUITTO is None:
+        return f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
+    return None
 
 
 @pytest.fixture(autouse=True)

@@ -5,15 +5,17 @@ import contextlib
 import logging
 import socket
 import ssl
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import aiomqtt
 
 from daemon.config import Mqtt
 from daemon.mqtt.credentials import load_user, tls_context
 from daemon.mqtt.outbox import Message
+
+T = TypeVar("T")
 
 _CONNECT_S = 3.0
 _CONFIRM_S = 5.0
@@ -176,6 +178,30 @@ class _Client(aiomqtt.Client):
             raise
         finally:
             self.dialled = True
+
+    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - the library's name
+        """Wait like the library, but never swallow a cancellation, as `asyncio.wait_for` of Python 3.11 may."""
+        try:
+            async with asyncio.timeout(self.timeout if timeout is None else timeout):
+                return await fut
+        except TimeoutError:
+            raise aiomqtt.MqttError("no answer in time") from None
+
+    def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:  # noqa: ARG002 - paho's
+        """Register a socket to be written to, unless it has been closed by the time that this can be done."""
+
+        def register() -> None:
+            if sock.fileno() >= 0:
+                self._loop.add_writer(sock.fileno(), self._write)
+
+        self._loop.call_soon_threadsafe(register)
+
+    def _write(self) -> None:
+        try:
+            self._client.loop_write()
+        except (OSError, ValueError) as error:
+            if not self._disconnected.done():
+                self._disconnected.set_exception(error)
 
     async def abandon(self, opening: "asyncio.Task[Self] | None") -> None:
         """Close the socket if it is open still, and take note of errors that nobody has asked for."""

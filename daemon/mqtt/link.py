@@ -180,6 +180,7 @@ class Link:
             for timer in timers:
                 timer.cancel()
             self._connected = False
+            self._outbox.forget_urgent()
             await connection.close()
 
     async def _serve(self, connection: Connection) -> None:

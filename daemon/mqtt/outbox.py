@@ -61,6 +61,10 @@ class Outbox:
         else:
             self.dropped += 1
 
+    def forget_urgent(self) -> None:
+        """Throw away what was only worth sending at once."""
+        self._urgent.clear()
+
     async def take(self) -> Message:
         """Wait for a message and take it out."""
         while not (self._urgent or self._others):
