@@ -144,6 +144,17 @@ def _code(answer: object) -> int:
     return value if isinstance(value, int) else 0
 
 
+class _TlsSocket(ssl.SSLSocket):
+    """A socket that closes itself when the two sides do not agree: the library forgets it then."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except OSError:
+            self.close()
+            raise
+
+
 class _Client(aiomqtt.Client):
     """The library's client with its two gaps filled: a bounded dial, and nothing left behind after a failure."""
 
@@ -158,7 +169,9 @@ class _Client(aiomqtt.Client):
         if settings.credentials_file is not None:
             self._client.username_pw_set(*load_user(settings.credentials_file))
         if settings.tls:
-            self._client.tls_set_context(tls_context(settings))
+            context = tls_context(settings)
+            context.sslsocket_class = _TlsSocket
+            self._client.tls_set_context(context)
         try:
             super()._client_connect()
         except ssl.SSLCertVerificationError as error:
@@ -180,12 +193,24 @@ class _Client(aiomqtt.Client):
             self.dialled = True
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - the library's name
-        """Wait like the library, but never swallow a cancellation, as `asyncio.wait_for` of Python 3.11 may."""
+        """Wait like the library, but not for a connection that is gone, and never swallow a cancellation.
+
+        `asyncio.wait_for` of Python 3.11 may do that.
+        """
+        waiting = asyncio.ensure_future(fut)
         try:
-            async with asyncio.timeout(self.timeout if timeout is None else timeout):
-                return await fut
-        except TimeoutError:
-            raise aiomqtt.MqttError("no answer in time") from None
+            await asyncio.wait(
+                (waiting, self._disconnected),
+                timeout=self.timeout if timeout is None else timeout,
+                return_when=asyncio.FIRST_COMPLETED,
+            )
+            if waiting.done():
+                return waiting.result()
+            if self._disconnected.done():
+                raise aiomqtt.MqttCodeError(None, "disconnected")
+            raise aiomqtt.MqttError("no answer in time")
+        finally:
+            waiting.cancel()
 
     def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:  # noqa: ARG002 - paho's
         """Register a socket to be written to, unless it has been closed by the time that this can be done."""

@@ -168,7 +168,11 @@ class Link:
         await connection.open()
         timers: list[asyncio.TimerHandle] = []
         try:
-            await self._be_born(connection)
+            try:
+                await self._be_born(connection)
+            except ConnectionLostError as error:
+                rights = f"does it let this user read and write {self._topics.base}/#?"
+                raise ConnectionLostError(f"{error} as soon as it was used: {rights}") from None
             timers = self._watch()
             await self._serve(connection)
         except asyncio.CancelledError:

@@ -85,7 +85,10 @@ async def _amqtt(port):
 
     plugins = {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}}
     broker = Embedded(
-        {"listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}", "max_connections": 50}}, "plugins": plugins}
+        {
+            "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}", "max_connections": 50}},
+            "plugins": plugins,
+        }
     )
     await broker.start()
     await asyncio.Event().wait()

@@ -6,8 +6,8 @@ import pytest
 
 from daemon.records import Mode
 
-from .conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 from .broker import CERTIFICATES
+from .conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 
 BASE = "heliocube/tracker"
 
@@ -106,7 +106,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
 def test_a_retained_command_is_ignored_and_says_so(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            await lab.say(f"{BASE}/command/stow", retain=True)
+            await lab.say(f"{BASE}/command/stow", {"why": "long ago"}, retain=True)
             rig = bench(broker.port)
             async with serving(rig):
                 reply = await lab.until(f"{BASE}/reply")
@@ -237,8 +237,15 @@ def test_a_topic_that_the_access_list_forbids_is_one_sentence(make_broker, scale
     async def scenario():
         rig = bench(broker.port, mqtt={"credentials_file": credentials})
         async with serving(rig):
-            troubles = await until(lambda: rig.mqtt.status.troubles, "a sentence")
-            assert "must let this user read and write heliocube/tracker/#" in troubles[0]
+
+            def sentences():
+                # Some versions of the broker end the connection, others keep silent.
+                return [
+                    text for text in (rig.mqtt.status.down_why, *rig.mqtt.status.troubles) if "read and" in (text or "")
+                ]
+
+            told = await until(sentences, "a sentence")
+            assert "this user read and write heliocube/tracker/#" in told[0]
             await rig.until_mode(Mode.TRACKING, 400)
 
     scaled(scenario)
@@ -275,7 +282,9 @@ def test_two_services_with_one_client_id_do_not_throw_each_other_out_without_end
         async with observer(broker.port) as lab:
             async with serving(first, second):
                 await asyncio.sleep(200)
-            births = [m for name in ("one", "two") for m in lab.on(f"heliocube/{name}/status") if m.payload == b"online"]
+            births = [
+                m for name in ("one", "two") for m in lab.on(f"heliocube/{name}/status") if m.payload == b"online"
+            ]
             assert 4 <= len(births) <= 40
             down = [line.getMessage() for line in log_lines() if "is down" in line.getMessage()]
             assert any("ended the connection" in line for line in down)
