@@ -125,9 +125,11 @@ class Connection:
     def _reason(self, error: aiomqtt.MqttError) -> str:
         if self._client.refusal is not None:
             return self._client.refusal
-        if isinstance(error, aiomqtt.MqttCodeError):
-            return f"{self._place} {_REFUSALS.get(_code(error.rc), 'ended the connection')}"
-        return f"{self._place} does not answer"
+        cause = self._client.ending or error
+        if isinstance(cause, aiomqtt.MqttError) and not isinstance(cause, aiomqtt.MqttCodeError):
+            return f"{self._place} does not answer"
+        ended = f"ended the connection; if that repeats, another client has the client id {self._client.identifier}"
+        return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
 
 
 # What a broker says to a connection that it does not want.
@@ -136,6 +138,7 @@ _REFUSALS = {
     134: "refuses user or password: see mqtt.credentials_file",
     135: "refuses user or password: see mqtt.credentials_file",
     136: "is not available now",
+    141: "does not answer any more",
 }
 
 
@@ -191,6 +194,12 @@ class _Client(aiomqtt.Client):
             raise
         finally:
             self.dialled = True
+
+    @property
+    def ending(self) -> BaseException | None:
+        """What ended the connection, or None."""
+        ended = self._disconnected.done() and not self._disconnected.cancelled()
+        return self._disconnected.exception() if ended else None
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - the library's name
         """Wait like the library, but not for a connection that is gone, and never swallow a cancellation.

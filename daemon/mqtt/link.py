@@ -26,7 +26,7 @@ _FIRST_DELAY_S = 1.0
 _LONGEST_DELAY_S = 60.0
 # A connection has proven itself after this long: only then is the next delay a short one again.
 _PROVEN_S = 30.0
-# A link that comes and goes is told as one outage: after a loss so soon, it counts as back only after this long.
+# A link that comes and goes is told as one outage: lost again within this time, it counts as back after as long.
 _STEADY_S = 600.0
 _ECHO_WITHIN_S = 10.0
 _TELL_AGAIN_S = 3600.0
@@ -102,6 +102,7 @@ class Link:
         self._connected = False
         self._down_why: str | None = "not connected yet"
         self._told_back_s = -math.inf
+        self._unsteady = False
         self._told_dropped = 0
         self._sent = 0
 
@@ -213,8 +214,7 @@ class Link:
     def _watch(self) -> list[asyncio.TimerHandle]:
         loop = asyncio.get_running_loop()
         self._echo_missing = loop.call_later(_ECHO_WITHIN_S * self._speed, self._no_echo)
-        unsteady = self._clock.monotonic() - self._told_back_s < _STEADY_S * self._speed
-        back_after_s = _STEADY_S if unsteady else 0.0
+        back_after_s = _STEADY_S if self._unsteady else 0.0
         return [
             self._echo_missing,
             loop.call_later(_PROVEN_S * self._speed, self._backoff.reset),
@@ -257,6 +257,7 @@ class Link:
 
     def _back(self) -> None:
         now_s = self._clock.monotonic()
+        self._unsteady = False
         lost = self._outbox.dropped - self._told_dropped
         self._told_dropped = self._outbox.dropped
         if self._told_back_s == -math.inf and not self._outage.is_down:
@@ -268,7 +269,9 @@ class Link:
 
     def _lost(self, why: str) -> None:
         self._down_why = why
-        if self._outage.down(self._clock.monotonic(), why):
+        now_s = self._clock.monotonic()
+        self._unsteady = self._unsteady or now_s - self._told_back_s < _STEADY_S * self._speed
+        if self._outage.down(now_s, why):
             self._tell(f"the broker is down: {why}")
 
     def _tell(self, text: str) -> None:
