@@ -81,15 +81,11 @@ class Broker:
 
 
 async def _amqtt(port):
-    from amqtt.broker import Broker as Embedded
+    from amqtt.broker import Broker as Embedded  # noqa: PLC0415 - only where there is no mosquitto
 
     plugins = {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}}
-    broker = Embedded(
-        {
-            "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}", "max_connections": 50}},
-            "plugins": plugins,
-        }
-    )
+    listener = {"type": "tcp", "bind": f"127.0.0.1:{port}", "max_connections": 50}
+    broker = Embedded({"listeners": {"default": listener}, "plugins": plugins})
     await broker.start()
     await asyncio.Event().wait()
 
