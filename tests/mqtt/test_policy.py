@@ -14,6 +14,7 @@ from daemon.clock import LoopClock
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
+from daemon.records import Decision
 from daemon.timeloop import VirtualTimeLoop
 
 from .conftest import MqttBench, settings_for, until
@@ -173,11 +174,7 @@ def test_control_decides_in_the_same_rhythm_with_and_without_a_broker():
                 await asyncio.sleep(1800)
                 stop.set()
                 await serving
-                return [
-                    (record.time_monotonic_s, record.target)
-                    for record in rig.records
-                    if type(record).__name__ == "Decision"
-                ]
+                return [record.time_monotonic_s for record in rig.of(Decision)]
 
             return runner.run(scenario())
 
