@@ -5,6 +5,7 @@ The descriptions here are the only ones: the commented file, the reference and t
 
 import difflib
 import ipaddress
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -23,6 +24,8 @@ from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
 from daemon.config_instruments import Instruments
 from daemon.config_section import Positive, Section, text_of, with_defaults
+from daemon.mqtt.json_path import check_path
+from daemon.mqtt.topics import check_topic
 from solar.frames import Limits
 
 NotNegative = Annotated[float, Field(ge=0)]
@@ -32,6 +35,7 @@ Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
 WeatherName = Literal["clear", "overcast", "variable"]
+_HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
 def _listen_address(text: str) -> str:
@@ -62,6 +66,18 @@ def _interface(text: str) -> str:
     return text
 
 
+def _topic_level(text: str) -> str:
+    if "/" in check_topic(text):
+        raise ValueError("more than one level")
+    return text
+
+
+def _host_name(text: str) -> str:
+    if not _HOST_NAME.fullmatch(text):
+        raise ValueError("not a host")
+    return text
+
+
 def _no_empty_path(value: object) -> object:
     if value == "":
         raise ValueError("empty")
@@ -82,6 +98,10 @@ SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
 Group = Annotated[str, AfterValidator(_group), text_of("group")]
 Host = Annotated[str, AfterValidator(_host), text_of("ip")]
 Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
+Topic = Annotated[str, AfterValidator(check_topic), text_of("topic")]
+TopicLevel = Annotated[str, AfterValidator(_topic_level), text_of("level")]
+JsonPath = Annotated[str, AfterValidator(check_path), text_of("json-path")]
+HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
 
 
 class Site(Section):
@@ -244,8 +264,16 @@ class Safety(Section):
 
 
 class Bridge(Section):
-    """How scans get from the cube to the trackers: UDP, signed with a key that both sides have."""
+    """How scans get from the cube to the trackers: over UDP or a broker, signed with a key that both sides have."""
 
+    transport: Literal["udp", "mqtt"] = Field(
+        "udp",
+        description="udp: within one network. mqtt: over the broker of [mqtt] to trackers in other networks; cube and"
+        " tracker in one process still use UDP between themselves.",
+    )
+    topic: Topic = Field(
+        "heliocube/bridge", description="Topic of the scans over a broker: one per cube, the same on both sides."
+    )
     listen: ListenAddress = Field(
         "127.0.0.1:20571", description="Tracker: address and port to receive on; 0.0.0.0 is every network."
     )
@@ -305,6 +333,81 @@ class Api(Section):
     )
 
 
+class WindInput(Section):
+    """A wind sensor on the broker. Thresholds and times are those of [safety]."""
+
+    topic: Topic | None = Field(
+        None, examples=["weather/roof"], description="Topic that bears the wind speed. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the speed is in a JSON message; empty where the message is the number."
+    )
+    unit: Literal["m/s", "km/h", "mph", "kn"] = Field("m/s", description="Unit of the speed.")
+
+
+class SafeInput(Section):
+    """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
+
+    topic: Topic | None = Field(
+        None, examples=["dome/safety"], description="Topic that bears the word. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the word is in a JSON message; empty where the message is the word."
+    )
+    safe: str = Field("safe", min_length=1, description="The word for safe; true, false and numbers are words too.")
+    unsafe: str = Field("unsafe", min_length=1, description="The word for unsafe.")
+    stale_s: Duration = Field(300.0, description="Time without the word for safe that counts as unsafe.")
+    stow_at_least_s: Duration = Field(900.0, description="Time that it must have been safe before stow ends.")
+
+
+class Mqtt(Section):
+    """Telemetry and commands over an MQTT broker, described in docs/mqtt.md."""
+
+    enabled: bool = Field(default=False, description="Whether a broker is used at all.")
+    host: HostName = Field("127.0.0.1", description="Name or address of the broker.")
+    port: int = Field(1883, ge=1, le=65535, description="Port of the broker; with TLS usually 8883.")
+    tls: bool = Field(default=False, description="Encrypt, and check the broker's certificate.")
+    ca_file: FilePath | None = Field(
+        None,
+        examples=["broker-ca.pem"],
+        description="Certificates that the broker's own is checked against. Left out: those of the system.",
+    )
+    certificate_file: FilePath | None = Field(
+        None, examples=["client.pem"], description="This client's certificate, where the broker asks for one."
+    )
+    certificate_key_file: FilePath | None = Field(
+        None, examples=["client.key"], description="The key of that certificate."
+    )
+    credentials_file: FilePath | None = Field(
+        None, examples=["mqtt.credentials"], description="File of one line, user:password, mode 0600 or 0640."
+    )
+    client_id: str | None = Field(
+        None,
+        min_length=1,
+        max_length=128,
+        examples=["roof-tracker"],
+        description="Name of the connection; two with one name throw each other out. Left out: of prefix and name.",
+    )
+    keepalive_s: int = Field(5, ge=2, le=60, description="Longest silence; a hung broker is noticed within twice this.")
+    prefix: Topic = Field("heliocube", description="What all topics of the installation begin with.")
+    name: TopicLevel | None = Field(
+        None,
+        examples=["roof"],
+        description="Level of this tracker below the prefix, or of this cube. Left out: tracker, or cube.",
+    )
+    state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
+    queue_messages: int = Field(
+        1000, ge=10, le=100_000, description="How many messages wait while the broker is away; the oldest go first."
+    )
+    commands: bool = Field(
+        default=True, description="Take commands. Whoever may write to the broker can move the tracker then."
+    )
+    discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
+    discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
+    wind: WindInput = WindInput()
+    safe: SafeInput = SafeInput()
+
+
 class Simulation(Section):
     """The simulated rig: its sky, its clock and its imperfections.
 
@@ -348,6 +451,7 @@ class Settings(Section):
     bridge: Bridge = Bridge()
     store: Store = Store()
     api: Api = Api()
+    mqtt: Mqtt = Mqtt()
     simulation: Simulation = Simulation()
 
     @model_validator(mode="after")

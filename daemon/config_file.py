@@ -14,13 +14,23 @@ from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
 from daemon.config import Settings
 from daemon.errors import UserError
+from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
 
 if TYPE_CHECKING:
     from daemon.config_section import Section
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
-_PATHS = (("bridge", "key_file"), ("store", "directory"), ("api", "token_file"), ("simulation", "weather"))
+_PATHS = (
+    ("bridge", "key_file"),
+    ("store", "directory"),
+    ("api", "token_file"),
+    ("mqtt", "ca_file"),
+    ("mqtt", "certificate_file"),
+    ("mqtt", "certificate_key_file"),
+    ("mqtt", "credentials_file"),
+    ("simulation", "weather"),
+)
 _SLASHES = "write paths in 'single quotes' or with forward slashes"
 _HINTS = (
     ("Unescaped", _SLASHES),
@@ -83,6 +93,14 @@ def check_file(path: Path) -> Settings:
             load_token(settings.api.token_file)
         except TokenError as error:
             problems.append(f"api.token_file: {error}")
+    mqtt = settings.mqtt
+    try:
+        if mqtt.credentials_file is not None:
+            load_user(mqtt.credentials_file)
+        if mqtt.tls:
+            tls_context(mqtt)
+    except CredentialsError as error:
+        problems.append(str(error))
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not weather.is_file():
         problems.append(f"simulation.weather: there is no file {weather}")

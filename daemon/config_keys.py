@@ -72,6 +72,10 @@ _FORMS = {
     ' "GPIB0::16::INSTR"; not ASRL/dev/ttyUSB0, which may be another instrument after the next replug',
     "server": 'a host and a port, such as "192.168.1.30:31763"',
     "digital-port": 'an NI device and its port, such as "Dev1/port0"',
+    "topic": 'a topic without wildcards in quotes, such as "lab/roof"',
+    "level": 'one level of a topic in quotes, such as "roof"',
+    "json-path": 'names with full stops between, in quotes, such as "wind.speed", or ""',
+    "host": 'a name or an address in quotes, such as "broker.lab" or "192.168.1.5"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }
 

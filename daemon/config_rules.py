@@ -180,6 +180,9 @@ def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("bridge.insecure", reason, ("bridge.key_file",))
     if bridge.insecure or bridge.key_file is not None:
         return
+    if bridge.transport == "mqtt":
+        reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
+        yield Conflict("bridge.transport", reason, ("bridge.key_file", "bridge.insecure"))
     addresses = {"bridge.listen": bridge.listen}
     addresses |= {f"bridge.send_to[{index}]": text for index, text in enumerate(bridge.send_to)}
     if bridge.multicast_group is not None:
@@ -198,6 +201,34 @@ def an_interface_has_a_group(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
 
 
+def what_needs_a_broker_has_one(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
+    if settings.mqtt.enabled:
+        return
+    if settings.bridge.transport == "mqtt":
+        yield Conflict("bridge.transport", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
+    for name in ("wind", "safe"):
+        if getattr(settings.mqtt, name).topic is not None:
+            reason = "protects nothing without mqtt.enabled = true"
+            yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
+
+
+def the_broker_is_known_as_asked(settings: "Settings") -> Iterator[Conflict]:
+    """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
+    mqtt = settings.mqtt
+    for name in ("ca_file", "certificate_file", "certificate_key_file"):
+        if getattr(mqtt, name) is not None and not mqtt.tls:
+            yield Conflict(f"mqtt.{name}", "has no effect without mqtt.tls = true", ("mqtt.tls",))
+    if mqtt.certificate_file is None and mqtt.certificate_key_file is not None:
+        yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
+
+
+def the_two_words_differ(settings: "Settings") -> Iterator[Conflict]:
+    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
+    if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
+        yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
+
+
 RULES = (
     each_face_has_its_channel,
     each_channel_has_an_address,
@@ -212,4 +243,7 @@ RULES = (
     the_bridge_is_signed_or_not,
     an_interface_has_a_group,
     the_triangle_holds,
+    what_needs_a_broker_has_one,
+    the_broker_is_known_as_asked,
+    the_two_words_differ,
 )

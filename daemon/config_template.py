@@ -31,6 +31,8 @@ _NOT_READ = {
         "limits",
         "motion",
         "safety",
+        "mqtt.wind",
+        "mqtt.safe",
     ),
     "tracker": ("instruments.multiplexer", "instruments.voltmeter"),
 }

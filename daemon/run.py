@@ -16,6 +16,7 @@ from rich.console import Console
 from daemon import logs
 from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
+from daemon.api.state import state
 from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
@@ -24,6 +25,7 @@ from daemon.composition import DEFAULT_START, build_real_rig, build_simulated_ri
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
+from daemon.mqtt.parts import Mqtt
 from daemon.records import Event
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
@@ -53,6 +55,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         bus = Bus()
         recent = Recent()
         bus.subscribe(recent.note)
+        mqtt = Mqtt(settings, role, clock, SystemRandom(), bus.publish, speed) if settings.mqtt.enabled else None
         service = Service(
             settings,
             role,
@@ -63,6 +66,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             key,
             Notifier(os.environ, os.getpid()),
             speed,
+            stow_sources=mqtt.stow_sources() if mqtt else (),
+            send_beyond=mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
         )
         if rig.simulated:
             fields = {"role": role, "speed": speed}
@@ -72,10 +77,14 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         with _store(service, role, loop) as store:
-            api = _api(service, recent, speed, store, console, journal=journal)
+            if mqtt is not None:
+                mqtt.attach(
+                    service, lambda: state(service, recent, speed, store.status if store else None, mqtt.status)
+                )
+            api = _api(service, recent, speed, store, mqtt, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(service, console, speed)
-            runner.run(_run(service, for_s, speed, view, api))
+            runner.run(_run(service, for_s, speed, view, api, mqtt))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -158,14 +167,29 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
 
 
 def _api(
-    service: Service, recent: Recent, speed: float, store: Store | None, console: Console, *, journal: bool
+    service: Service,
+    recent: Recent,
+    speed: float,
+    store: Store | None,
+    mqtt: Mqtt | None,
+    console: Console,
+    *,
+    journal: bool,
 ) -> ApiServer | None:
     """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
     settings = service.settings.api
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    server = ApiServer(settings, service, recent, token, speed, lambda: store.status if store else None)
+    server = ApiServer(
+        settings,
+        service,
+        recent,
+        token,
+        speed,
+        lambda: store.status if store else None,
+        lambda: mqtt.status if mqtt else None,
+    )
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"
         if settings.token_file is None:
@@ -176,14 +200,14 @@ def _api(
 
 
 async def _run(
-    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None
+    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None, mqtt: Mqtt | None
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, *(companion.run() for companion in (view, api) if companion is not None))
+        await service.run(stop, *(companion.run() for companion in (view, api, mqtt) if companion is not None))
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from random import Random
@@ -10,7 +10,7 @@ from typing import Any
 
 from daemon.acquisition import Acquisition
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.bridge.sender import BridgeSender
+from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
 from daemon.clock import Clock
 from daemon.config import Settings
@@ -87,6 +87,10 @@ class Service:
         How many times as fast as the machine's the clock runs, for the watchdog.
     idle_poll_s
         How often a tracker at rest is looked at.
+    stow_sources
+        Reasons to stow besides the rig's wind sensor and the operator.
+    send_beyond
+        Takes each signed scan of the cube to trackers that UDP does not reach, or None.
     """
 
     def __init__(
@@ -101,6 +105,8 @@ class Service:
         notifier: Notifier,
         speed: float = 1.0,
         idle_poll_s: float = IDLE_POLL_S,
+        stow_sources: Sequence[StowSource] = (),
+        send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -111,6 +117,8 @@ class Service:
         self._key = key
         self._notifier = notifier
         self._idle_poll_s = idle_poll_s
+        self._stow_sources = stow_sources
+        self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -145,7 +153,7 @@ class Service:
         if rig.positioner is None:
             raise ValueError("the tracker's role needs a positioner")
         limits = settings.limits.limits()
-        sources: list[StowSource] = []
+        sources: list[StowSource] = [*self._stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
         self.motion = Motion(
@@ -227,9 +235,9 @@ class Service:
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
-        if self.receiver is not None:
+        if self.receiver is not None and not (self.role is Role.TRACKER and bridge.transport == "mqtt"):
             await self.receiver.open()
-        if self.role is Role.TRACKER:
+        if self.role is Role.TRACKER or (self.role is Role.CUBE and bridge.transport == "mqtt"):
             return
         if self.receiver is not None:
             # Both roles in one process still talk over the bridge, to wherever the receiver really listens.
@@ -242,6 +250,8 @@ class Service:
     def _send(self, scan: Scan) -> None:
         if self.sender is not None:
             self.sender.send(scan)
+        if self._send_beyond is not None:
+            self._send_beyond(pack(scan, self._key))
         if self.role is Role.CUBE:
             self.bus.publish(scan)
 

@@ -9,11 +9,20 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.mqtt.broker import LEFT_OUT, MOSQUITTO
+
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("heliocube")
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_report_header():
+    """Say once what cannot be tested here."""
+    if MOSQUITTO is None:
+        return f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
+    return None
 
 
 @pytest.fixture(autouse=True)

@@ -1,6 +1,7 @@
 """The state of the service as JSON: every value with its age and what it is worth."""
 
 import math
+from dataclasses import asdict
 from importlib.metadata import version
 from operator import attrgetter
 from typing import Any
@@ -9,6 +10,7 @@ from daemon.api.recent import Recent
 from daemon.clock import iso_utc
 from daemon.control import Control
 from daemon.motion import Motion
+from daemon.mqtt.link import LinkStatus
 from daemon.records import FACES, Pose, Quality, Record, Scan
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -41,7 +43,9 @@ def number(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def state(service: Service, recent: Recent, speed: float, store: StoreStatus | None) -> dict[str, Any]:
+def state(
+    service: Service, recent: Recent, speed: float, store: StoreStatus | None, mqtt: LinkStatus | None = None
+) -> dict[str, Any]:
     """Return everything there is to see of the service now.
 
     A face's quality is ``stale`` where its reading has become too old to be used, whatever it was before.
@@ -73,6 +77,7 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
         "tracker": None,
         "bridge": None,
         "store": None if store is None else _store(store),
+        "mqtt": None if mqtt is None else asdict(mqtt),
         "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in recent.news],
     }
     if control is not None and service.motion is not None:
