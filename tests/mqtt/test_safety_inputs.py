@@ -169,8 +169,9 @@ def test_silence_and_noise_are_unsafe_after_the_time_limit(noise):
 
 def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained_safe_is_no_word():
     source, _, _ = safe(stale_s=100.0)
-    source.take(said("safe", retained=True))
     assert source.reason(0.0) is None
+    source.take(said("safe", retained=True))
+    assert source.reason(90.0) is None
     assert source.reason(101.0) is not None
 
 

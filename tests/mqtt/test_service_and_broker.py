@@ -155,6 +155,19 @@ def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, 
     scaled(scenario)
 
 
+def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            rig = bench(broker.port)
+            async with serving(rig):
+                await lab.until(f"{BASE}/status", lambda word: word == "online")
+                heard = len(lab.on(f"{BASE}/status"))
+                await lab.say(f"{BASE}/status", "offline", retain=True)
+                assert await lab.until(f"{BASE}/status", lambda word: word == "online", after=heard) == "online"
+
+    scaled(scenario)
+
+
 @needs_mosquitto
 def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
     async def scenario():
@@ -171,7 +184,7 @@ def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
                 broker.go_on()
             await until(lambda: rig.mqtt.status.connected, "the way back")
             async with observer(broker.port) as late:
-                # The broker publishes the will of the connection that it slept through, and is corrected.
+                # Meanwhile the broker has published the will of the connection that it slept through.
                 await asyncio.sleep(3 * SPEED)
                 assert late.on(f"{BASE}/status")[-1].payload == b"online"
 
