@@ -88,12 +88,14 @@ class Operator:
         return Answer(done and control.mode is Mode.HOLD, self._seen())
 
     async def stop(self, why: str) -> Answer:
-        """Stop the axes at once and hold; ends a stow that an operator asked for, but not one for the wind."""
+        """Stop the axes at once and keep them stopped until 'auto', even from a stow."""
         control, motion = self._note("stop", why)
         asked_s, heading = self._service.clock.monotonic(), motion.target
-        control.auto()
-        control.hold(why)
-        lost = await _send_stop(motion)
+        try:
+            await control.stop(why)
+            lost = None
+        except DeviceError as error:
+            lost = str(error)
         control.tick()
         if lost is not None:
             raise CommandError(f"stop could not be sent, and is sent as soon as the positioner answers: {lost}")

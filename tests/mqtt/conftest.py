@@ -136,8 +136,8 @@ class MqttBench(Bench):
             KEY,
             Notifier({}, 0),
             1.0,
-            self.mqtt.stow_sources(),
-            self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
+            stow_sources=self.mqtt.stow_sources(),
+            send_beyond=self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
         )
         self.mqtt.attach(self.service, lambda: state(self.service, recent, speed, None, self.mqtt.status))
 
