@@ -48,7 +48,9 @@ def _descriptors() -> dict[str, str]:
         except OSError:
             continue
         # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.
-        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or "/tmp" in target:
+        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or (
+            "/tmp" in target and "site-packages" not in target
+        ):
             found[entry.name] = target
     return found
 
