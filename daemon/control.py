@@ -26,6 +26,8 @@ from solar.frames import normal_from_angles, separation_deg
 log = logging.getLogger("heliocube.control")
 
 _TICK_S = 5.0
+# Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
+_SHORTEST_WAIT_S = 0.001
 # A parked tracker that is not where it should be is sent there again this often.
 _REPARK_S = 60.0
 _BY_THE_CLOCK = ("chronometric", "optimal")
@@ -242,7 +244,7 @@ class Control:
 
     def _until_next_tick(self) -> float:
         if self.mode in (Mode.TRACKING, Mode.FALLBACK):
-            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))
+            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), _SHORTEST_WAIT_S))
         return _TICK_S
 
     def tick(self) -> None:

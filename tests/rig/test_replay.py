@@ -91,7 +91,7 @@ def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
         assert (last["dni_est"], last["dhi_est"], last["albedo_est"]) == ("", "", "")
 
 
-@pytest.mark.parametrize("law", ["mu-prime"])
+@pytest.mark.parametrize("law", ["mu-prime", "optimal"])
 def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
     bench = run_rig(one_hour, law={"name": law}, weather=Blinking())
     scans = bench.of(Scan)
