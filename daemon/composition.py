@@ -13,20 +13,23 @@ import numpy as np
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.errors import UserError
-from daemon.real_rig import build_multiplexer, build_positioner, build_voltmeter
+from daemon.real_rig import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
 from daemon.service import Rig, Role
-from drivers.interfaces import Positioner
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from drivers.interfaces import ElectronicLoad, Positioner
+from sim_drivers.in_memory import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.load_core import LoadCore
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.pv_source import Light, PvSource
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site
 from solar.frames import Angles
+from solar.pv_module import Q_PEAK_G4_1_305
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
@@ -81,22 +84,24 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
         None if role is Role.CUBE else build_positioner(settings, clock),
         wind_speed_m_s=None,
         simulated=False,
+        load=None if role is Role.CUBE else build_load(settings),
     )
 
 
 def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
-    """Build the simulated instruments that a role needs, under one sky."""
+    """Build the simulated instruments that a role needs, under one sky; `UserError` for a real load among them."""
     scene = _build_scene(settings, weather)
 
     def wind() -> float | None:
         with _weather_may_end():
             return scene.wind_speed(clock.utc())
 
-    multiplexer = voltmeter = positioner = None
+    multiplexer = voltmeter = positioner = load = None
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
     if role is not Role.CUBE:
-        _, positioner = build_simulated_positioner(settings, clock)
+        pose, positioner = build_simulated_positioner(settings, clock)
+        load = _build_load(settings, clock, _build_source(clock, scene, pose))
     return Rig(
         multiplexer,
         voltmeter,
@@ -104,7 +109,40 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
         wind,
         simulated=True,
         sky_text=partial(_sky_text, scene, clock),
+        load=load,
     )
+
+
+class _Module(PvSource):
+    def light(self, now: float) -> Light:
+        with _weather_may_end():
+            return super().light(now)
+
+
+def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles]) -> PvSource:
+    def utc_s(now_s: float) -> float:
+        return clock.utc() + now_s - clock.monotonic()
+
+    return _Module(scene, pose, utc_s, Q_PEAK_G4_1_305)
+
+
+def _build_load(settings: Settings, clock: Clock, source: PvSource) -> ElectronicLoad | None:
+    load = settings.load
+    if load.driver == "none":
+        return None
+    if load.driver != "simulated":
+        raise UserError(
+            f'load.driver = "{load.driver}" is a real load and instruments.kind is "simulated":'
+            ' set load.driver to "simulated"'
+        )
+    core = LoadCore(source, _noise_of_load(settings), now=clock.monotonic())
+    return InMemoryLoad(
+        core, clock.monotonic, settle_s=load.settle_s, least_v=MARGIN_OF_LEAST_V * load.minimum_voltage_v
+    )
+
+
+def _noise_of_load(settings: Settings) -> np.random.Generator:
+    return np.random.default_rng([settings.simulation.seed, 2])
 
 
 def _build_scene(settings: Settings, weather: Weather) -> Scene:
@@ -231,12 +269,21 @@ async def run_bench(
 
     scene = _build_scene(settings, weather)
     switch, meter = _build_cube_cores(settings, clock, scene)
+    unit = _build_unit(settings, clock)
+    source = _build_source(clock, scene, unit.truth)
+    noise, now_s = _noise_of_load(settings), clock.monotonic()
+    if settings.load.driver == "agilent6063b":
+        load = LoadCore(source, noise, make="agilent6063b", now=now_s)
+    else:
+        load = LoadCore(source, noise, channel=settings.load.channel, now=now_s)
     bench = Bench(
         directory,
         scene,
         switch,
         meter,
-        _build_unit(settings, clock),
+        unit,
+        load,
+        source,
         BenchClock(clock.monotonic, clock.utc),
         settings.instruments.voltmeter.baud_rate,
     )

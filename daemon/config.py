@@ -22,7 +22,7 @@ from pydantic import (
 from daemon import config_rules
 from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
-from daemon.config_instruments import Instruments
+from daemon.config_instruments import Instruments, Load
 from daemon.config_section import Positive, Section, text_of, with_defaults
 from daemon.mqtt.json_path import check_path
 from daemon.mqtt.topics import check_topic
@@ -443,6 +443,7 @@ class Settings(Section):
     site: Site = Site()
     cube: Cube = Cube()
     instruments: Instruments = Instruments()
+    load: Load = Load()
     law: Law = Law()
     windows: Windows = Windows()
     limits: LimitSettings = LimitSettings()

@@ -84,6 +84,16 @@ def curve(
     return result
 
 
+def voltage(
+    module: PvModule, effective_irradiance_w_m2: ArrayLike, cell_temperature_c: ArrayLike, current_a: ArrayLike
+) -> Array:
+    """Return the voltage [V] at which the module gives `current_a`, the inverse of `curve`; Voc for no current."""
+    light, dark, parameters = _parameters(module, effective_irradiance_w_m2, cell_temperature_c)
+    voltage_v = pvsystem.v_from_i(np.asarray(current_a, dtype=np.float64), *parameters)
+    result: Array = np.where(dark, 0.0, np.where(np.isnan(light), np.nan, voltage_v))
+    return result
+
+
 def maximum_power(
     module: PvModule, effective_irradiance_w_m2: ArrayLike, cell_temperature_c: ArrayLike
 ) -> MaximumPower:

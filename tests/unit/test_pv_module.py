@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pvlib import pvsystem
 
-from solar.pv_module import Q_PEAK_G4_1_305, cell_temperature, curve, maximum_power
+from solar.pv_module import Q_PEAK_G4_1_305, cell_temperature, curve, maximum_power, voltage
 
 irradiances = st.floats(1.0, 1400.0)
 temperatures = st.floats(-20.0, 90.0)
@@ -34,12 +34,21 @@ def test_a_warm_module_loses_about_as_much_as_its_data_sheet_says():
 @given(irradiances, temperatures)
 def test_the_curve_passes_through_its_points_and_never_rises(irradiance, temperature):
     points = maximum_power(Q_PEAK_G4_1_305, irradiance, temperature)
-    voltage = np.linspace(0.0, float(points.voc_v), 200)
-    current = curve(Q_PEAK_G4_1_305, irradiance, temperature, voltage)
+    steps = np.linspace(0.0, float(points.voc_v), 200)
+    current = curve(Q_PEAK_G4_1_305, irradiance, temperature, steps)
     assert current[[0, -1]] == pytest.approx([points.isc_a, 0.0], rel=1e-6, abs=1e-6)
     assert (np.diff(current) <= 1e-9).all()
     assert curve(Q_PEAK_G4_1_305, irradiance, temperature, points.vmpp_v) == pytest.approx(points.impp_a, rel=1e-6)
-    assert (voltage * current).max() <= points.pmpp_w * (1 + 1e-9)
+    assert (steps * current).max() <= points.pmpp_w * (1 + 1e-9)
+
+
+@given(irradiances, temperatures, st.floats(0.0, 0.95))
+def test_the_voltage_at_a_current_is_where_the_curve_has_it(irradiance, temperature, share):
+    points = maximum_power(Q_PEAK_G4_1_305, irradiance, temperature)
+    wanted = share * points.isc_a
+    found = voltage(Q_PEAK_G4_1_305, irradiance, temperature, wanted)
+    assert curve(Q_PEAK_G4_1_305, irradiance, temperature, found) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+    assert voltage(Q_PEAK_G4_1_305, irradiance, temperature, 0.0) == pytest.approx(points.voc_v)
 
 
 def test_arguments_of_any_shape_broadcast():
@@ -55,6 +64,7 @@ def test_no_light_gives_zeros_and_no_number_gives_none():
     for each in (points.pmpp_w, points.vmpp_v, points.impp_a, points.voc_v, points.isc_a):
         assert each[:2].tolist() == [0.0, 0.0]
         assert np.isnan(each[2:]).all()
+    assert voltage(Q_PEAK_G4_1_305, [0.0, -3.0], 20.0, 0.0).tolist() == [0.0, 0.0]
     dark = curve(Q_PEAK_G4_1_305, [0.0, -3.0, np.nan, 800.0], [20.0, 20.0, 20.0, np.nan], 30.0)
     assert dark[:2].tolist() == [0.0, 0.0]
     assert np.isnan(dark[2:]).all()
