@@ -12,12 +12,13 @@ from pydantic import ValidationError
 from daemon import config_keys, config_rules
 from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
+from daemon.calibration_file import calibration_in_force
 from daemon.config import Section, Settings
 from daemon.errors import UserError
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
-_PATHS = (("bridge", "key_file"), ("store", "directory"), ("api", "token_file"), ("simulation", "weather"))
+_PATHS = (("bridge", "key_file"), ("store", "directory"), ("cube", "calibration_file"), ("api", "token_file"), ("simulation", "weather"))
 _SLASHES = "write paths in 'single quotes' or with forward slashes"
 _HINTS = (
     ("Unescaped", _SLASHES),
@@ -70,6 +71,10 @@ def check_file(path: Path) -> Settings:
     """Read a file like `load_settings` and look at the files it names as well; raises `ConfigError`."""
     settings = load_settings(path)
     problems = []
+    try:
+        calibration_in_force(settings.cube)
+    except UserError as error:
+        problems.append(f"cube.calibration_file: {error}")
     if settings.bridge.key_file is not None:
         try:
             load_key(settings.bridge.key_file)

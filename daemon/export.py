@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daemon.clock import iso_utc
 from daemon.errors import UserError
-from daemon.store_schema import FILE_NAME, open_for_reading
+from daemon.store_schema import FILE_NAME, open_for_reading, stored_columns
 from daemon.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
 
@@ -106,7 +106,8 @@ class _Table:
     ) -> int:
         low = -math.inf if start is None else start.timestamp()
         high = math.inf if end is None else end.timestamp()
-        names = ", ".join(f"kept.{name}" for name in self._stored)
+        there = stored_columns(connection, self.name)
+        names = ", ".join(f"kept.{name}" if name in there else f"'' AS {name}" for name in self._stored)
         query = (
             f"SELECT {names}, kept.run, runs.simulated, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"

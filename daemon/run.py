@@ -19,6 +19,7 @@ from daemon.api.server import ApiServer
 from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
+from daemon.calibration_file import calibration_in_force
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.composition import DEFAULT_START, build_rig, build_weather
 from daemon.config import Settings
@@ -42,6 +43,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         Something in the settings cannot work here: a weather file, a key, an address.
     """
     key = bridge_key(settings, role)
+    calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
     speed = settings.simulation.speed
@@ -64,6 +66,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             key,
             Notifier(os.environ, os.getpid()),
             speed,
+            calibration,
         )
         log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
         with _store(service, role, loop) as store:

@@ -12,6 +12,7 @@ from daemon.acquisition import Acquisition
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender
 from daemon.bus import Bus
+from daemon.calibration_file import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
@@ -81,6 +82,8 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
+    calibration
+        Of the cube; None for the gains of the settings.
     """
 
     def __init__(
@@ -94,6 +97,7 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
+        calibration: CubeCalibration | None = None,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -103,6 +107,8 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
+        self.calibration = calibration
+        self._expiry = None if calibration is None else ExpiryWatch(calibration, bus.publish)
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -119,8 +125,9 @@ class Service:
         settings, rig = self.settings, self.rig
         if rig.multiplexer is None or rig.voltmeter is None:
             raise ValueError("the cube's role needs a multiplexer and a voltmeter")
+        calibration = self.calibration
         self.acquisition = Acquisition(
-            settings.cube,
+            settings.cube if calibration is None else calibrated_cube(settings.cube, calibration),
             settings.instruments.multiplexer.settle_s,
             rig.multiplexer,
             rig.voltmeter,
@@ -130,6 +137,7 @@ class Service:
             self.bus.publish,
             self.sun_elevation_deg,
             rig.simulated,
+            "" if calibration is None else calibration.identifier,
         )
 
     def _build_tracker(self) -> None:
@@ -221,6 +229,8 @@ class Service:
         await self.sender.open()
 
     def _send(self, scan: Scan) -> None:
+        if self._expiry is not None:
+            self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
         if self.role is Role.CUBE:

@@ -10,6 +10,7 @@ from typing import Literal
 
 from daemon.bridge.signing import generate_key
 from daemon.bus import Bus
+from daemon.calibration_file import calibration_in_force
 from daemon.clock import LoopClock
 from daemon.composition import build_rig, build_weather, site_of
 from daemon.config import Settings
@@ -74,6 +75,7 @@ def simulate(
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
+    calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
     settings = on_a_port_of_its_own(settings)
     tally = _Tally(start_utc_s)
@@ -92,6 +94,7 @@ def simulate(
             bus,
             generate_key(),
             Notifier({}, 0),
+            calibration=calibration,
         )
         runner.run(_until_end(service, days * DAY_S, progress))
     return tally.close(end_utc_s, warning)

@@ -6,6 +6,7 @@ from operator import attrgetter
 from typing import Any
 
 from daemon.api.recent import Recent
+from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
 from daemon.motion import Motion
 from daemon.records import FACES, Pose, Quality, Record, Scan
@@ -63,6 +64,7 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
         "sun_elevation_deg": number(service.sun_elevation_deg(utc_s)),
         "sky": None if service.rig.sky_text is None else service.rig.sky_text(),
         "scan": None if recent.scan is None else _scan(recent.scan, now_s, settings.safety.scan_stale_s),
+        "calibration": None if service.calibration is None else _calibration(service.calibration, utc_s),
         "cube_down_why": acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         "mode": None,
         "irradiances": None,
@@ -98,6 +100,16 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
     return found
 
 
+def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
+    return {
+        "identifier": calibration.identifier,
+        "method": calibration.method,
+        "calibrated": iso_utc(calibration.calibrated_utc.timestamp()),
+        "expires": iso_utc(calibration.expires_utc.timestamp()),
+        "validity": calibration.validity(utc_s),
+    }
+
+
 def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
     age_s = now_s - scan.time_monotonic_s
     stale = not (age_s <= stale_s)
@@ -109,6 +121,7 @@ def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
         "age_s": number(round(age_s, 3)),
         "stale": stale,
         "simulated": scan.simulated,
+        "calibration": scan.calibration or None,
         "faces": {
             name: {
                 "irradiance_w_m2": number(face.irradiance_w_m2),
