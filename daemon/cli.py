@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_config, cli_export, cli_gain, cli_operate
-from daemon.cli_options import instant
+from daemon import cli_bridge, cli_calibrate, cli_config, cli_export, cli_gain, cli_operate
+from daemon.cli_options import instant, site_values
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -23,6 +23,7 @@ app = typer.Typer(
 app.add_typer(cli_config.app, name="config")
 app.add_typer(cli_bridge.app, name="bridge")
 app.command()(cli_gain.gain)
+app.add_typer(cli_calibrate.app, name="calibrate")
 app.add_typer(cli_export.app)
 app.add_typer(cli_operate.app)
 
@@ -138,7 +139,7 @@ def _settings(
     if law is not None:
         changes["law"]["name"] = law.value
     if site is not None:
-        changes["site"] = _site(site)
+        changes["site"] = site_values(site)
     if seed is not None:
         changes["simulation"]["seed"] = seed
     if speed is not None:
@@ -146,17 +147,6 @@ def _settings(
     if start is not None:
         changes["simulation"]["start_utc"] = instant(start, "--start")
     return override(settings, changes)
-
-
-def _site(text: str) -> dict[str, Any]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
-    altitude = numbers[2] if len(numbers) == 3 else 0.0
-    return {"name": text, "latitude_deg": numbers[0], "longitude_deg": numbers[1], "altitude_m": altitude}
 
 
 def main() -> None:

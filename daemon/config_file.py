@@ -18,7 +18,13 @@ from daemon.errors import UserError
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
-_PATHS = (("bridge", "key_file"), ("store", "directory"), ("cube", "calibration_file"), ("api", "token_file"), ("simulation", "weather"))
+_PATHS = (
+    ("bridge", "key_file"),
+    ("store", "directory"),
+    ("cube", "calibration_file"),
+    ("api", "token_file"),
+    ("simulation", "weather"),
+)
 _SLASHES = "write paths in 'single quotes' or with forward slashes"
 _HINTS = (
     ("Unescaped", _SLASHES),

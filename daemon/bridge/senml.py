@@ -100,7 +100,7 @@ def decode(payload: bytes) -> Scan:
     _unit(named["monotonic"], "s")
     monotonic_s = _number(named["monotonic"].get("v"), 0.0, LARGEST_MONOTONIC_S, "monotonic")
     calibration = named["calibration"].get("vs") if "calibration" in named else ""
-    if "calibration" in named and (not isinstance(calibration, str) or _CALIBRATION.fullmatch(calibration) is None):
+    if not isinstance(calibration, str) or ("calibration" in named and _CALIBRATION.fullmatch(calibration) is None):
         raise _malformed(f"has a calibration that is no identifier of one: {_shown(calibration)}")
     east, south, west, zenith = (_face(name, named, time_utc_s, monotonic_s) for name in FACES)
     return Scan(

@@ -198,8 +198,10 @@ def _missing(utc_s: Array, site: Site) -> list[str]:
 def _unsure(spread: Array, residual: float) -> list[str]:
     if not residual <= _LARGEST_RESIDUAL:
         return [
-            f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is the most (shade on a "
-            "face, a wrong site or clock, or faces exchanged)"
+            (
+                f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is the most (shade on a "
+                "face, a wrong site or clock, or faces exchanged)"
+            )
         ]
     names = ("the gains", "yaw and tilt", "the albedo")
     worst = (float(spread[:4].max()), float(spread[4:7].max()), float(spread[7]))
