@@ -76,7 +76,7 @@ def new_calibration(values: dict[str, Any]) -> CubeCalibration:
 
 def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]) -> None:
     """Write a calibration to a file that must not be there yet, `notes` as comments above; raises `UserError`."""
-    lines = [*[f"# {note}" for note in notes], ""]
+    lines = [*[f"# {line}".rstrip() for note in notes for line in note.split("\n")], ""]
     tables: dict[str, dict[str, Any]] = {}
     for name, value in calibration.model_dump(exclude_none=True).items():
         if isinstance(value, dict):

@@ -87,9 +87,8 @@ def cube(
         from daemon.calibrate.plots import draw_comparison
 
         draw_comparison(found, plot)
-        lines.append(f"\nfigure in {plot}")
     write_calibration(calibration, out, lines)
-    _tell(lines, calibration.identifier, out)
+    _tell(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
 
 
 @app.command()

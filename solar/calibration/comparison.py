@@ -23,6 +23,8 @@ _STRAY = 0.02
 _LEAST_IN_SERIES = 5
 _LEAST_SERIES = 3
 _LEAST_CORRELATION = 0.5
+_LAG_STEPS = 6
+_SMOOTHED_STEPS = 4.0
 
 
 class Interval(NamedTuple):
@@ -58,7 +60,9 @@ def lag_s(
     """Return by how much the sensor's clock is ahead of the reference's [s]; NaN where the readings do not tell.
 
     The lag with the largest correlation between the changes of both, refined by a parabola through its neighbours.
-    Clouds tell it to a fraction of the step; under a steady sky nothing moves and the correlation stays low.
+    Both are smoothed over four of the longer steps first: linear interpolation weakens faster changes between the
+    readings and would draw the lag towards a whole number of steps. Clouds tell it to a twentieth of the longer step;
+    under a steady sky nothing moves and the correlation stays low.
 
     Parameters
     ----------
@@ -67,14 +71,18 @@ def lag_s(
     """
     if min(reference_utc_s.size, sensor_utc_s.size) < 20:
         return float("nan")
-    step_s = max(1.0, min(float(np.median(np.diff(times))) for times in (reference_utc_s, sensor_utc_s)))
+    longest_s = max(float(np.median(np.diff(times))) for times in (reference_utc_s, sensor_utc_s))
+    step_s = max(1.0, longest_s / _LAG_STEPS)
     begin_s, end_s = max(reference_utc_s[0], sensor_utc_s[0]), min(reference_utc_s[-1], sensor_utc_s[-1])
     grid = np.arange(begin_s + largest_s, end_s - largest_s, step_s)
-    if grid.size < 20:
+    width = max(1, round(_SMOOTHED_STEPS * longest_s / step_s))
+    if grid.size < width + 20:
         return float("nan")
-    change = _detrended(np.interp(grid, reference_utc_s, reference))
+    change = _change(np.interp(grid, reference_utc_s, reference), width)
     lags = np.arange(-np.floor(largest_s / step_s), np.floor(largest_s / step_s) + 1) * step_s
-    likeness = np.array([_correlation(change, _detrended(np.interp(grid + lag, sensor_utc_s, sensor))) for lag in lags])
+    likeness = np.array(
+        [_correlation(change, _change(np.interp(grid + lag, sensor_utc_s, sensor), width)) for lag in lags]
+    )
     best = int(np.argmax(likeness))
     if not likeness[best] >= _LEAST_CORRELATION or best in (0, lags.size - 1):
         return float("nan")
@@ -138,8 +146,9 @@ def fitted_offset(reference_w_m2: Array, voltage_mv: Array) -> Interval:
     return Interval(float(line.intercept), float(half))
 
 
-def _detrended(values: Array) -> Array:
-    change = np.diff(values)
+def _change(values: Array, width: int) -> Array:
+    """Return the changes of the mean over `width` values, less their own mean."""
+    change = values[width:] - values[:-width]
     return np.asarray(change - change.mean(), dtype=np.float64)
 
 
