@@ -99,7 +99,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
     path = directory / FILE_NAME
     values = ", ".join(f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in FACES)
     with closing(open_for_reading(path)) as connection:
-        known = "calibration" if "calibration" in stored_columns(connection, "scans") else "''"
+        known = "COALESCE(calibration, '')" if "calibration" in stored_columns(connection, "scans") else "''"
         span = "FROM scans WHERE time >= ? AND time < ?"
         try:
             rows = connection.execute(f"SELECT time, {values} {span} ORDER BY time", (low, high)).fetchall()
