@@ -104,9 +104,11 @@ class Acquisition:
             await self._close()
 
     async def _open(self) -> None:
-        switch = await self._multiplexer.open()
+        # The meter first: a second service fails at its port before it can touch the switch of the first.
         meter = await self._voltmeter.open()
-        log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
+        switch = await self._multiplexer.open()
+        if not self.outage.is_down:
+            log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
 
     async def _close(self) -> None:
         await self._voltmeter.close()
@@ -134,6 +136,8 @@ class Acquisition:
         """Read the four faces once, in 4 x (settle + conversion); raises `DeviceError` when the link is gone."""
         proven = await self._self_test()
         east, south, west, zenith = [await self._read(index, proven) for index in range(len(FACES))]
+        # A switch that was lost before the last reading has gone to another input: it must still take its address.
+        await self._multiplexer.select(self._faces[-1].channel)
         scan = Scan(
             source=self._cube.name,
             session=self._session,

@@ -15,7 +15,7 @@ class Backoff:
         The first delay, what each following one is multiplied by, and the longest.
     """
 
-    def __init__(self, random: Random, first_s: float = 0.5, factor: float = 1.8, cap_s: float = 10.0) -> None:
+    def __init__(self, random: Random, first_s: float = 0.5, factor: float = 1.8, cap_s: float = 8.0) -> None:
         self._random = random
         self._first_s = first_s
         self._factor = factor

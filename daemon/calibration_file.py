@@ -12,7 +12,8 @@ from typing import Any, Literal
 from pydantic import AwareDatetime, Field, ValidationError
 
 from daemon.clock import iso_utc
-from daemon.config import Cube, NotNegative, Positive, Section
+from daemon.config import Cube, NotNegative
+from daemon.config_section import Positive, Section
 from daemon.errors import UserError
 from daemon.records import FACES, Event
 
@@ -146,18 +147,20 @@ class ExpiryWatch:
     Parameters
     ----------
     calibration
-        What is in force.
+        What is in force; None never expires.
     publish
         Takes the events.
     """
 
-    def __init__(self, calibration: CubeCalibration, publish: Callable[[Event], None]) -> None:
+    def __init__(self, calibration: CubeCalibration | None, publish: Callable[[Event], None]) -> None:
         self._calibration = calibration
         self._publish = publish
         self._told: Validity = "valid"
 
     def look(self, utc_s: float, monotonic_s: float) -> None:
         """Compare the calibration with the time."""
+        if self._calibration is None:
+            return
         now = self._calibration.validity(utc_s)
         if now == self._told:
             return

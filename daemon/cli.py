@@ -9,23 +9,36 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from daemon import cli_bridge, cli_calibrate, cli_config, cli_export, cli_gain, cli_operate
-from daemon.cli_options import instant, site_values
+from daemon import (
+    cli_bench,
+    cli_bridge,
+    cli_calibrate,
+    cli_config,
+    cli_energy,
+    cli_export,
+    cli_gain,
+    cli_operate,
+    cli_probe,
+    cli_replay,
+)
+from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values
 from daemon.config import Settings
 from daemon.errors import UserError
 
 app = typer.Typer(
-    help="Control service for dual-axis sun trackers that point by a radiometric cube.",
+    help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
+    "To see it work: heliocube run. To install it on a rig: docs/install.md.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(cli_config.app, name="config")
-app.add_typer(cli_bridge.app, name="bridge")
-app.command()(cli_gain.gain)
-app.add_typer(cli_calibrate.app, name="calibrate")
-app.add_typer(cli_export.app)
 app.add_typer(cli_operate.app)
+app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
+app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
+app.add_typer(cli_calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
+app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
+app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
+app.add_typer(cli_export.app)
 
 
 class RoleChoice(StrEnum):
@@ -41,6 +54,7 @@ class LawChoice(StrEnum):
 
     mu_prime = "mu-prime"
     sun_vector = "sun-vector"
+    optimal = "optimal"
     chronometric = "chronometric"
     flat = "flat"
 
@@ -53,15 +67,25 @@ class TableFormat(StrEnum):
 
 
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="Configuration file; without it the embedded simulated rig.")
+    Path | None, typer.Option("--config", "-c", help="Configuration file. Without one: the simulated rig.")
 ]
 WeatherOption = Annotated[
     str | None,
-    typer.Option(help="Simulated sky: clear, overcast, variable, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3)."),
+    typer.Option(
+        metavar="SKY",
+        help="Simulated sky: clear, overcast, variable, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).",
+    ),
 ]
-LawOption = Annotated[LawChoice | None, typer.Option(help="Pointing law.")]
-SiteOption = Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres.")]
-SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed of the simulated weather and noise.")]
+LawOption = Annotated[
+    LawChoice | None,
+    typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, optimal, chronometric or flat."),
+]
+SiteOption = Annotated[
+    str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="NUMBER", help="Seed of the simulated weather and noise.")
+]
 
 
 @app.callback(invoke_without_command=True)
@@ -71,21 +95,24 @@ def _top(show_version: Annotated[bool, typer.Option("--version", help="Print the
         raise typer.Exit
 
 
-@app.command()
+@app.command(rich_help_panel=SERVICE)
 def run(
     config: ConfigOption = None,
     role: Annotated[RoleChoice, typer.Option(help="What this process does.")] = RoleChoice.both,
-    speed: Annotated[float | None, typer.Option(help="Simulated rig: times real speed (default 60).")] = None,
-    start: Annotated[str | None, typer.Option(metavar="UTC", help="Simulated rig: its clock's start.")] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Simulated rig: how many times real speed, 60 unless configured."),
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Simulated rig: where its clock starts.")] = None,
     weather: WeatherOption = None,
     law: LawOption = None,
     site: SiteOption = None,
     seed: SeedOption = None,
     for_s: Annotated[
-        float | None, typer.Option("--for", min=0, help="End after this many seconds of wall time.")
+        float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
     ] = None,
 ) -> None:
-    """Run the service: acquire, bridge, decide and move, until Ctrl-C or SIGTERM."""
+    """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
     from daemon.config_file import on_a_port_of_its_own
     from daemon.run import run_service
     from daemon.service import Role
@@ -93,14 +120,16 @@ def run(
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
     if config is None and role is RoleChoice.both:
         settings = on_a_port_of_its_own(settings)
+    if settings.instruments.kind == "real":
+        _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     run_service(settings, Role(role), for_s, Console())
 
 
-@app.command()
+@app.command(rich_help_panel=SERVICE)
 def simulate(
     out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],
-    days: Annotated[float, typer.Option(min=0.01, max=366, help="How many days.")] = 1.0,
+    days: Annotated[float, typer.Option(min=0.01, max=366, metavar="DAYS", help="How many days.")] = 1.0,
     weather: WeatherOption = None,
     law: LawOption = None,
     config: ConfigOption = None,
@@ -108,7 +137,7 @@ def simulate(
     seed: SeedOption = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
 ) -> None:
-    """Run the same service on the in-process rig under virtual time: a day in seconds."""
+    """Run the service on the simulated rig for days in seconds, and write tables."""
     from daemon.simulate import simulate as run_simulation
     from daemon.simulate_report import progress_bar, report
 
@@ -117,6 +146,30 @@ def simulate(
     with progress_bar(console) as progress:
         summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
+
+
+app.command(rich_help_panel=SERVICE)(cli_replay.replay)
+app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
+app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
+
+
+@app.command(rich_help_panel=BENCH)
+def bench(
+    directory: Annotated[
+        Path, typer.Option("--dir", help="Folder for the ports, the control socket and heliocube.toml.")
+    ],
+    weather: WeatherOption = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Start of the simulated clock.")] = None,
+    seed: SeedOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
+
+    The configuration that is given is the basis of the one that is written.
+    """
+    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
+    cli_bench.serve(settings, directory)
 
 
 def _settings(
@@ -147,6 +200,16 @@ def _settings(
     if start is not None:
         changes["simulation"]["start_utc"] = instant(start, "--start")
     return override(settings, changes)
+
+
+def _refuse_simulation(options: dict[str, object]) -> None:
+    """Refuse what only a simulated rig can do."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise UserError(
+            f"{', '.join(given)}: this configuration has real instruments (instruments.kind), whose time and sky are"
+            " real; leave the option out, or try it on a simulated rig"
+        )
 
 
 def main() -> None:

@@ -11,14 +11,19 @@ app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no
 
 @app.command("send-csv")
 def send_csv(
-    file: Annotated[Path, typer.Argument(help="CSV with time,east,south,west,zenith (UTC, W/m2), plain or .gz.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="CSV with time,east,south,west,zenith (UTC, W/m2), plain or .gz.")
+    ],
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Takes targets and key from its [bridge].")
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration, for the targets and key of its section bridge."),
     ] = None,
-    to: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT", help="Target instead; may be repeated.")] = None,
+    to: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT", help="Target instead. May be repeated.")] = None,
     key: Annotated[Path | None, typer.Option(help="Key file instead of the configuration's.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="Send unsigned.")] = False,
-    speed: Annotated[float, typer.Option(min=0.001, help="Times the pace of the file.")] = 1.0,
+    speed: Annotated[
+        float, typer.Option(min=0.001, metavar="FACTOR", help="How many times the pace of the file.")
+    ] = 1.0,
     keep_times: Annotated[bool, typer.Option("--keep-times", help="Send the file's times instead of now.")] = False,
 ) -> None:
     """Send recorded irradiances as a cube would: the reference sender of docs/bridge.md."""

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from daemon.config import Settings
+from daemon.config import Mqtt, Settings
 from daemon.records import FACES
 
 app = typer.Typer(
@@ -25,7 +25,7 @@ class RoleChoice(StrEnum):
 
 
 @app.command()
-def check(file: Annotated[Path, typer.Argument(help="The TOML file.", show_default=False)]) -> None:
+def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
     from daemon.config_file import check_file
 
@@ -43,7 +43,7 @@ def init(
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
 ) -> None:
-    """Write DIR/heliocube.toml, every key explained, a new key DIR/bridge.key and a new token DIR/api.token."""
+    """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
     from daemon.config_template import write_example
 
     *first, last = write_example(directory, role.value)
@@ -84,5 +84,15 @@ def _summary(settings: Settings) -> dict[str, str]:
         f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
         "interface": f"on {settings.api.listen}, " + token if settings.api.enabled else "off",
+        "mqtt": _broker(settings.mqtt) if settings.mqtt.enabled else "off",
         "store": "none" if settings.store.directory is None else str(settings.store.directory),
     }
+
+
+def _broker(mqtt: Mqtt) -> str:
+    known = f"as the user in {mqtt.credentials_file}" if mqtt.credentials_file else "without a user"
+    inputs = ", ".join(part.topic for part in (mqtt.wind, mqtt.safe) if part.topic) or "none"
+    return (
+        f"{mqtt.host}:{mqtt.port}{' with TLS' if mqtt.tls else ''}, {known}; topics {mqtt.prefix}/...;"
+        f" commands {'on' if mqtt.commands else 'off'}; safety inputs {inputs}"
+    )

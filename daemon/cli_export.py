@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.cli_options import instant
+from daemon.cli_options import FILES, instant
 from daemon.errors import UserError
 
 app = typer.Typer()
@@ -30,7 +30,7 @@ class FormatChoice(StrEnum):
     parquet = "parquet"
 
 
-@app.command()
+@app.command(rich_help_panel=FILES)
 def export(
     out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
     start: Annotated[
@@ -38,13 +38,18 @@ def export(
     ] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")] = None,
     table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of tables.")] = FormatChoice.csv,
-    kind: Annotated[list[KindChoice] | None, typer.Option(help="Only this kind; may be repeated.")] = None,
-    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the store.")] = None,
+    kind: Annotated[
+        list[KindChoice] | None,
+        typer.Option(metavar="KIND", help="Only scans, decisions, moves, poses, modes or events. May be repeated."),
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the store, without a configuration.")
+    ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Configuration file whose [store] is meant.")
+        Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
     ] = None,
 ) -> None:
-    """Write records of the store as tables, one for each kind; the service may go on meanwhile."""
+    """Write records of the store as tables, even while the service runs."""
     from daemon.export import export as write_tables
 
     first = None if start is None else instant(start, "--from")

@@ -42,23 +42,21 @@ def gain(
             help="The same ratios under a real sky: a weather file (CSV, BSRN, SURFRAD, MIDC, TMY3) or a clear sky.",
         ),
     ] = None,
-    lon: Annotated[
-        float | None, typer.Option(min=-180, max=180, help="Degrees east of the weather, if its file does not say.")
-    ] = None,
+    lon: Annotated[float | None, typer.Option(min=-180, max=180, help="Longitude of the weather.")] = None,
     altitude: Annotated[
         float | None,
-        typer.Option(min=-430, max=9000, help="Metres above sea level of the weather, if its file does not say."),
+        typer.Option(min=-430, max=9000, help="Altitude of the weather, m."),
     ] = None,
     printed: Annotated[
         bool, typer.Option("--printed", help="Add what the paper's own formulas and scripts give.")
     ] = False,
     points: Annotated[
-        Path | None, typer.Option(help="CSV with phi_deg,beta_deg,n,lambda_deg: answer row by row instead.")
+        Path | None, typer.Option(help="CSV with phi_deg, beta_deg, n, lambda_deg: answer row by row instead.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw a figure too: .png, .svg or .pdf.")] = None,
     plot_kind: Annotated[
         PlotKind | None,
-        typer.Option(help="Which figure; without it the one that fits the request."),
+        typer.Option(help="Kind of figure."),
     ] = None,
     table_format: Annotated[
         TableFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")

@@ -5,29 +5,33 @@ from typing import Annotated
 
 import typer
 
+from daemon.cli_options import OPERATION
+
 app = typer.Typer()
 
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration: its [api] is used."),
+    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration, for its section api."),
 ]
 ApiOption = Annotated[
-    str | None, typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, instead.")
+    str | None,
+    typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, without a configuration."),
 ]
 TokenOption = Annotated[
-    Path | None, typer.Option("--token-file", help="File of the service's token, instead; or set HELIOCUBE_TOKEN.")
+    Path | None,
+    typer.Option("--token-file", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."),
 ]
-WhyOption = Annotated[str, typer.Option(help="Reason, for the records.")]
+WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def status(
     config: ConfigOption = None,
     api: ApiOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON.")] = False,
 ) -> None:
-    """Show what the running service does, where the tracker stands and what the cube reads."""
+    """Show what the service does, where the tracker stands and what the cube reads."""
     import json
 
     from rich.console import Console
@@ -42,39 +46,39 @@ def status(
         Console(highlight=False).print(render(state))
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def stow(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Go to the stow position and stay there until `auto`; whatever moves is stopped first."""
+    """Go to the stow position now and stay there until 'auto'."""
     _command("stow", config, api, token_file, why)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def hold(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Stay where the tracker is until `auto`."""
+    """Stay where the tracker is until 'auto'."""
     _command("hold", config, api, token_file, why)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def auto(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Track again: end a stow, hold, stop or goto that was asked for."""
+    """Track again: end what stow, hold, stop or goto asked for."""
     _command("auto", config, api, token_file, why)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def stop(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Stop the axes at once and stay there until `auto`."""
+    """Stop the axes at once and stay there until 'auto'."""
     _command("stop", config, api, token_file, why)
 
 
-@app.command(context_settings={"ignore_unknown_options": True})
+@app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
 def goto(
     a_deg: Annotated[float, typer.Argument(metavar="A", help="Angle A in degrees, negative towards the east.")],
     b_deg: Annotated[float, typer.Argument(metavar="B", help="Angle B in degrees, 90 is flat.")],
@@ -83,24 +87,32 @@ def goto(
     token_file: TokenOption = None,
     why: WhyOption = _AN_OPERATOR,
 ) -> None:
-    """Go to a position inside the limits and stay there until `auto`."""
+    """Go to a position inside the limits and stay there until 'auto'."""
     _command("goto", config, api, token_file, why, a_deg=a_deg, b_deg=b_deg)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def home(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Start a reference run of both axes; faults are cleared by it."""
+    """Clear faults and start a reference run of both axes."""
     _command("home", config, api, token_file, why)
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATION)
 def clear(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Clear the positioner's latched faults and doubts about its reference, without a reference run."""
+    """Clear faults and doubts about the reference without a reference run."""
     _command("clear", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def relearn(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Forget the albedo and the gains that the law 'optimal' has learned."""
+    _command("relearn", config, api, token_file, why)
 
 
 def _command(

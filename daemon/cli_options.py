@@ -5,6 +5,28 @@ from typing import Any
 
 from daemon.errors import UserError
 
+# Headings of the list of commands.
+SERVICE = "The service"
+OPERATION = "To the running service"
+FILES = "Files and tools"
+SCIENCE = "Science"
+BENCH = "Instruments and the bench"
+
+
+def parse_site(text: str) -> tuple[float, float, float]:
+    """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
+    latitude, longitude, altitude = (*numbers, 0.0)[:3]
+    # Written so that NaN fails.
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -430.0 <= altitude <= 9000.0):
+        raise UserError(f"--site: '{text}' is not on Earth: LAT is in -90..90, LON in -180..180, ALT in -430..9000")
+    return latitude, longitude, altitude
+
 
 def instant(text: str, option: str) -> datetime:
     """Return the UTC instant that an option gives as a date or time; raises `UserError`."""
@@ -17,11 +39,5 @@ def instant(text: str, option: str) -> datetime:
 
 def site_values(text: str) -> dict[str, Any]:
     """Return the site section's values that LAT,LON or LAT,LON,ALT means; raises `UserError`."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
-    altitude = numbers[2] if len(numbers) == 3 else 0.0
-    return {"name": text, "latitude_deg": numbers[0], "longitude_deg": numbers[1], "altitude_m": altitude}
+    latitude, longitude, altitude = parse_site(text)
+    return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}

@@ -1,18 +1,22 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
+import asyncio
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.errors import UserError
+from daemon.real_rig import build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
 from daemon.service import Rig, Role
+from drivers.interfaces import Positioner
 from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore
@@ -22,9 +26,13 @@ from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site
+from solar.frames import Angles
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
+
+_RAMP_S = 0.5
+"""How long the simulated motors take to full speed."""
 
 
 def site_of(settings: Settings) -> Site:
@@ -54,18 +62,31 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
         raise UserError(str(error)) from error
 
 
-def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
-    """Build the simulated instruments that a role needs, under one sky."""
-    simulation = settings.simulation
-    scene = Scene(
-        site_of(settings),
-        weather,
-        sky_model=simulation.sky,
-        albedo=simulation.albedo,
-        seed=simulation.seed,
-        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
-        faces=_faces(settings),
+def is_real(settings: Settings) -> bool:
+    """Tell whether the settings ask for real instruments."""
+    return settings.instruments.kind == "real"
+
+
+def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
+    """Build the real instruments that a role needs; nothing is connected yet.
+
+    Raises
+    ------
+    UserError
+        The settings do not say where one of them is.
+    """
+    return Rig(
+        None if role is Role.TRACKER else build_multiplexer(settings),
+        None if role is Role.TRACKER else build_voltmeter(settings),
+        None if role is Role.CUBE else build_positioner(settings, clock),
+        wind_speed_m_s=None,
+        simulated=False,
     )
+
+
+def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
+    """Build the simulated instruments that a role needs, under one sky."""
+    scene = _build_scene(settings, weather)
 
     def wind() -> float | None:
         with _weather_may_end():
@@ -75,8 +96,7 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
     if role is not Role.CUBE:
-        core = PositionerCore(clock.monotonic(), Setup(drive=Drive(speed_mm_s=simulation.motor_speed_mm_s)))
-        positioner = InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+        _, positioner = build_simulated_positioner(settings, clock)
     return Rig(
         multiplexer,
         voltmeter,
@@ -87,7 +107,46 @@ def build_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) ->
     )
 
 
+def _build_scene(settings: Settings, weather: Weather) -> Scene:
+    simulation = settings.simulation
+    return Scene(
+        site_of(settings),
+        weather,
+        sky_model=simulation.sky,
+        albedo=simulation.albedo,
+        seed=simulation.seed,
+        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
+        faces=_faces(settings),
+    )
+
+
+def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
+    """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
+    core = _build_unit(settings, clock)
+    return core.truth, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+
+
+def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
+    speed = settings.simulation.motor_speed_mm_s
+    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed, acceleration_mm_s2=speed / _RAMP_S)))
+
+
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
+    switch, core = _build_cube_cores(settings, clock, scene)
+    meter = settings.instruments.voltmeter
+    return (
+        InMemoryMultiplexer(switch, clock.monotonic),
+        InMemoryVoltmeter(
+            core,
+            clock.monotonic,
+            range_v=meter.range_v,
+            nplc=meter.nplc,
+            deadline_s=settings.cube.reading_deadline_s,
+        ),
+    )
+
+
+def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
 
     def sensor(channel: int, now_s: float) -> float | None:
@@ -105,17 +164,9 @@ def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemor
         input_voltage=switch.output_voltage,
         random=np.random.default_rng([settings.simulation.seed, 1]),
         line_frequency_hz=meter.line_frequency_hz,
+        terminator=meter.terminator,
     )
-    return (
-        InMemoryMultiplexer(switch, clock.monotonic),
-        InMemoryVoltmeter(
-            core,
-            clock.monotonic,
-            range_v=meter.range_v,
-            nplc=meter.nplc,
-            deadline_s=settings.cube.reading_deadline_s,
-        ),
-    )
+    return switch, core
 
 
 @contextlib.contextmanager
@@ -156,3 +207,58 @@ def measured_weather(path: Path) -> MeasuredWeather:
 def weather_misfit(weather: MeasuredWeather, site: Site) -> str | None:
     """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been."""
     return site_mismatch(weather, site)
+
+
+async def run_bench(
+    settings: Settings,
+    directory: Path,
+    clock: Clock,
+    weather: Weather,
+    stop: asyncio.Event,
+    ready: Callable[[int], None],
+) -> None:
+    """Serve the simulated instruments on real transports until `stop` is set.
+
+    `ready` is called with the port of the NI gRPC server as soon as all of them are there. Raises `UserError` when the
+    directory cannot be used.
+    """
+    try:
+        from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
+        from sim_drivers.bench_client import BenchError  # noqa: PLC0415
+        from sim_drivers.bench_control import BenchControl  # noqa: PLC0415
+    except ImportError as error:
+        raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
+
+    scene = _build_scene(settings, weather)
+    switch, meter = _build_cube_cores(settings, clock, scene)
+    bench = Bench(
+        directory,
+        scene,
+        switch,
+        meter,
+        _build_unit(settings, clock),
+        BenchClock(clock.monotonic, clock.utc),
+        settings.instruments.voltmeter.baud_rate,
+    )
+    try:
+        async with BenchControl(bench):
+            await bench.run(stop, lambda: ready(bench.multiplexer.port))
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
+    """Send a command to the bench in a directory and return its answer; raises `UserError`."""
+    from sim_drivers.bench_client import BenchError, request  # noqa: PLC0415 - not needed by the service
+
+    try:
+        return request(directory, verb, arguments)
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def bench_verbs() -> dict[str, tuple[str, str]]:
+    """Return the bench's commands by name: what each takes, and what it does."""
+    from sim_drivers.bench_client import VERBS  # noqa: PLC0415 - not needed by the service
+
+    return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

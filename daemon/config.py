@@ -5,18 +5,16 @@ The descriptions here are the only ones: the commented file, the reference and t
 
 import difflib
 import ipaddress
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
     AfterValidator,
     AwareDatetime,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     ValidationInfo,
-    WithJsonSchema,
     field_validator,
     model_validator,
 )
@@ -24,27 +22,20 @@ from pydantic import (
 from daemon import config_rules
 from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
+from daemon.config_instruments import Instruments
+from daemon.config_section import Positive, Section, text_of, with_defaults
+from daemon.mqtt.json_path import check_path
+from daemon.mqtt.topics import check_topic
 from solar.frames import Limits
 
-Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Azimuth = Annotated[float, Field(ge=0, lt=360)]
 Channel = Annotated[int, Field(ge=0, le=15)]
 Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
-LawName = Literal["mu-prime", "sun-vector", "chronometric", "flat"]
+LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
 WeatherName = Literal["clear", "overcast", "variable"]
-VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
-
-
-def _text(form: str) -> WithJsonSchema:
-    return WithJsonSchema({"type": "string", "format": form})
-
-
-def _range(value: float) -> float:
-    if value not in VOLTMETER_RANGES_V:
-        raise ValueError("not a range of the voltmeter")
-    return value
+_HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
 def _listen_address(text: str) -> str:
@@ -75,6 +66,18 @@ def _interface(text: str) -> str:
     return text
 
 
+def _topic_level(text: str) -> str:
+    if "/" in check_topic(text):
+        raise ValueError("more than one level")
+    return text
+
+
+def _host_name(text: str) -> str:
+    if not _HOST_NAME.fullmatch(text):
+        raise ValueError("not a host")
+    return text
+
+
 def _no_empty_path(value: object) -> object:
     if value == "":
         raise ValueError("empty")
@@ -88,20 +91,17 @@ def _no_misspelt_weather(path: Path) -> Path:
     return path
 
 
-RangeV = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(VOLTMETER_RANGES_V)})]
 FilePath = Annotated[Path, Field(strict=False), BeforeValidator(_no_empty_path)]
 WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
-ListenAddress = Annotated[str, AfterValidator(_listen_address), _text("listen")]
-SendAddress = Annotated[str, AfterValidator(_send_address), _text("address")]
-Group = Annotated[str, AfterValidator(_group), _text("group")]
-Host = Annotated[str, AfterValidator(_host), _text("ip")]
-Interface = Annotated[str, AfterValidator(_interface), _text("ipv4")]
-
-
-class Section(BaseModel):
-    """A table of the file: frozen, closed to keys it does not know, and with no guessing of types."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
+ListenAddress = Annotated[str, AfterValidator(_listen_address), text_of("listen")]
+SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
+Group = Annotated[str, AfterValidator(_group), text_of("group")]
+Host = Annotated[str, AfterValidator(_host), text_of("ip")]
+Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
+Topic = Annotated[str, AfterValidator(check_topic), text_of("topic")]
+TopicLevel = Annotated[str, AfterValidator(_topic_level), text_of("level")]
+JsonPath = Annotated[str, AfterValidator(check_path), text_of("json-path")]
+HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
 
 
 class Site(Section):
@@ -175,39 +175,7 @@ class Cube(Section):
     @classmethod
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
         """Give a face of which the file names some keys that same face's defaults for the others."""
-        if not isinstance(value, dict) or info.field_name is None:
-            return value
-        return {**cls.model_fields[info.field_name].default.model_dump(), **value}
-
-
-class MultiplexerSettings(Section):
-    """The switch between the faces and the voltmeter."""
-
-    settle_s: float = Field(0.3, ge=0, le=5, description="Time from switching to the start of a conversion.")
-
-
-class VoltmeterSettings(Section):
-    """The Keithley 2000."""
-
-    range_v: RangeV = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
-    nplc: float = Field(1.0, ge=0.01, le=10, description="Integration time, in periods of the mains.")
-    line_frequency_hz: Literal[50, 60] = Field(50, description="Frequency of the mains.")
-
-
-class PositionerSettings(Section):
-    """The POZSOL positioner: what the service may expect of its motion."""
-
-    slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
-    telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
-
-
-class Instruments(Section):
-    """How the instruments are reached. There is no silent fallback from one kind to another."""
-
-    kind: Literal["simulated"] = Field("simulated", description="Kind of the instruments.")
-    multiplexer: MultiplexerSettings = MultiplexerSettings()
-    voltmeter: VoltmeterSettings = VoltmeterSettings()
-    positioner: PositionerSettings = PositionerSettings()
+        return with_defaults(cls, value, info)
 
 
 class Law(Section):
@@ -216,22 +184,37 @@ class Law(Section):
     name: LawName = Field(
         "mu-prime",
         description="mu-prime: towards sun and bright sky, the paper's (12). sun-vector: towards the sun as the cube"
-        " sees it. chronometric: towards the sun by ephemeris. flat: up.",
+        " sees it. optimal: where the expected light is collected best, for little travel."
+        " chronometric: towards the sun by ephemeris. flat: up.",
     )
-    albedo: float = Field(0.2, ge=0, le=1, description="Share of the irradiance that the ground reflects.")
+    albedo: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
+    )
     uniform_threshold: float = Field(
         0.01,
         ge=0,
         le=0.5,
         description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
     )
+    thrift: float = Field(
+        1.0, ge=0.1, le=100, description="optimal: weight of wear against harvest; 2 travels less for a little energy."
+    )
+    travel_per_day_deg: Positive = Field(
+        1300.0, le=100000, description="optimal: degrees of travel in a day, A and B added, that are never exceeded."
+    )
+    moves_per_day: int = Field(250, ge=1, le=1440, description="optimal: moves in a day that are never exceeded.")
 
 
 class Windows(Section):
     """The rhythm of control: the paper's mean over 120 s, every 300 s."""
 
     mean_s: Duration = Field(120.0, description="Span of the newest readings that a decision averages.")
-    decide_every_s: Duration = Field(300.0, description="Time from one decision to the next.")
+    decide_every_s: Duration = Field(
+        300.0, description="Time from one decision to the next; optimal looks every minute, whatever stands here."
+    )
     minimum_coverage: float = Field(
         0.5, gt=0, le=1, description="Share of the span that good readings must cover for a decision."
     )
@@ -286,8 +269,16 @@ class Safety(Section):
 
 
 class Bridge(Section):
-    """How scans get from the cube to the trackers: UDP, signed with a key that both sides have."""
+    """How scans get from the cube to the trackers: over UDP or a broker, signed with a key that both sides have."""
 
+    transport: Literal["udp", "mqtt"] = Field(
+        "udp",
+        description="udp: within one network. mqtt: over the broker of [mqtt] to trackers in other networks; cube and"
+        " tracker in one process still use UDP between themselves.",
+    )
+    topic: Topic = Field(
+        "heliocube/bridge", description="Topic of the scans over a broker: one per cube, the same on both sides."
+    )
     listen: ListenAddress = Field(
         "127.0.0.1:20571", description="Tracker: address and port to receive on; 0.0.0.0 is every network."
     )
@@ -326,7 +317,7 @@ class Store(Section):
         400,
         ge=1,
         le=36500,
-        description="How many days with records are kept, at about 7 MB a day; the oldest go first.",
+        description="How many days with records are kept, at about 5 MB a day; the oldest go first.",
     )
 
 
@@ -347,8 +338,86 @@ class Api(Section):
     )
 
 
+class WindInput(Section):
+    """A wind sensor on the broker. Thresholds and times are those of [safety]."""
+
+    topic: Topic | None = Field(
+        None, examples=["weather/roof"], description="Topic that bears the wind speed. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the speed is in a JSON message; empty where the message is the number."
+    )
+    unit: Literal["m/s", "km/h", "mph", "kn"] = Field("m/s", description="Unit of the speed.")
+
+
+class SafeInput(Section):
+    """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
+
+    topic: Topic | None = Field(
+        None, examples=["dome/safety"], description="Topic that bears the word. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the word is in a JSON message; empty where the message is the word."
+    )
+    safe: str = Field("safe", min_length=1, description="The word for safe; true, false and numbers are words too.")
+    unsafe: str = Field("unsafe", min_length=1, description="The word for unsafe.")
+    stale_s: Duration = Field(300.0, description="Time without the word for safe that counts as unsafe.")
+    stow_at_least_s: Duration = Field(900.0, description="Time that it must have been safe before stow ends.")
+
+
+class Mqtt(Section):
+    """Telemetry and commands over an MQTT broker, described in docs/mqtt.md."""
+
+    enabled: bool = Field(default=False, description="Whether a broker is used at all.")
+    host: HostName = Field("127.0.0.1", description="Name or address of the broker.")
+    port: int = Field(1883, ge=1, le=65535, description="Port of the broker; with TLS usually 8883.")
+    tls: bool = Field(default=False, description="Encrypt, and check the broker's certificate.")
+    ca_file: FilePath | None = Field(
+        None,
+        examples=["broker-ca.pem"],
+        description="Certificates that the broker's own is checked against. Left out: those of the system.",
+    )
+    certificate_file: FilePath | None = Field(
+        None, examples=["client.pem"], description="This client's certificate, where the broker asks for one."
+    )
+    certificate_key_file: FilePath | None = Field(
+        None, examples=["client.key"], description="The key of that certificate."
+    )
+    credentials_file: FilePath | None = Field(
+        None, examples=["mqtt.credentials"], description="File of one line, user:password, mode 0600 or 0640."
+    )
+    client_id: str | None = Field(
+        None,
+        min_length=1,
+        max_length=128,
+        examples=["roof-tracker"],
+        description="Name of the connection; two with one name throw each other out. Left out: of prefix and name.",
+    )
+    keepalive_s: int = Field(5, ge=2, le=60, description="Longest silence; a hung broker is noticed within twice this.")
+    prefix: Topic = Field("heliocube", description="What all topics of the installation begin with.")
+    name: TopicLevel | None = Field(
+        None,
+        examples=["roof"],
+        description="Level of this tracker below the prefix, or of this cube. Left out: tracker, or cube.",
+    )
+    state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
+    queue_messages: int = Field(
+        1000, ge=10, le=100_000, description="How many messages wait while the broker is away; the oldest go first."
+    )
+    commands: bool = Field(
+        default=True, description="Take commands. Whoever may write to the broker can move the tracker then."
+    )
+    discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
+    discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
+    wind: WindInput = WindInput()
+    safe: SafeInput = SafeInput()
+
+
 class Simulation(Section):
-    """The simulated rig: its sky, its clock and its imperfections. Real instruments do not look here."""
+    """The simulated rig: its sky, its clock and its imperfections.
+
+    Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.
+    """
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
     sky: Literal["perez1990", "isotropic", "haydavies"] = Field(
@@ -387,6 +456,7 @@ class Settings(Section):
     bridge: Bridge = Bridge()
     store: Store = Store()
     api: Api = Api()
+    mqtt: Mqtt = Mqtt()
     simulation: Simulation = Simulation()
 
     @model_validator(mode="after")

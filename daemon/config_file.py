@@ -5,7 +5,7 @@ import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -13,8 +13,12 @@ from daemon import config_keys, config_rules
 from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
 from daemon.calibration_file import calibration_in_force
-from daemon.config import Section, Settings
+from daemon.config import Settings
 from daemon.errors import UserError
+from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
+
+if TYPE_CHECKING:
+    from daemon.config_section import Section
 
 _LONGEST_VALUE = 60
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
@@ -23,6 +27,10 @@ _PATHS = (
     ("store", "directory"),
     ("cube", "calibration_file"),
     ("api", "token_file"),
+    ("mqtt", "ca_file"),
+    ("mqtt", "certificate_file"),
+    ("mqtt", "certificate_key_file"),
+    ("mqtt", "credentials_file"),
     ("simulation", "weather"),
 )
 _SLASHES = "write paths in 'single quotes' or with forward slashes"
@@ -91,6 +99,14 @@ def check_file(path: Path) -> Settings:
             load_token(settings.api.token_file)
         except TokenError as error:
             problems.append(f"api.token_file: {error}")
+    mqtt = settings.mqtt
+    try:
+        if mqtt.credentials_file is not None:
+            load_user(mqtt.credentials_file)
+        if mqtt.tls:
+            tls_context(mqtt)
+    except CredentialsError as error:
+        problems.append(str(error))
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not weather.is_file():
         problems.append(f"simulation.weather: there is no file {weather}")
@@ -113,9 +129,20 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
     return _settings(raw, "the command line")
 
 
-def on_a_port_of_its_own(settings: Settings) -> Settings:
-    """Return the settings with the bridge inside one process, on whatever loopback port is free."""
-    inside = settings.bridge.model_copy(update={"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None})
+def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
+    """Return the settings with the bridge inside one process, on whatever loopback port is free.
+
+    Parameters
+    ----------
+    settings
+        Taken as they are but for the bridge.
+    insecure
+        Leave scans unsigned: for a process that lives some seconds and moves nothing.
+    """
+    changes = {"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None, "insecure": insecure}
+    if insecure:
+        changes["key_file"] = None
+    inside = settings.bridge.model_copy(update=changes)
     return settings.model_copy(update={"bridge": inside})
 
 

@@ -10,11 +10,13 @@ from functools import cache
 from inspect import cleandoc
 from typing import Any
 
-from daemon.config import Section, Settings
+from daemon.config import Settings
+from daemon.config_section import Section
 
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _UNITS = {
     "w_m2_per_mv": "W/m2 per mV",
+    "per_deg": "per deg",
     "deg_per_s": "deg/s",
     "w_m2": "W/m2",
     "mm_s": "mm/s",
@@ -64,6 +66,16 @@ _FORMS = {
     "address": 'a numeric address and a port from 1 to 65535, such as "192.168.1.20:20571" or "[fd00::20]:20571"',
     "group": 'an IPv4 multicast group and a port, such as "239.255.20.71:20571"',
     "ip": 'a numeric address such as "192.168.1.10"',
+    "port": 'a port whose name outlives a replug: "/dev/serial/by-id/...", a link made by a udev rule, or "COM5";'
+    " not /dev/ttyACM0, which may be another instrument after the next replug",
+    "visa": 'a VISA name that outlives a replug, such as "ASRL/dev/serial/by-id/...::INSTR", "ASRLCOM5::INSTR" or'
+    ' "GPIB0::16::INSTR"; not ASRL/dev/ttyUSB0, which may be another instrument after the next replug',
+    "server": 'a host and a port, such as "192.168.1.30:31763"',
+    "digital-port": 'an NI device and its port, such as "Dev1/port0"',
+    "topic": 'a topic without wildcards in quotes, such as "lab/roof"',
+    "level": 'one level of a topic in quotes, such as "roof"',
+    "json-path": 'names with full stops between, in quotes, such as "wind.speed", or ""',
+    "host": 'a name or an address in quotes, such as "broker.lab" or "192.168.1.5"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }
 

@@ -65,6 +65,41 @@ def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("cube.self_test_channel", reason, (owner[test],))
 
 
+def each_channel_has_an_address(settings: "Settings") -> Iterator[Conflict]:
+    """Every input that is read is one that `instruments.multiplexer.addresses` knows."""
+    count = len(settings.instruments.multiplexer.addresses)
+    channels = {f"cube.{name}.channel": getattr(settings.cube, name).channel for name in FACES}
+    channels["cube.self_test_channel"] = settings.cube.self_test_channel
+    for key, channel in channels.items():
+        if channel is not None and channel >= count:
+            other = "instruments.multiplexer.addresses"
+            yield Conflict(key, f"is not among the inputs 0 to {count - 1} that {other} selects", (other,))
+
+
+def the_enable_line_is_free(settings: "Settings") -> Iterator[Conflict]:
+    """`instruments.multiplexer.enable_line` is no line that an address uses."""
+    multiplexer = settings.instruments.multiplexer
+    line = multiplexer.enable_line
+    if line is not None and any(address >> line & 1 for address in multiplexer.addresses):
+        other = "instruments.multiplexer.addresses"
+        yield Conflict("instruments.multiplexer.enable_line", f"is used by {other} as well", (other,))
+
+
+def the_triangle_holds(settings: "Settings") -> Iterator[Conflict]:
+    """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limit."""
+    positioner = settings.instruments.positioner
+    if positioner.position_unit != "mm":
+        return
+    for axis in "ab":
+        geometry, high = getattr(positioner, f"{axis}_axis"), getattr(settings.limits, f"{axis}_max_deg")
+        low = min(geometry.low_deg, getattr(settings.limits, f"{axis}_min_deg"))
+        if not (geometry.apex_deg + low > 0 and geometry.apex_deg + high < 180):
+            path = f"instruments.positioner.{axis}_axis"
+            others = (f"{path}.low_deg", f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+            reason = f"makes no triangle at some angle from {low:g} to {high:g} deg"
+            yield Conflict(f"{path}.apex_deg", reason, others)
+
+
 def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
     """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
     settle_s = settings.instruments.multiplexer.settle_s
@@ -145,6 +180,9 @@ def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("bridge.insecure", reason, ("bridge.key_file",))
     if bridge.insecure or bridge.key_file is not None:
         return
+    if bridge.transport == "mqtt":
+        reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
+        yield Conflict("bridge.transport", reason, ("bridge.key_file", "bridge.insecure"))
     addresses = {"bridge.listen": bridge.listen}
     addresses |= {f"bridge.send_to[{index}]": text for index, text in enumerate(bridge.send_to)}
     if bridge.multicast_group is not None:
@@ -163,8 +201,38 @@ def an_interface_has_a_group(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
 
 
+def what_needs_a_broker_has_one(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
+    if settings.mqtt.enabled:
+        return
+    if settings.bridge.transport == "mqtt":
+        yield Conflict("bridge.transport", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
+    for name in ("wind", "safe"):
+        if getattr(settings.mqtt, name).topic is not None:
+            reason = "protects nothing without mqtt.enabled = true"
+            yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
+
+
+def the_broker_is_known_as_asked(settings: "Settings") -> Iterator[Conflict]:
+    """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
+    mqtt = settings.mqtt
+    for name in ("ca_file", "certificate_file", "certificate_key_file"):
+        if getattr(mqtt, name) is not None and not mqtt.tls:
+            yield Conflict(f"mqtt.{name}", "has no effect without mqtt.tls = true", ("mqtt.tls",))
+    if mqtt.certificate_file is None and mqtt.certificate_key_file is not None:
+        yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
+
+
+def the_two_words_differ(settings: "Settings") -> Iterator[Conflict]:
+    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
+    if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
+        yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
+
+
 RULES = (
     each_face_has_its_channel,
+    each_channel_has_an_address,
+    the_enable_line_is_free,
     a_scan_fits_its_period,
     the_range_reaches_bright_sun,
     windows_hold_scans,
@@ -174,4 +242,8 @@ RULES = (
     thresholds_have_hysteresis,
     the_bridge_is_signed_or_not,
     an_interface_has_a_group,
+    the_triangle_holds,
+    what_needs_a_broker_has_one,
+    the_broker_is_known_as_asked,
+    the_two_words_differ,
 )

@@ -22,7 +22,18 @@ TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 _WIDTH = 100
 _NOT_READ = {
     "both": (),
-    "cube": ("law", "windows", "limits", "motion", "safety"),
+    "cube": (
+        "instruments.positioner",
+        "instruments.positioner.a_axis",
+        "instruments.positioner.b_axis",
+        "law",
+        "windows",
+        "limits",
+        "motion",
+        "safety",
+        "mqtt.wind",
+        "mqtt.safe",
+    ),
     "tracker": ("instruments.multiplexer", "instruments.voltmeter"),
 }
 _HEADINGS = {

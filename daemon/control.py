@@ -13,19 +13,24 @@ from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
 from daemon.modes import Data, Situation, next_mode
 from daemon.motion import Motion
+from daemon.optimal import DECIDE_EVERY_S, FACES_NEEDED, OptimalPointing
 from daemon.pointing import Pointing
-from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
+from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Quality, Record, Scan, Target
 from daemon.stow import OperatorStow, StowSource
 from daemon.waiting import wait_at_most
 from daemon.window import Window
+from daemon.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from solar.frames import normal_from_angles, separation_deg
 
 log = logging.getLogger("heliocube.control")
 
 _TICK_S = 5.0
+# Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
+_SHORTEST_WAIT_S = 0.001
 # A parked tracker that is not where it should be is sent there again this often.
 _REPARK_S = 60.0
+_BY_THE_CLOCK = ("chronometric", "optimal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +44,7 @@ class ControlState:
     scan
         The newest scan that was accepted, good or bad.
     scan_age_s
-        Age of the newest scan with four good faces; infinite before the first.
+        Age of the newest scan with as many good faces as the law needs; infinite before the first.
     irradiances
         Mean over the window, or None.
     decision
@@ -75,8 +80,12 @@ class Control:
         Of UTC [s], to tell night from day.
     stow_sources
         Everything besides the operator that may ask for stow.
+    wish_file
+        Keeps what operators asked for over a restart.
     publish
         Called with decisions, mode changes and events.
+    optimal
+        The law `optimal`, where it is the law; the others are in `pointing`.
     """
 
     def __init__(
@@ -87,9 +96,13 @@ class Control:
         pointing: Pointing,
         sun_elevation_deg: Callable[[float], float],
         stow_sources: Sequence[StowSource],
+        wish_file: WishFile,
         publish: Callable[[Record], None],
+        optimal: OptimalPointing | None = None,
     ) -> None:
         self._settings = settings
+        self.optimal = optimal
+        self._faces_needed = 4 if optimal is None else FACES_NEEDED
         self._clock = clock
         self._motion = motion
         self._pointing = pointing
@@ -102,8 +115,12 @@ class Control:
             settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
         )
         self._wake = asyncio.Event()
-        self._stop_why: str | None = None
-        self._hold_why: str | None = None
+        self._wish_file = wish_file
+        before = wish_file.load()
+        self._stop_why = before.stop
+        self._hold_why = before.hold
+        if before.stow is not None:
+            self._operator.ask(before.stow)
         self._hold_at: Target | None = None
         self.mode = Mode.STARTING
         self.why = "starting"
@@ -124,8 +141,10 @@ class Control:
         """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
         self._scan = scan
         self._window.add(scan)
-        if scan.ok:
+        if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
             self._good_s = scan.time_monotonic_s
+        if self.optimal is not None and self._clock_watch.trusted:
+            self.optimal.receive(scan, self._clock.utc())
         self._publish(scan)
 
     def look_again(self) -> None:
@@ -136,13 +155,13 @@ class Control:
         """Go to the stow position and stay until released."""
         self._stop_why = None
         self._operator.ask(why)
-        self._wake.set()
+        self._keep_wishes()
 
     def hold(self, why: str) -> None:
         """Stay where the tracker is; a move in progress is stopped. Stow still goes before it."""
         self._stop_why = None
         self._hold_why, self._hold_at = why, None
-        self._wake.set()
+        self._keep_wishes()
 
     def goto(self, a_deg: float, b_deg: float, why: str) -> None:
         """Go to a position and hold there.
@@ -162,13 +181,13 @@ class Control:
         self._stop_why = None
         self._hold_why, self._hold_at = why, Target(a_deg, b_deg, why)
         self._parked_s = -math.inf
-        self._wake.set()
+        self._keep_wishes()
 
     def auto(self) -> None:
         """Release the stop, stow and hold that an operator asked for."""
         self._operator.release()
         self._stop_why = self._hold_why = self._hold_at = None
-        self._wake.set()
+        self._keep_wishes()
 
     async def stop(self, why: str) -> None:
         """Stop the axes at once and keep them stopped until released, even from stowing: somebody may be in reach.
@@ -177,8 +196,14 @@ class Control:
         """
         self._stop_why = why
         self._hold_at = None
+        try:
+            await self._motion.stop()
+        finally:
+            self._keep_wishes()
+
+    def _keep_wishes(self) -> None:
+        self._wish_file.save(Wishes(stop=self._stop_why, stow=self._operator.reason(0.0), hold=self._hold_why))
         self._wake.set()
-        await self._motion.stop()
 
     def home(self) -> None:
         """Start a reference run of both axes."""
@@ -201,7 +226,7 @@ class Control:
             self._since_utc_s,
             self._scan,
             now_s - self._good_s,
-            self._window.mean(now_s),
+            self._window.mean(now_s, self._faces_needed),
             self._decision,
             max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
@@ -212,16 +237,23 @@ class Control:
             self.tick()
             await wait_at_most(self._wake, self._until_next_tick())
 
+    @property
+    def next_tick_s(self) -> float:
+        """Monotonic time of the next look, unless somebody asks for one before."""
+        return self.last_tick_s + self._until_next_tick()
+
     def _until_next_tick(self) -> float:
         if self.mode in (Mode.TRACKING, Mode.FALLBACK):
-            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), 0.0))
+            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), _SHORTEST_WAIT_S))
         return _TICK_S
 
     def tick(self) -> None:
         """Look at the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
-        mean = self._window.mean(now_s)
+        if self.optimal is not None and self._clock_watch.trusted:
+            self.optimal.turn(self._clock.utc())
+        mean = self._window.mean(now_s, self._faces_needed)
         mode, why = next_mode(self.mode, self._situation(now_s, mean))
         if mode is not self.mode:
             self._enter(mode, why, now_s)
@@ -272,12 +304,22 @@ class Control:
         return f" ({', '.join(bad)})"
 
     def _too_dark(self, mean: Irradiances) -> bool:
-        return not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
+        return self._sees_zenith(mean) and not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
+
+    def _sees_zenith(self, mean: Irradiances) -> bool:
+        """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
+        zenith = mean.zenith_w_m2
+        if self.optimal is None or zenith >= self._settings.safety.night_above_w_m2:
+            return True
+        if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
+            return True
+        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
+        return self.optimal.believes_zenith(faces, self._clock.utc())
 
     def _judge_night(self, data: Data, mean: Irradiances | None) -> str | None:
         safety = self._settings.safety
         sun_deg = self._sun_elevation_deg(self._clock.utc())
-        if data is Data.FRESH and mean is not None:
+        if data is Data.FRESH and mean is not None and self._sees_zenith(mean):
             threshold = safety.night_above_w_m2 if self._night else safety.night_below_w_m2
             self._night = mean.zenith_w_m2 < threshold and sun_deg <= safety.night_highest_sun_deg
             why = f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2"
@@ -335,14 +377,18 @@ class Control:
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        self._due_s = now_s + self._settings.windows.decide_every_s
-        utc_s = self._clock.utc()
         law = self._settings.law.name if self.mode is Mode.TRACKING else "chronometric"
-        aim = self._pointing.aim(law, mean, utc_s)
-        if law == "chronometric" and not self._clock_watch.trusted:
+        self._due_s = now_s + (DECIDE_EVERY_S if law == "optimal" else self._settings.windows.decide_every_s)
+        utc_s = self._clock.utc()
+        heading = self._motion.target or self._motion.pose
+        if law == "optimal" and self.optimal is not None and heading is not None:
+            aim = self.optimal.aim(heading.a_deg, heading.b_deg, utc_s)
+        else:
+            aim = self._pointing.aim(law, mean, utc_s)
+        if law in _BY_THE_CLOCK and not self._clock_watch.trusted:
             aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
         target = aim.target or self._standing(aim.why)
-        moved = aim.target is not None and self._worth_moving(aim.target) and self._order(aim.target)
+        moved = aim.target is not None and self._worth_moving(aim.target) and self._order_within_budget(aim.target)
         log.info("%s", "moving" if moved else "staying", extra={"fields": _told(law, target)})
         self._decision = Decision(
             utc_s,
@@ -356,6 +402,7 @@ class Control:
             aim.sun.elevation_deg,
             target,
             moved,
+            aim.estimate,
         )
         self._publish(self._decision)
 
@@ -364,13 +411,25 @@ class Control:
         return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
 
     def _worth_moving(self, target: Target) -> bool:
-        pose = self._motion.pose
-        if pose is None:
+        """Tell whether the target is far enough from where the tracker stands or is already heading."""
+        whence = self._motion.target or self._motion.pose
+        if whence is None:
             return False
         apart = separation_deg(
-            normal_from_angles(pose.a_deg, pose.b_deg), normal_from_angles(target.a_deg, target.b_deg)
+            normal_from_angles(whence.a_deg, whence.b_deg), normal_from_angles(target.a_deg, target.b_deg)
         )
         return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
+
+    def _order_within_budget(self, target: Target) -> bool:
+        """Order a move of a law; the budget of `optimal` holds in fallback too."""
+        heading = self._motion.target or self._motion.pose
+        if self.optimal is None or heading is None:
+            return self._order(target)
+        distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
+        if not (self.optimal.affords(distance_deg) and self._order(target)):
+            return False
+        self.optimal.book(distance_deg)
+        return True
 
     def _order(self, target: Target) -> bool:
         try:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daemon.clock import iso_utc
 from daemon.errors import UserError
-from daemon.store_schema import FILE_NAME, open_for_reading, stored_columns
+from daemon.store_schema import FILE_NAME, columns_of, open_for_reading
 from daemon.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
 
@@ -68,9 +68,7 @@ def export(
         The span is empty or ends before it begins; there is no store; the tables cannot be written.
     """
     if start is not None and end is not None and start >= end:
-        raise UserError(
-            f"--from {_text(start)} is not before --to {_text(end)}: exchange them; --to itself is not included"
-        )
+        raise UserError(f"--from {_text(start)} is not before --to {_text(end)}: exchange them")
     chosen = [name for name in KINDS if name in kinds or not kinds]
     with closing(open_for_reading(directory / FILE_NAME)) as connection:
         try:
@@ -99,6 +97,7 @@ class _Table:
         self.columns = [Column(column.name, column.name, column.holds) for column in columns]
         self.row = namedtuple(name, [column.name for column in self.columns])  # type: ignore[misc]  # made at run time
         self._floats = [place for place, column in enumerate(own) if column.holds == "float"]
+        self._texts = [place for place, column in enumerate(own) if column.holds == "text"]
         self._truths = [place for place, column in enumerate(own) if column.holds == "bool"]
 
     def copy(
@@ -106,8 +105,8 @@ class _Table:
     ) -> int:
         low = -math.inf if start is None else start.timestamp()
         high = math.inf if end is None else end.timestamp()
-        there = stored_columns(connection, self.name)
-        names = ", ".join(f"kept.{name}" if name in there else f"'' AS {name}" for name in self._stored)
+        there = columns_of(connection, self.name)
+        names = ", ".join(f"kept.{name}" if name in there else "NULL" for name in self._stored)
         query = (
             f"SELECT {names}, kept.run, runs.simulated, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"
@@ -120,6 +119,8 @@ class _Table:
                 for place in self._floats:
                     if values[place] is None:
                         values[place] = math.nan
+                for place in self._texts:
+                    values[place] = values[place] or ""
                 for place in self._truths:
                     values[place] = bool(values[place])
                 tail = [run] if "simulated" in self._stored else [run, bool(simulated)]

@@ -2,7 +2,8 @@
 
 from enum import StrEnum
 
-from daemon.config import Motion, PositionerSettings
+from daemon.config import Motion
+from daemon.config_instruments import PositionerSettings
 from daemon.records import Pose, Target
 from drivers.interfaces import Telemetry
 from solar.frames import Limits

@@ -15,7 +15,7 @@ from random import Random
 from daemon.backoff import Backoff
 from daemon.clock import Clock
 from daemon.config import Motion as MotionSettings
-from daemon.config import PositionerSettings
+from daemon.config_instruments import PositionerSettings
 from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
@@ -26,7 +26,7 @@ from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
 
-_IDLE_POLL_S = 10.0
+IDLE_POLL_S = 5.0
 _MOVING_POLL_S = 0.5
 _HOMING_POLL_S = 1.0
 _BETWEEN_ATTEMPTS_S = 1.0
@@ -50,6 +50,8 @@ class Motion:
         Called with moves, poses and events.
     changed
         Called when readiness changes or a move or homing run begins or ends, so that control looks again at once.
+    idle_poll_s
+        How often a tracker at rest is looked at.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Motion:
         random: Random,
         publish: Callable[[Record], None],
         changed: Callable[[], None],
+        idle_poll_s: float = IDLE_POLL_S,
     ) -> None:
         self._positioner = positioner
         self._limits = limits
@@ -70,6 +73,7 @@ class Motion:
         self._clock = clock
         self._publish = publish
         self._changed = changed
+        self._idle_poll_s = idle_poll_s
         self._backoff = Backoff(random)
         self._wake = asyncio.Event()
         self._wanted: Target | None = None
@@ -120,6 +124,11 @@ class Motion:
     def moving(self) -> bool:
         """Whether a move or a homing run is on."""
         return self.target is not None or self.homing
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves and nothing that was asked for waits to be taken up."""
+        return not (self.moving or self._wanted or self._home_wanted or self._clear_wanted) and self.connected
 
     def order(self, target: Target, *, stow: bool = False) -> None:
         """Ask for a move; whatever moves is stopped first. The one door for every move in the service.
@@ -203,10 +212,10 @@ class Motion:
         await self._look(moving=False)
         assert self.pose is not None  # noqa: S101 - narrowing for the type checker; _look has just set it
         name = f"{self.identity.board}, firmware {self.identity.firmware}, serial {self.identity.serial}"
-        log.info("the positioner is connected: %s", name)
-        if self.outage.is_down:
-            self.outage.up(self._clock.monotonic())
-            self._tell(f"positioner back: {name}")
+        if self.outage.up(self._clock.monotonic()):
+            self._publish_event(f"positioner back: {name}")
+        else:
+            log.info("the positioner is connected: %s", name)
         if before is not None and self._jumped(before, self.pose):
             self._tell(
                 f"positioner stands at A {self.pose.a_deg:.1f}, B {self.pose.b_deg:.1f} deg; before the loss it was "
@@ -226,7 +235,7 @@ class Motion:
         first = not self.outage.is_down
         self.outage.down(self._clock.monotonic(), str(error))
         if first:
-            self._tell(f"positioner lost: {error}")
+            self._publish_event(f"positioner lost: {error}")
         self._note_readiness()
         await self._positioner.close()
 
@@ -250,7 +259,7 @@ class Motion:
                 target, self._wanted = self._wanted, None
                 await self._move(target)
                 continue
-            await wait_at_most(self._wake, _IDLE_POLL_S)
+            await wait_at_most(self._wake, self._idle_poll_s)
 
     def _must_rehome(self) -> bool:
         return self._settings.rehome == "automatic" and self._doubt is not None and self.blocked is None
@@ -407,4 +416,7 @@ class Motion:
 
     def _tell(self, text: str) -> None:
         log.info(text)
+        self._publish_event(text)
+
+    def _publish_event(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daemon.config import Law, LawName, Site
-from daemon.records import Irradiances, Target
+from daemon.records import NO_ESTIMATE, Estimate, Irradiances, Target
 from solar import laws
 from solar.ephemeris import SunPosition, sun_position
 from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
@@ -27,6 +27,8 @@ class Aim:
         Inside the limits; None when there is no direction.
     why
         In words.
+    estimate
+        What the law made of the light.
     """
 
     azimuth_deg: float
@@ -34,6 +36,7 @@ class Aim:
     sun: SunPosition[float]
     target: Target | None
     why: str
+    estimate: Estimate = NO_ESTIMATE
 
 
 class SunElevation:

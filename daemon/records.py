@@ -3,6 +3,7 @@
 Every record carries UTC [s since 1970] for stamps; those that time a measurement carry monotonic time [s] as well.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -119,6 +120,28 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a law makes of the light and the ground; NaN from laws that estimate nothing.
+
+    Attributes
+    ----------
+    dni_w_m2
+        Normal to the sun: direct and circumsolar.
+    dhi_w_m2
+        Horizontal irradiance of the rest of the sky.
+    albedo
+        Of the ground around the cube.
+    """
+
+    dni_w_m2: float = math.nan
+    dhi_w_m2: float = math.nan
+    albedo: float = math.nan
+
+
+NO_ESTIMATE = Estimate()
+
+
+@dataclass(frozen=True, slots=True)
 class Decision:
     """One run of the pointing law and what came of it.
 
@@ -132,6 +155,8 @@ class Decision:
         Ephemeris at that instant, apparent elevation.
     moved
         Whether a move was ordered.
+    estimate
+        What the law made of the light.
     """
 
     time_utc_s: float
@@ -145,6 +170,7 @@ class Decision:
     sun_elevation_deg: float
     target: Target
     moved: bool
+    estimate: Estimate = NO_ESTIMATE
 
 
 class MoveOutcome(StrEnum):

@@ -16,18 +16,20 @@ from rich.console import Console
 from daemon import logs
 from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
+from daemon.api.state import state
 from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
 from daemon.calibration_file import calibration_in_force
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
-from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.composition import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.live_view import LiveView
+from daemon.mqtt.parts import Mqtt
 from daemon.records import Event
 from daemon.sd_notify import Notifier
-from daemon.service import Role, Service
+from daemon.service import Rig, Role, Service
 from daemon.store import Origin, Store
 from daemon.timeloop import new_loop
 
@@ -46,20 +48,20 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
-    speed = settings.simulation.speed
+    # Real instruments have real time; what the simulation's table says is not for them.
+    speed = 1.0 if is_real(settings) else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
         clock = _clock(settings, loop)
-        weather, warning = build_weather(settings, clock.utc(), clock.utc() + (for_s or 0.0) * speed)
-        if warning:
-            log.warning(warning)
+        rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
         bus = Bus()
         recent = Recent()
         bus.subscribe(recent.note)
+        mqtt = Mqtt(settings, role, clock, SystemRandom(), bus.publish, speed) if settings.mqtt.enabled else None
         service = Service(
             settings,
             role,
-            build_rig(settings, role, clock, weather),
+            rig,
             clock,
             SystemRandom(),
             bus,
@@ -67,11 +69,25 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             Notifier(os.environ, os.getpid()),
             speed,
             calibration,
+            stow_sources=mqtt.stow_sources() if mqtt else (),
+            send_beyond=mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
         )
-        log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": {"role": role, "speed": speed}})
+        if rig.simulated:
+            fields = {"role": role, "speed": speed}
+            log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
+        else:
+            log.info("real instruments", extra={"fields": {"role": role}})
+            if not isinstance(clock, SystemClock):
+                log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         with _store(service, role, loop) as store:
-            api = _api(service, recent, speed, store, console, journal=journal)
-            runner.run(_run(service, for_s, speed, LiveView(service, console, speed), api))
+            if mqtt is not None:
+                mqtt.attach(
+                    service, lambda: state(service, recent, speed, store.status if store else None, mqtt.status)
+                )
+            api = _api(service, recent, speed, store, mqtt, console, journal=journal)
+            # In a journal the log says it all; status lines would only fill it.
+            view = None if journal else LiveView(service, console, speed)
+            runner.run(_run(service, for_s, speed, view, api, mqtt))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -96,17 +112,29 @@ def bridge_key(settings: Settings, role: Role) -> bytes | None:
     )
 
 
+def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
+    if is_real(settings):
+        return build_real_rig(settings, role, clock)
+    weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s)
+    if warning:
+        log.warning(warning)
+    return build_simulated_rig(settings, role, clock, weather)
+
+
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     simulation = settings.simulation
     system = SystemClock()
+    if is_real(settings) and (simulation.start_utc is None or simulation.anchor_utc is None):
+        return system
     if simulation.start_utc is None and simulation.speed == 1.0:
         return system
+    speed = 1.0 if is_real(settings) else simulation.speed
     start = simulation.start_utc or DEFAULT_START
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     if simulation.anchor_utc is not None:
         anchor = simulation.anchor_utc
         anchor_utc_s = anchor.replace(tzinfo=anchor.tzinfo or UTC).timestamp()
-        start_utc_s += (system.utc() - anchor_utc_s) * simulation.speed
+        start_utc_s += (system.utc() - anchor_utc_s) * speed
     return LoopClock(loop.time, start_utc_s)
 
 
@@ -142,16 +170,30 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
 
 
 def _api(
-    service: Service, recent: Recent, speed: float, store: Store | None, console: Console, *, journal: bool
+    service: Service,
+    recent: Recent,
+    speed: float,
+    store: Store | None,
+    mqtt: Mqtt | None,
+    console: Console,
+    *,
+    journal: bool,
 ) -> ApiServer | None:
     """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
     settings = service.settings.api
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    server = ApiServer(settings, service, recent, token, speed, lambda: store.status if store else None)
+    server = ApiServer(
+        settings,
+        service,
+        recent,
+        token,
+        speed,
+        lambda: store.status if store else None,
+        lambda: mqtt.status if mqtt else None,
+    )
     if server.url is not None:
-        log.info("local interface at %s", server.url)
         where = f"the token of commands is in {settings.token_file}"
         if settings.token_file is None:
             # A journal is read by more people than a terminal.
@@ -160,17 +202,19 @@ def _api(
     return server
 
 
-async def _run(service: Service, for_s: float | None, speed: float, view: LiveView, api: ApiServer | None) -> None:
+async def _run(
+    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None, mqtt: Mqtt | None
+) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
-    with _on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, view.run(), *([api.run()] if api else []))
+    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+        await service.run(stop, *(companion.run() for companion in (view, api, mqtt) if companion is not None))
 
 
 @contextlib.contextmanager
-def _on_signals(stop: Callable[[], object]) -> Iterator[None]:
+def on_signals(stop: Callable[[], object]) -> Iterator[None]:
     """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}

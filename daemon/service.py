@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from random import Random
@@ -10,21 +10,25 @@ from typing import Any
 
 from daemon.acquisition import Acquisition
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.bridge.sender import BridgeSender
+from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
 from daemon.calibration_file import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
-from daemon.motion import Motion
+from daemon.learned import LearnedFile
+from daemon.motion import IDLE_POLL_S, Motion
+from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
 from daemon.stow import StowSource, WindStow
 from daemon.watchdog import Watchdog
+from daemon.wishes import WishFile
 from drivers.errors import DeviceError
 from drivers.interfaces import Multiplexer, Positioner, Voltmeter
+from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
 
@@ -84,6 +88,12 @@ class Service:
         How many times as fast as the machine's the clock runs, for the watchdog.
     calibration
         Of the cube; None for the gains of the settings.
+    idle_poll_s
+        How often a tracker at rest is looked at.
+    stow_sources
+        Reasons to stow besides the rig's wind sensor and the operator.
+    send_beyond
+        Takes each signed scan of the cube to trackers that UDP does not reach, or None.
     """
 
     def __init__(
@@ -98,6 +108,9 @@ class Service:
         notifier: Notifier,
         speed: float = 1.0,
         calibration: CubeCalibration | None = None,
+        idle_poll_s: float = IDLE_POLL_S,
+        stow_sources: Sequence[StowSource] = (),
+        send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -108,7 +121,10 @@ class Service:
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
-        self._expiry = None if calibration is None else ExpiryWatch(calibration, bus.publish)
+        self._expiry = ExpiryWatch(calibration, bus.publish)
+        self._idle_poll_s = idle_poll_s
+        self._stow_sources = stow_sources
+        self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -125,9 +141,8 @@ class Service:
         settings, rig = self.settings, self.rig
         if rig.multiplexer is None or rig.voltmeter is None:
             raise ValueError("the cube's role needs a multiplexer and a voltmeter")
-        calibration = self.calibration
         self.acquisition = Acquisition(
-            settings.cube if calibration is None else calibrated_cube(settings.cube, calibration),
+            calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube,
             settings.instruments.multiplexer.settle_s,
             rig.multiplexer,
             rig.voltmeter,
@@ -137,7 +152,7 @@ class Service:
             self.bus.publish,
             self.sun_elevation_deg,
             rig.simulated,
-            "" if calibration is None else calibration.identifier,
+            self.calibration.identifier if self.calibration else "",
         )
 
     def _build_tracker(self) -> None:
@@ -145,7 +160,7 @@ class Service:
         if rig.positioner is None:
             raise ValueError("the tracker's role needs a positioner")
         limits = settings.limits.limits()
-        sources: list[StowSource] = []
+        sources: list[StowSource] = [*self._stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
         self.motion = Motion(
@@ -157,6 +172,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
+            self._idle_poll_s,
         )
         self.control = Control(
             settings,
@@ -165,9 +181,19 @@ class Service:
             Pointing(settings.site, settings.law, limits),
             self.sun_elevation_deg,
             sources,
+            WishFile(settings.store.directory),
             self.bus.publish,
+            self._optimal(limits),
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
+
+    def _optimal(self, limits: Limits) -> OptimalPointing | None:
+        settings = self.settings
+        if settings.law.name != "optimal":
+            return None
+        file = LearnedFile(settings.store.directory)
+        scan_every_s = settings.cube.scan_every_s
+        return OptimalPointing(settings.site, settings.law, limits, scan_every_s, self.clock.utc(), file)
 
     def _look_again(self) -> None:
         if self.control is not None:
@@ -216,9 +242,9 @@ class Service:
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
-        if self.receiver is not None:
+        if self.receiver is not None and not (self.role is Role.TRACKER and bridge.transport == "mqtt"):
             await self.receiver.open()
-        if self.role is Role.TRACKER:
+        if self.role is Role.TRACKER or (self.role is Role.CUBE and bridge.transport == "mqtt"):
             return
         if self.receiver is not None:
             # Both roles in one process still talk over the bridge, to wherever the receiver really listens.
@@ -229,10 +255,11 @@ class Service:
         await self.sender.open()
 
     def _send(self, scan: Scan) -> None:
-        if self._expiry is not None:
-            self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
+        self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
+        if self._send_beyond is not None:
+            self._send_beyond(pack(scan, self._key))
         if self.role is Role.CUBE:
             self.bus.publish(scan)
 

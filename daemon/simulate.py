@@ -8,12 +8,11 @@ from pathlib import Path
 from random import Random
 from typing import Literal
 
-from daemon.bridge.signing import generate_key
 from daemon.bus import Bus
 from daemon.calibration_file import calibration_in_force
 from daemon.clock import LoopClock
-from daemon.composition import build_rig, build_weather, site_of
-from daemon.config import Settings
+from daemon.composition import build_simulated_rig, build_weather, site_of
+from daemon.config import Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.errors import UserError
 from daemon.records import Decision, Mode, ModeChange, Move, Record, Scan
@@ -77,7 +76,8 @@ def simulate(
     _require_daylight(settings, start_utc_s, end_utc_s)
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
-    settings = on_a_port_of_its_own(settings)
+    # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
     tally = _Tally(start_utc_s)
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
@@ -88,11 +88,11 @@ def simulate(
         service = Service(
             settings,
             Role.BOTH,
-            build_rig(settings, Role.BOTH, clock, weather),
+            build_simulated_rig(settings, Role.BOTH, clock, weather),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
-            generate_key(),
+            None,
             Notifier({}, 0),
             calibration=calibration,
         )

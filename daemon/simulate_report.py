@@ -12,11 +12,11 @@ from daemon.simulate import Summary
 
 
 @contextlib.contextmanager
-def progress_bar(console: Console) -> Iterator[Callable[[float], None]]:
+def progress_bar(console: Console, what: str = "simulating") -> Iterator[Callable[[float], None]]:
     """Show a progress bar on a terminal, nothing elsewhere; yields the function that takes the share done, 0..1."""
-    columns = (TextColumn("simulating"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (TextColumn(what), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
-        task = progress.add_task("simulate", total=1.0)
+        task = progress.add_task(what, total=1.0)
 
         def advance(share: float) -> None:
             progress.update(task, completed=share)

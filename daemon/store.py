@@ -1,6 +1,8 @@
 """The store: every record of the service, kept in one SQLite file by a thread that nobody waits for."""
 
+import contextlib
 import logging
+import shutil
 import sqlite3
 import threading
 from collections import deque
@@ -21,10 +23,11 @@ log = logging.getLogger("heliocube.store")
 _BATCH_ROWS = 1000
 # About 25 MB, and several hours of a service that runs at the machine's own speed.
 _MOST_WAITING = 50_000
-_RETRY_S = 5.0
 _CLOSE_WITHIN_S = 10.0
 _DELETE_ROWS = 5000
 _DAY_S = 86400.0
+# SQLite needs a few pages to begin anything at all.
+_ROOM_BYTES = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +69,7 @@ class Store:
     """Keeps records; taking one never blocks and never fails.
 
     A batch is written after `batch_s` seconds of wall time at the latest, in one transaction. While the disk is full
-    or fails, records wait in memory, the oldest giving way, and writing is tried again every few seconds.
+    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time.
 
     Parameters
     ----------
@@ -152,7 +155,7 @@ class Store:
                 with closing(open_for_writing(self._path)) as connection:
                     self._serve(connection)
             except (sqlite3.Error, OSError, StoreError) as error:
-                self._failed(str(error))
+                self._failed(self._reason(error))
             except Exception as error:
                 log.exception("the store's thread met what it should not")
                 self._failed(repr(error))
@@ -161,7 +164,7 @@ class Store:
             with self._changed:
                 if self._closing:
                     return
-                self._changed.wait_for(lambda: self._closing, _RETRY_S)
+                self._changed.wait_for(lambda: self._closing, self._batch_s)
 
     def _serve(self, connection: sqlite3.Connection) -> None:
         while True:
@@ -239,6 +242,13 @@ class Store:
             was_down = self._outage.up(self._clock.monotonic())
         if was_down:
             self._tell(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
+
+    def _reason(self, error: Exception) -> str:
+        """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(self._path.parent).free < _ROOM_BYTES:
+                return f"the disk of {self._path.parent} is full"
+        return str(error)
 
     def _failed(self, reason: str) -> None:
         with self._changed:

@@ -13,7 +13,7 @@ from daemon.records import Record, Scan
 from daemon.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 2
+VERSION = 3
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -32,8 +32,6 @@ _RUNS = """CREATE TABLE runs (
   longitude_deg REAL NOT NULL,
   altitude_m REAL NOT NULL
 )"""
-# What brings a store from the version before to this one.
-_STEPS = {2: "ALTER TABLE scans ADD COLUMN calibration TEXT NOT NULL DEFAULT ''"}
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
 
@@ -85,10 +83,8 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
                 connection.execute(f"PRAGMA application_id = {_APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {VERSION}")
             else:
-                found = _check(connection, path)
-                for version in range(found + 1, VERSION + 1):
-                    connection.execute(_STEPS[version])
-                connection.execute(f"PRAGMA user_version = {VERSION}")
+                _check(connection, path)
+                _bring_up_to_date(connection)
             connection.execute("COMMIT")
     except BaseException:
         connection.close()
@@ -162,22 +158,30 @@ def _is_empty(connection: sqlite3.Connection) -> bool:
     return not connection.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone()
 
 
-def _check(connection: sqlite3.Connection, path: Path) -> int:
-    """Return the version of a store that this program knows."""
+def _bring_up_to_date(connection: sqlite3.Connection) -> None:
+    """Give a store of an older version the columns it lacks; they are new at the end of their tables."""
+    for name, columns in COLUMNS.values():
+        there = columns_of(connection, name)
+        for column in columns:
+            if column.name not in there:
+                connection.execute(f"ALTER TABLE {name} ADD COLUMN {column.name} {_TYPES[column.holds]}")
+    connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def columns_of(connection: sqlite3.Connection, table: str) -> set[str]:
+    """Return the names of a table's columns, which in a store of an older version are fewer."""
+    return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
+
+
+def _check(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
         raise StoreError(f"{path} is no store of heliocube; name another folder, or move the file away")
-    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version > VERSION:
         raise StoreError(
             f"the store {path} is of version {version} and this program knows version {VERSION}: it was written by a"
             " newer heliocube; update this one, or name another folder"
         )
-    return version
-
-
-def stored_columns(connection: sqlite3.Connection, table: str) -> set[str]:
-    """Return the columns that a table of the open store has; one of an older version has fewer."""
-    return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
 
 
 @contextmanager

@@ -75,6 +75,9 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
             Column("target_b_deg", "target.b_deg", "float"),
             Column("moved", "moved", "bool"),
             Column("why", "target.why", "text"),
+            Column("dni_est", "estimate.dni_w_m2", "float"),
+            Column("dhi_est", "estimate.dhi_w_m2", "float"),
+            Column("albedo_est", "estimate.albedo", "float"),
         ],
     ),
     Move: (

@@ -41,17 +41,21 @@ class Window:
         """Forget everything."""
         self._faces = tuple(_FaceWindow(self._mean_s) for _ in range(4))
 
-    def mean(self, now_s: float) -> Irradiances | None:
-        """Return the mean over (now - mean_s, now], or None while a face has no good reading in it."""
-        means, coverage = [], 1.0
+    def mean(self, now_s: float, faces_needed: int = 4) -> Irradiances | None:
+        """Return the mean over (now - mean_s, now], or None while too many faces have no good reading in it.
+
+        A face without one is NaN; coverage is that of the worst among the `faces_needed` best.
+        """
+        means, covered = [], []
         for window in self._faces:
             mean, covered_s = window.mean(now_s)
-            if not covered_s > 0:
-                return None
             means.append(mean)
-            coverage = min(coverage, covered_s / self._mean_s)
+            covered.append(covered_s)
+        needed_s = min(covered) if faces_needed == 4 else sorted(covered)[4 - faces_needed]
+        if not needed_s > 0:
+            return None
         east, south, west, zenith = means
-        return Irradiances(east, south, west, zenith, coverage)
+        return Irradiances(east, south, west, zenith, min(1.0, needed_s / self._mean_s))
 
 
 class _FaceWindow:

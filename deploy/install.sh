@@ -77,8 +77,11 @@ reload() {
   [ $live = yes ] || return 0
   systemctl daemon-reload
   if command -v udevadm >/dev/null 2>&1; then
-    udevadm control --reload 2>/dev/null && udevadm trigger --subsystem-match=tty --action=change ||
+    if udevadm control --reload 2>/dev/null; then
+      udevadm trigger --subsystem-match=tty --action=change
+    else
       say 'note: udev does not run here; its rules hold from the next boot'
+    fi
   fi
 }
 

@@ -1,13 +1,28 @@
 """Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
 
 import gc
+import os
 import socket
 import threading
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+from tests.mqtt.broker import LEFT_OUT, MOSQUITTO
+
+# Machines are shared and slow now and then; CI draws the same examples every time.
+settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("heliocube")
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_report_header():
+    """Say once what cannot be tested here."""
+    if MOSQUITTO is None:
+        return f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
+    return None
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +48,9 @@ def _descriptors() -> dict[str, str]:
         except OSError:
             continue
         # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.
-        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or "/tmp" in target:
+        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or (
+            "/tmp" in target and "site-packages" not in target
+        ):
             found[entry.name] = target
     return found
 

@@ -18,6 +18,7 @@ from daemon.api.commands import Answer, CommandError, Operator
 from daemon.api.metrics import Metrics
 from daemon.api.recent import Recent
 from daemon.api.state import kind_of, number, record_json, state
+from daemon.mqtt.link import LinkStatus
 from daemon.records import Record
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -45,6 +46,8 @@ class Api:
         How many times as fast as the machine's the service's clock runs.
     store
         Returns how the store is, or None where there is none.
+    mqtt
+        Returns how the link to the broker is, or None where there is none.
     """
 
     def __init__(
@@ -54,16 +57,20 @@ class Api:
         token: str,
         speed: float,
         store: Callable[[], StoreStatus | None],
+        mqtt: Callable[[], LinkStatus | None],
     ) -> None:
         self._service = service
         self._recent = recent
         self._token = token.encode()
         self._speed = speed
         self._store = store
+        self._mqtt = mqtt
         self._operator = Operator(service, speed)
         self._metrics = Metrics(service, recent, store)
         self._closing = asyncio.Event()
-        plain = {name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear")}
+        plain = {
+            name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear", "relearn")
+        }
         self.app = Starlette(
             routes=[
                 Route("/api/state", self._state),
@@ -85,7 +92,7 @@ class Api:
         return JSONResponse(self._snapshot())
 
     def _snapshot(self) -> dict[str, Any]:
-        return state(self._service, self._recent, self._speed, self._store())
+        return state(self._service, self._recent, self._speed, self._store(), self._mqtt())
 
     async def _scans(self, request: Request) -> Response:
         scans = self._recent.scans_since(_since(request.query_params.get("since")), _MOST_SCANS)
@@ -137,6 +144,9 @@ class Api:
         status = self._store()
         if status is not None and status.down_why is not None:
             down.append(f"store: {status.down_why}")
+        link = self._mqtt()
+        if link is not None and link.down_why is not None:
+            down.append(f"mqtt: {link.down_why}")
         found = {"ok": not troubles, "troubles": troubles, "down": down, "simulated": service.rig.simulated}
         return JSONResponse(found, status_code=503 if troubles else 200)
 

@@ -88,12 +88,14 @@ class Operator:
         return Answer(done and control.mode is Mode.HOLD, self._seen())
 
     async def stop(self, why: str) -> Answer:
-        """Stop the axes at once and hold; ends a stow that an operator asked for, but not one for the wind."""
+        """Stop the axes at once and keep them stopped until 'auto', even from a stow."""
         control, motion = self._note("stop", why)
         asked_s, heading = self._service.clock.monotonic(), motion.target
-        control.auto()
-        control.hold(why)
-        lost = await _send_stop(motion)
+        try:
+            await control.stop(why)
+            lost = None
+        except DeviceError as error:
+            lost = str(error)
         control.tick()
         if lost is not None:
             raise CommandError(f"stop could not be sent, and is sent as soon as the positioner answers: {lost}")
@@ -144,6 +146,16 @@ class Operator:
         done = await self._until(lambda: _obstacle(motion) is None)
         control.tick()
         return Answer(done, self._seen())
+
+    async def relearn(self, why: str) -> Answer:
+        """Forget the albedo and the gains that the law `optimal` has learned."""
+        control, _ = self._tracker()
+        if control.optimal is None:
+            law = self._service.settings.law.name
+            raise CommandError(f"there is nothing to forget: the law {law} learns nothing, only optimal does")
+        self._note("relearn", why)
+        control.optimal.relearn()
+        return Answer(done=True, text="albedo and gains are learned anew")
 
     def _tracker(self) -> tuple[Control, Motion]:
         control, motion = self._service.control, self._service.motion

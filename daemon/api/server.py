@@ -13,6 +13,7 @@ from daemon.api.app import Api
 from daemon.api.recent import Recent
 from daemon.bridge.addresses import parse_address
 from daemon.config import Api as ApiSettings
+from daemon.mqtt.link import LinkStatus
 from daemon.outage import Outage
 from daemon.records import Event
 from daemon.service import Service
@@ -51,7 +52,7 @@ class ApiServer:
 
     Parameters
     ----------
-    service, recent, token, speed, store
+    service, recent, token, speed, store, mqtt
         As for `daemon.api.app.Api`.
     settings
         Where to listen.
@@ -65,11 +66,12 @@ class ApiServer:
         token: str,
         speed: float,
         store: Callable[[], StoreStatus | None],
+        mqtt: Callable[[], LinkStatus | None] = lambda: None,
     ) -> None:
         self._address = parse_address(settings.listen)
         self._service = service
         self._speed = speed
-        self._recent, self._token, self._store = recent, token, store
+        self._recent, self._token, self._store, self._mqtt = recent, token, store, mqtt
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
         self._try_to_bind()
@@ -119,7 +121,7 @@ class ApiServer:
         self._bound = bound
 
     async def _serve(self, bound: socket.socket) -> None:
-        api = Api(self._service, self._recent, self._token, self._speed, self._store)
+        api = Api(self._service, self._recent, self._token, self._speed, self._store, self._mqtt)
         pace = max(round(self._speed), 1)
         server = _Server(
             uvicorn.Config(

@@ -1,6 +1,7 @@
 """The state of the service as JSON: every value with its age and what it is worth."""
 
 import math
+from dataclasses import asdict
 from importlib.metadata import version
 from operator import attrgetter
 from typing import Any
@@ -8,7 +9,9 @@ from typing import Any
 from daemon.api.recent import Recent
 from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
+from daemon.control import Control
 from daemon.motion import Motion
+from daemon.mqtt.link import LinkStatus
 from daemon.records import FACES, Pose, Quality, Record, Scan
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -41,7 +44,9 @@ def number(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def state(service: Service, recent: Recent, speed: float, store: StoreStatus | None) -> dict[str, Any]:
+def state(
+    service: Service, recent: Recent, speed: float, store: StoreStatus | None, mqtt: LinkStatus | None = None
+) -> dict[str, Any]:
     """Return everything there is to see of the service now.
 
     A face's quality is ``stale`` where its reading has become too old to be used, whatever it was before.
@@ -69,10 +74,12 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
         "mode": None,
         "irradiances": None,
         "decision": None,
+        "law": None,
         "next_decision_s": None,
         "tracker": None,
         "bridge": None,
         "store": None if store is None else _store(store),
+        "mqtt": None if mqtt is None else asdict(mqtt),
         "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in recent.news],
     }
     if control is not None and service.motion is not None:
@@ -86,6 +93,7 @@ def state(service: Service, recent: Recent, speed: float, store: StoreStatus | N
                 "age_s": number(round(now_s - seen.decision.time_monotonic_s, 3))
             }
         found["next_decision_s"] = number(seen.next_decision_s)
+        found["law"] = {"name": settings.law.name} | _learned(control)
         found["tracker"] = _tracker(service.motion, now_s)
         limits = settings.limits.limits()
         found["tracker"]["limits"] = {
@@ -108,6 +116,15 @@ def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
         "expires": iso_utc(calibration.expires_utc.timestamp()),
         "validity": calibration.validity(utc_s),
     }
+
+
+def _learned(control: Control) -> dict[str, Any]:
+    """Return what the law has learned and used of its day; nothing for laws that learn nothing."""
+    if control.optimal is None:
+        return {}
+    kept = control.optimal.kept.model_dump(exclude={"day"})
+    used = {name: kept.pop(name) for name in ("travelled_deg", "moves")}
+    return {"learned": kept, "today": used}
 
 
 def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """The token that a command over the local interface must bear."""
 
+import base64
 import os
 import re
-import secrets
 import stat
 from pathlib import Path
 
@@ -19,7 +19,7 @@ class TokenError(UserError):
 
 def generate_token() -> str:
     """Return a new token, from the operating system's generator."""
-    return secrets.token_urlsafe(_BYTES)
+    return base64.urlsafe_b64encode(os.urandom(_BYTES)).rstrip(b"=").decode()
 
 
 def write_token(path: Path, token: str) -> None:
@@ -57,9 +57,11 @@ def load_token(path: Path) -> str:
         raise TokenError(
             f"the token file {path} is open to others than its owner and its group's readers: run chmod 640 {path}"
         )
-    line = content.decode("latin-1").strip()
-    if not _SHORTEST <= len(line) <= _LONGEST or _TOKEN.fullmatch(line) is None:
-        raise TokenError(
-            f"the token file {path} is not one line of {_SHORTEST} to {_LONGEST} letters and digits: {remedy}"
-        )
-    return line
+    return check_token(content.decode("latin-1").strip(), f"the token file {path}", remedy)
+
+
+def check_token(text: str, where: str, remedy: str = "copy the whole token") -> str:
+    """Return `text` if it can be a token; raises `TokenError` with `where` it stands and the remedy."""
+    if not _SHORTEST <= len(text) <= _LONGEST or _TOKEN.fullmatch(text) is None:
+        raise TokenError(f"{where} is not one line of {_SHORTEST} to {_LONGEST} letters and digits: {remedy}")
+    return text

@@ -97,12 +97,16 @@ class BridgeReceiver(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         """Examine one datagram from `addr`, (host, port, ...), and pass its scan on or count the refusal."""
+        self.take(data, str(Address(addr[0], addr[1])), addr[0])
+
+    def take(self, data: bytes, sender: str, host: str | None = None) -> None:
+        """Examine one datagram like one from the port; `host` None for a transport that knows no IP addresses."""
         now_s = self._clock.monotonic()
         utc_s = self._clock.utc()
         try:
-            scan = self._examine(data, addr[0], utc_s, now_s)
+            scan = self._examine(data, host, utc_s, now_s)
         except RefusedError as refused:
-            self._tally.refuse(refused, str(Address(addr[0], addr[1])), utc_s, now_s)
+            self._tally.refuse(refused, sender, utc_s, now_s)
             return
         self._tally.accept(now_s)
         self._on_scan(scan)
@@ -117,10 +121,10 @@ class BridgeReceiver(asyncio.DatagramProtocol):
             _log.error("the bridge's port %s has failed: %s", self._listen, exc)
         self._gone.set()
 
-    def _examine(self, data: bytes, host: str, utc_s: float, now_s: float) -> "Scan":
+    def _examine(self, data: bytes, host: str | None, utc_s: float, now_s: float) -> "Scan":
         if len(data) > LARGEST_DATAGRAM:
             raise RefusedError(Refusal.OVERSIZED, f"has {len(data)} bytes; a scan has {LARGEST_DATAGRAM} at the most")
-        if self._accept_from and _ip_of(host) not in self._accept_from:
+        if host is not None and self._accept_from and _ip_of(host) not in self._accept_from:
             raise RefusedError(Refusal.REFUSED_SENDER, "is not from an address in bridge.accept_from")
         if self._key is not None:
             data = signing.verify(data, self._key)

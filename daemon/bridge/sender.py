@@ -94,12 +94,16 @@ class BridgeSender:
         """Send `scan` to every target, now and without waiting. Errors of the network are counted and logged."""
         if not self._open:
             raise RuntimeError("the bridge's sender is not open")
-        datagram = senml.encode(scan)
-        if self._key is not None:
-            datagram = signing.sign(datagram, self._key)
+        datagram = pack(scan, self._key)
         now_s = self._clock.monotonic()
         for target in self._targets:
             target.send(datagram, now_s)
+
+
+def pack(scan: "Scan", key: bytes | None) -> bytes:
+    """Return what travels of `scan`, over UDP or a broker: signed with `key`, or plain where it is None."""
+    payload = senml.encode(scan)
+    return payload if key is None else signing.sign(payload, key)
 
 
 class _Target:

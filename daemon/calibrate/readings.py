@@ -12,7 +12,7 @@ import pandas as pd
 from daemon.clock import iso_utc
 from daemon.errors import UserError
 from daemon.records import FACES
-from daemon.store_schema import FILE_NAME, open_for_reading, stored_columns
+from daemon.store_schema import FILE_NAME, columns_of, open_for_reading
 from solar.frames import Array
 
 _MV, _W_M2 = "_mv", "_w_m2"
@@ -99,7 +99,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
     path = directory / FILE_NAME
     values = ", ".join(f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in FACES)
     with closing(open_for_reading(path)) as connection:
-        known = "COALESCE(calibration, '')" if "calibration" in stored_columns(connection, "scans") else "''"
+        known = "COALESCE(calibration, '')" if "calibration" in columns_of(connection, "scans") else "''"
         span = "FROM scans WHERE time >= ? AND time < ?"
         try:
             rows = connection.execute(f"SELECT time, {values} {span} ORDER BY time", (low, high)).fetchall()

@@ -13,7 +13,7 @@ import pytest
 from daemon.bridge.signing import generate_key, write_key
 from daemon.bus import Bus
 from daemon.clock import LoopClock
-from daemon.composition import DEFAULT_START, build_rig, build_weather
+from daemon.composition import DEFAULT_START, build_simulated_rig, build_weather
 from daemon.config import Settings
 from daemon.config_file import check_file, load_settings
 from daemon.sd_notify import Notifier
@@ -97,7 +97,7 @@ def test_every_device_rule_is_well_formed_and_its_jumps_land():
 
 def test_the_positioner_has_one_name_one_group_and_no_echo():
     text = "\n".join(rules())
-    for part in ('SYMLINK+="heliocube/positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
+    for part in ('SYMLINK+="heliocube-positioner"', 'GROUP="heliocube"', 'MODE="0660"', 'ENV{ID_MM_DEVICE_IGNORE}="1"'):
         assert part in text
     raw = next(line for line in rules() if "stty" in line)
     assert 'ACTION=="add"' in raw
@@ -179,7 +179,7 @@ def test_a_stalled_part_leaves_the_watchdog_unanswered_though_the_loop_runs(tmp_
         clock = LoopClock(loop.time, DEFAULT_START.timestamp())
         weather, _ = build_weather(settings, clock.utc(), clock.utc() + 3600)
         notifier = Notifier({"NOTIFY_SOCKET": receiver.getsockname(), "WATCHDOG_USEC": "10000000"}, os.getpid())
-        rig = build_rig(settings, Role.BOTH, clock, weather)
+        rig = build_simulated_rig(settings, Role.BOTH, clock, weather)
         service = Service(settings, Role.BOTH, rig, clock, Random(1), Bus(), generate_key(), notifier)
         stop = asyncio.Event()
         serving = asyncio.create_task(service.run(stop))

@@ -1,3 +1,4 @@
+import csv
 import logging
 import sqlite3
 from contextlib import closing
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from daemon.bridge.refusals import RefusedError
 from daemon.bridge.senml import decode, encode
+from daemon.calibrate.readings import read_store
 from daemon.calibration_file import (
     ExpiryWatch,
     calibrated_cube,
@@ -148,23 +150,32 @@ def test_an_identifier_that_is_none_is_refused(text):
         decode(encode(scan(good.decode())).replace(good, text.encode()))
 
 
-def test_a_store_of_the_version_before_is_read_and_brought_forward(tmp_path):
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_store_of_a_version_before_is_read_and_brought_forward(tmp_path, version):
     path = tmp_path / FILE_NAME
     with closing(open_for_writing(path)) as store:
         store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156)")
         store.execute(Rows(Scan).insert, Rows(Scan).row(1, 0, scan("")))
         store.execute("ALTER TABLE scans DROP COLUMN calibration")
-        store.execute("PRAGMA user_version = 1")
+        if version == 1:
+            for name in ("dni_est", "dhi_est", "albedo_est"):
+                store.execute(f"ALTER TABLE decisions DROP COLUMN {name}")
+        store.execute(f"PRAGMA user_version = {version}")
     assert export(tmp_path, tmp_path / "old", "csv", None, None, ["scans"]) == {"scans": 1}
     with closing(open_for_writing(path)) as store:
         assert store.execute("PRAGMA user_version").fetchone()[0] == VERSION
         identifier = calibration().identifier
         store.execute(Rows(Scan).insert, Rows(Scan).row(1, 1, scan(identifier, 1)))
-        assert store.execute("SELECT calibration FROM scans ORDER BY number").fetchall() == [("",), (identifier,)]
     export(tmp_path, tmp_path / "new", "csv", None, None, ["scans"])
-    header, old, _ = (tmp_path / "new" / "scans.csv").read_text().splitlines()
-    before_header, before = (tmp_path / "old" / "scans.csv").read_text().splitlines()
-    assert (header, old) == (before_header, before)
+    assert [row["calibration"] for row in exported(tmp_path / "old")] == [""]
+    assert [row["calibration"] for row in exported(tmp_path / "new")] == ["", identifier]
+    assert exported(tmp_path / "new")[:1] == exported(tmp_path / "old")
+    assert read_store(tmp_path, None, None).calibrations == {"", identifier}
+
+
+def exported(folder):
+    with (folder / "scans.csv").open() as file:
+        return list(csv.DictReader(file))
 
 
 def test_a_fresh_store_is_of_the_newest_version(tmp_path):

@@ -181,7 +181,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"site": "91,2"}, "site.latitude_deg = 91.0: must be a number from -90 to 90 deg"),
+        ({"site": "91,2"}, "--site: '91,2' is not on Earth: LAT is in -90..90"),
         ({"site": "north"}, "--site: 'north' is not LAT,LON"),
         ({"site": None}, "give the site of the readings"),
         ({"reference": ""}, "reference.csv is empty"),

@@ -50,7 +50,7 @@ THEIR_LINES = """\
   site.altitude_m = "156 m": must be a number from -430 to 9000 m; did you mean 156, without quotes?
   cube.scan_every_s = 1.0: is too short for 4 readings of 0.3 s to settle and 0.04 s to convert: they take 1.36 s
   cube.west.channel = 1: is the input of cube.south.channel already; each face needs one of its own
-  law.name = "mu_prime": must be "mu-prime", "sun-vector", "chronometric" or "flat"; did you mean "mu-prime"?
+  law.name = "mu_prime": must be "mu-prime", "sun-vector", "optimal", "chronometric" or "flat"; did you mean "mu-prime"?
   windows.mean_min = 2: there is no such key; did you mean windows.mean_s = 120?
   limits.a_min_deg = 20.0: must be below limits.a_max_deg (10 deg)
   safety.stow_wind_kmh = 54: there is no such key; did you mean safety.stow_wind_m_s = 15?
@@ -118,7 +118,10 @@ def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
 
 def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
     assert problems("[law]\ncolour = 3") == [
-        "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold"
+        (
+            "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold, thrift,"
+            " travel_per_day_deg, moves_per_day"
+        )
     ]
     assert problems("[zzz]")[0].startswith("zzz: there is no such section; the sections are site, cube,")
     assert problems("[law.zzz]") == ["law.zzz: there is no such section; [law] has no sections"]
@@ -336,7 +339,8 @@ def test_the_commented_file_has_every_key_and_section_with_a_comment():
 
 def test_what_stands_behind_a_hash_is_a_working_example(load, tmp_path):
     text = re.sub(r"(?m)^#([a-z][a-z0-9_]* = )", r"\1", example("both"))
-    found = load(text)
+    # Two examples stand only with the switch that they are for.
+    found = load(text.replace("\nenabled = false", "\nenabled = true").replace("\ntls = false", "\ntls = true"))
     assert found.simulation.start_utc is not None
     assert found.bridge.key_file == tmp_path / "bridge.key"
     sections = set(tables())

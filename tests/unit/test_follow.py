@@ -2,7 +2,8 @@
 
 import math
 
-from daemon.config import Motion, PositionerSettings
+from daemon.config import Motion
+from daemon.config_instruments import PositionerSettings
 from daemon.follow import Follow, Progress
 from daemon.records import Pose, Target
 from drivers.interfaces import Telemetry

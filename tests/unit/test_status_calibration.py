@@ -8,7 +8,7 @@ from daemon.api.recent import Recent
 from daemon.api.state import state
 from daemon.bus import Bus
 from daemon.clock import LoopClock
-from daemon.composition import build_rig, build_weather
+from daemon.composition import build_simulated_rig, build_weather
 from daemon.config import Settings
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
@@ -20,7 +20,7 @@ def status(now, made):
     settings = Settings()
     clock = LoopClock(lambda: 0.0, now.timestamp())
     weather, _ = build_weather(settings, now.timestamp(), now.timestamp())
-    rig = build_rig(settings, Role.CUBE, clock, weather)
+    rig = build_simulated_rig(settings, Role.CUBE, clock, weather)
     service = Service(settings, Role.CUBE, rig, clock, Random(1), Bus(), None, Notifier({}, 0), calibration=made)
     found = state(service, Recent(), 1.0, None)
     console = Console(width=120)

@@ -1,0 +1,58 @@
+"""`heliocube replay`: recorded cube data through the code that runs live."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def replay(
+    faces: Annotated[
+        Path | None,
+        typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")] = ...,  # type: ignore[assignment]  # typer's mark of an option that must be given
+    site: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres. Or in --config."),
+    ] = None,
+    law: Annotated[
+        str | None, typer.Option(metavar="LAW", help="mu-prime, sun-vector, optimal, chronometric or flat.")
+    ] = None,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
+    config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
+) -> None:
+    """Let recorded cube data drive a simulated tracker, through the code that runs live."""
+    from rich.console import Console
+
+    from daemon.bridge.send_csv import read_csv
+    from daemon.cli_options import parse_site
+    from daemon.config import Settings
+    from daemon.config_file import load_settings, override
+    from daemon.errors import UserError
+    from daemon.replay import replay as run_replay
+    from daemon.replay import rows_of_store
+    from daemon.simulate_report import progress_bar
+
+    if (faces is None) is (store is None):
+        raise UserError("replay needs either FACES.csv or --store DIR")
+    if site is None and config is None:
+        raise UserError("replay needs --site LAT,LON[,ALT], or --config FILE with a site")
+    changes: dict[str, dict[str, Any]] = {}
+    if site is not None:
+        latitude, longitude, altitude = parse_site(site)
+        changes["site"] = {
+            "name": site,
+            "latitude_deg": latitude,
+            "longitude_deg": longitude,
+            "altitude_m": altitude,
+        }
+    if law is not None:
+        changes["law"] = {"name": law}
+    settings = override(Settings() if config is None else load_settings(config), changes)
+    if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
+        raise UserError(f"--out: {out} is the file with the readings; name another")
+    rows = rows_of_store(store) if store is not None else read_csv(faces)  # type: ignore[arg-type]  # one of the two
+    with progress_bar(Console(stderr=True), "replaying") as progress:
+        run_replay(settings, rows, out, progress)
+    typer.echo(f"{len(rows)} rows by {settings.law.name}: {out}")

@@ -1,0 +1,254 @@
+"""One connection to the broker. Everything that has to be known of the insides of aiomqtt is known here."""
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+from collections.abc import AsyncIterator, Awaitable
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import aiomqtt
+
+from daemon.config import Mqtt
+from daemon.mqtt.credentials import load_user, tls_context
+from daemon.mqtt.outbox import Message
+
+T = TypeVar("T")
+
+_CONNECT_S = 3.0
+_CONFIRM_S = 5.0
+_LEAVE_S = 1.0
+_FAILURES = 128
+_MOST_INCOMING = 1000
+
+# What the library has to say is told by our own sentences.
+_library_log = logging.getLogger("heliocube.mqtt.library")
+_library_log.setLevel(logging.CRITICAL + 1)
+
+
+class ConnectionLostError(Exception):
+    """There is no connection any more, or none came about; the message is one sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Incoming:
+    """A message from the broker; `retained` ones were published at an unknown time before."""
+
+    topic: str
+    payload: bytes
+    retained: bool
+
+
+class Connection:
+    """One connection, used once.
+
+    Parameters
+    ----------
+    settings
+        Where the broker is and how it is spoken to.
+    client_id
+        Under which name.
+    will
+        What the broker publishes when this connection ends without a word.
+    speed
+        How many times as fast as the machine's the event loop's clock runs: a broker's time is the machine's.
+    """
+
+    def __init__(self, settings: Mqtt, client_id: str, will: Message, speed: float) -> None:
+        self._client = _Client(
+            settings.host,
+            settings.port,
+            identifier=client_id,
+            will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
+            keepalive=settings.keepalive_s,
+            timeout=_CONFIRM_S * speed,
+            clean_session=True,
+            max_queued_incoming_messages=_MOST_INCOMING,
+            logger=_library_log,
+        )
+        self._client.settings = settings
+        self._speed = speed
+        self._place = f"{settings.host}:{settings.port}"
+
+    async def open(self) -> None:
+        """Connect; a cancellation waits for the end of a dial that is under way, 3 s at most for a reachable name.
+
+        Raises
+        ------
+        ConnectionLostError
+            Why that was not possible.
+        CredentialsError
+            A file cannot be used.
+        """
+        opening = asyncio.ensure_future(self._client.__aenter__())
+        try:
+            await asyncio.shield(opening)
+        except BaseException as error:
+            await self._client.abandon(opening)
+            if isinstance(error, aiomqtt.MqttError):
+                raise ConnectionLostError(self._reason(error)) from None
+            raise
+
+    async def publish(self, message: Message) -> None:
+        """Send a message and wait until it is on its way (QoS 0) or confirmed (QoS 1)."""
+        try:
+            await self._client.publish(message.topic, message.payload, message.qos, message.retain)
+        except aiomqtt.MqttError as error:
+            raise ConnectionLostError(self._reason(error)) from None
+
+    async def subscribe(self, topic: str) -> bool:
+        """Ask for a topic; return whether the broker grants it."""
+        try:
+            granted = await self._client.subscribe(topic, qos=1)
+        except aiomqtt.MqttError as error:
+            raise ConnectionLostError(self._reason(error)) from None
+        return all(_code(code) < _FAILURES for code in granted)
+
+    async def incoming(self) -> AsyncIterator[Incoming]:
+        """Yield what comes in, until the connection is lost."""
+        try:
+            async for message in self._client.messages:
+                payload = message.payload if isinstance(message.payload, bytes) else b""
+                yield Incoming(message.topic.value, payload, message.retain)
+        except aiomqtt.MqttError as error:
+            raise ConnectionLostError(self._reason(error)) from None
+
+    async def close(self) -> None:
+        """Take leave if that is still possible, and give everything back. Never raises."""
+        with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
+            async with asyncio.timeout(_LEAVE_S * self._speed):
+                await self._client.__aexit__(None, None, None)
+        await self._client.abandon(None)
+
+    def _reason(self, error: aiomqtt.MqttError) -> str:
+        if self._client.refusal is not None:
+            return self._client.refusal
+        cause = self._client.ending or error
+        if isinstance(cause, aiomqtt.MqttError) and not isinstance(cause, aiomqtt.MqttCodeError):
+            return f"{self._place} does not answer"
+        ended = f"ended the connection; if that repeats, another client has the client id {self._client.identifier}"
+        return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
+
+
+# What a broker says to a connection that it does not want.
+_REFUSALS = {
+    133: "refuses the client id: see mqtt.client_id",
+    134: "refuses user or password: see mqtt.credentials_file",
+    135: "refuses user or password: see mqtt.credentials_file",
+    136: "is not available now",
+    141: "does not answer any more",
+}
+
+
+def _code(answer: object) -> int:
+    value = getattr(answer, "value", answer)
+    return value if isinstance(value, int) else 0
+
+
+class _TlsSocket(ssl.SSLSocket):
+    """A socket that closes itself when the two sides do not agree: the library forgets it then."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except OSError:
+            self.close()
+            raise
+
+
+class _Client(aiomqtt.Client):
+    """The library's client with its two gaps filled: a bounded dial, and nothing left behind after a failure."""
+
+    settings: Mqtt
+    refusal: str | None = None
+    dialled = False
+
+    def _client_connect(self) -> None:
+        """Dial, in a thread: files may be read here, and names looked up."""
+        settings, place = self.settings, f"{self.settings.host}:{self.settings.port}"
+        self._client.connect_timeout = _CONNECT_S
+        if settings.credentials_file is not None:
+            self._client.username_pw_set(*load_user(settings.credentials_file))
+        if settings.tls:
+            context = tls_context(settings)
+            context.sslsocket_class = _TlsSocket
+            self._client.tls_set_context(context)
+        try:
+            super()._client_connect()
+        except ssl.SSLCertVerificationError as error:
+            self.refusal = f"{place} has a certificate that mqtt.ca_file does not stand for: {error.verify_message}"
+            raise
+        except ssl.SSLError as error:
+            self.refusal = f"{place} does not agree on TLS: {error.reason or 'no common ground'}; see mqtt.tls"
+            raise
+        except socket.gaierror:
+            self.refusal = f"mqtt.host: the name {settings.host} is not known here"
+            raise
+        except ConnectionRefusedError:
+            self.refusal = f"nothing listens at {place}"
+            raise
+        except OSError as error:
+            self.refusal = f"{place} cannot be reached: {error.strerror or 'no answer in time'}"
+            raise
+        finally:
+            self.dialled = True
+
+    @property
+    def ending(self) -> BaseException | None:
+        """What ended the connection, or None."""
+        ended = self._disconnected.done() and not self._disconnected.cancelled()
+        return self._disconnected.exception() if ended else None
+
+    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - the library's name
+        """Wait like the library, but not for a connection that is gone, and never swallow a cancellation.
+
+        `asyncio.wait_for` of Python 3.11 may do that.
+        """
+        waiting = asyncio.ensure_future(fut)
+        try:
+            await asyncio.wait(
+                (waiting, self._disconnected),
+                timeout=self.timeout if timeout is None else timeout,
+                return_when=asyncio.FIRST_COMPLETED,
+            )
+            if waiting.done():
+                return waiting.result()
+            if self._disconnected.done():
+                raise aiomqtt.MqttCodeError(None, "disconnected")
+            raise aiomqtt.MqttError("no answer in time")
+        finally:
+            waiting.cancel()
+
+    def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:  # noqa: ARG002 - paho's
+        """Register a socket to be written to, unless it has been closed by the time that this can be done."""
+
+        def register() -> None:
+            if sock.fileno() >= 0:
+                self._loop.add_writer(sock.fileno(), self._write)
+
+        self._loop.call_soon_threadsafe(register)
+
+    def _write(self) -> None:
+        try:
+            self._client.loop_write()
+        except (OSError, ValueError) as error:
+            if not self._disconnected.done():
+                self._disconnected.set_exception(error)
+
+    async def abandon(self, opening: "asyncio.Task[Self] | None") -> None:
+        """Close the socket if it is open still, and take note of errors that nobody has asked for."""
+        if opening is not None:
+            while not (opening.done() or self.dialled):
+                await asyncio.wait((opening,), timeout=0.05)
+            opening.cancel()
+            with contextlib.suppress(Exception, asyncio.CancelledError):
+                await opening
+        # The socket's registration is called for from the thread, and comes in the next round of the loop.
+        await asyncio.sleep(0)
+        if self._client.socket() is not None:
+            self._client._sock_close()  # noqa: SLF001 - paho's public ways out wait for a broker that may be hung
+        for future in (self._connected, self._disconnected):
+            if future.done() and not future.cancelled():
+                future.exception()

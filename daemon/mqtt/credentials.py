@@ -1,0 +1,74 @@
+"""User, password and certificates, read anew at each connection, so that a corrected file needs no restart."""
+
+import os
+import ssl
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daemon.errors import UserError
+
+if TYPE_CHECKING:
+    from daemon.config import Mqtt
+
+_LONGEST = 4096
+
+
+class CredentialsError(UserError):
+    """A file of [mqtt] cannot be used; the message names the key, the file and the remedy."""
+
+
+def load_user(path: Path) -> tuple[str, str]:
+    """Return user and password from a file of one line, ``user:password``.
+
+    Raises
+    ------
+    CredentialsError
+        The file is missing, has another form, or is open to others than its owner and its group's readers. Windows
+        has no such file modes; there they are not looked at.
+    """
+    try:
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            content = file.read(_LONGEST + 1)
+    except FileNotFoundError:
+        raise CredentialsError(
+            f"mqtt.credentials_file: there is no file {path}: write user:password into it, mode 0600"
+        ) from None
+    except OSError as error:
+        raise CredentialsError(f"mqtt.credentials_file: {path} cannot be read: {error.strerror}") from None
+    if os.name == "posix" and stat.S_IMODE(mode) & 0o027:
+        raise CredentialsError(
+            f"mqtt.credentials_file: {path} is open to others than its owner and its group's readers:"
+            f" run chmod 640 {path}"
+        )
+    try:
+        user, colon, password = content.decode().rstrip("\r\n").partition(":")
+    except UnicodeDecodeError:
+        user = colon = password = ""
+    if not (user and colon and password) or len(content) > _LONGEST or "\n" in password:
+        raise CredentialsError(f"mqtt.credentials_file: {path} is not one line with user:password")
+    return user, password
+
+
+def tls_context(settings: "Mqtt") -> ssl.SSLContext:
+    """Return how the broker is recognised, and how this client is; raises `CredentialsError`."""
+    try:
+        context = ssl.create_default_context(cafile=settings.ca_file)
+    except OSError as error:
+        raise CredentialsError(
+            f"mqtt.ca_file: {settings.ca_file} has no certificates in PEM form ({_said(error)})"
+        ) from None
+    if settings.certificate_file is not None:
+        try:
+            context.load_cert_chain(settings.certificate_file, settings.certificate_key_file)
+        except OSError as error:
+            raise CredentialsError(
+                f"mqtt.certificate_file: {settings.certificate_file} and mqtt.certificate_key_file are no pair of"
+                f" certificate and key in PEM form ({_said(error)})"
+            ) from None
+    return context
+
+
+def _said(error: OSError) -> str:
+    return getattr(error, "reason", None) or error.strerror or type(error).__name__

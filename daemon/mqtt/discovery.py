@@ -1,0 +1,136 @@
+"""Home Assistant's discovery: one retained message that makes a device with all its entities appear, or vanish.
+
+The form is that of Home Assistant's device discovery, which it knows since 2024.11.
+"""
+
+import re
+from importlib.metadata import version
+from typing import Any
+
+from daemon.mqtt.commands import MODES
+from daemon.mqtt.link import OFFLINE, ONLINE
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.telemetry import encoded
+from daemon.mqtt.topics import Topics
+from daemon.records import FACES, Mode
+
+_NOT_IN_AN_ID = re.compile(r"[^A-Za-z0-9_-]")
+_PRESS = '{"why":"a button in Home Assistant"}'
+# Home Assistant takes the word None for "unknown".
+_ON_OFF = "{{{{ 'ON' if {} else 'OFF' }}}}"
+
+
+def discovery(
+    prefix: str, topics: Topics, *, enabled: bool, commands: bool, tracker: bool, simulated: bool
+) -> list[Message]:
+    """Return what to publish at each connection: the device, or with `enabled` False what removes it.
+
+    Parameters
+    ----------
+    prefix
+        Home Assistant's own, normally ``homeassistant``.
+    topics
+        Of this process.
+    commands, tracker
+        Whether commands are taken, and whether there is a tracker at all. Entities of what there is not are removed,
+        should an earlier run have announced them.
+    simulated
+        Shown in the device's name.
+    """
+    node = _NOT_IN_AN_ID.sub("_", topics.base)
+    topic = f"{prefix}/device/{node}/config"
+    if not enabled:
+        return [Message(topic, b"", 1, retain=True)]
+    offered = _CUBE | (_TRACKER if tracker else {}) | (_commands(topics) if tracker and commands else {})
+    known = _CUBE | _TRACKER | _commands(topics)
+    components: dict[str, dict[str, Any]] = {}
+    for key, found in known.items():
+        if key in offered:
+            components[key] = {**found, "unique_id": f"{node}_{key}"}
+        else:
+            components[key] = {"platform": found["platform"]}
+    note = " (SIMULATED)" if simulated else ""
+    payload = {
+        "device": {
+            "identifiers": [node],
+            "name": f"{topics.name}{note}",
+            "manufacturer": "heliocube",
+            "model": f"sun tracker{note}" if tracker else f"radiometric cube{note}",
+            "sw_version": version("heliocube"),
+        },
+        "origin": {"name": "heliocube", "sw_version": version("heliocube")},
+        "availability_topic": topics.status,
+        "payload_available": ONLINE.decode(),
+        "payload_not_available": OFFLINE.decode(),
+        "state_topic": topics.state,
+        "qos": 1,
+        "components": components,
+    }
+    return [Message(topic, encoded(payload), 1, retain=True)]
+
+
+def _sensor(name: str, template: str, unit: str | None, device_class: str | None = None, **more: Any) -> dict[str, Any]:
+    found = {"platform": "sensor", "name": name, "value_template": f"{{{{ {template} }}}}", **more}
+    if unit is not None:
+        found |= {"unit_of_measurement": unit, "state_class": "measurement", "suggested_display_precision": 1}
+    if device_class is not None:
+        found["device_class"] = device_class
+    return found
+
+
+def _binary(name: str, condition: str, device_class: str | None = None, **more: Any) -> dict[str, Any]:
+    found = {"platform": "binary_sensor", "name": name, "value_template": _ON_OFF.format(condition), **more}
+    return found if device_class is None else {**found, "device_class": device_class}
+
+
+def _face(name: str) -> dict[str, Any]:
+    scan = "value_json.scan"
+    value = f"{scan}.faces.{name}.irradiance_w_m2 if {scan} and not {scan}.stale else none"
+    return _sensor(f"Irradiance {name}", value, "W/m²", "irradiance")
+
+
+def _pose(axis: str) -> dict[str, Any]:
+    pose = "value_json.tracker.pose"
+    return _sensor(f"Angle {axis.upper()}", f"{pose}.{axis}_deg if {pose} and not {pose}.stale else none", "°")
+
+
+def _commands(topics: Topics) -> dict[str, dict[str, Any]]:
+    chosen = "'hold' if value_json.mode.name == 'hold' else 'stow' if value_json.mode.name == 'stow' else 'auto'"
+    select = {
+        "platform": "select",
+        "name": "Command",
+        "options": list(MODES),
+        "command_topic": topics.command("mode"),
+        "value_template": f"{{{{ {chosen} }}}}",
+    }
+    buttons = {
+        f"press_{name}": {
+            "platform": "button",
+            "name": label,
+            "command_topic": topics.command(name),
+            "payload_press": _PRESS,
+        }
+        for name, label in {"stow": "Stow", "stop": "Stop", "hold": "Hold", "auto": "Track"}.items()
+    }
+    return {"command": select, **buttons}
+
+
+_DIAGNOSTIC = {"entity_category": "diagnostic"}
+_CUBE = {
+    **{f"irradiance_{name}": _face(name) for name in FACES},
+    "sun_elevation": _sensor("Sun elevation", "value_json.sun_elevation_deg", "°"),
+    "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
+    "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
+    "dropped": _sensor("Messages dropped", "value_json.mqtt.dropped", None, None, **_DIAGNOSTIC),
+}
+_TRACKER = {
+    "mode": _sensor("Mode", "value_json.mode.name", None, "enum", options=[mode.value for mode in Mode]),
+    "why": _sensor("Reason", "value_json.mode.why[:255]", None, None, **_DIAGNOSTIC),
+    "angle_a": _pose("a"),
+    "angle_b": _pose("b"),
+    "supply": _sensor("Supply", "value_json.tracker.supply_v", "V", "voltage", **_DIAGNOSTIC),
+    "connected": _binary("Positioner", "value_json.tracker.connected", "connectivity"),
+    "moving": _binary("Moving", "value_json.tracker.moving", "moving"),
+    "stowed": _binary("Stowed", "value_json.mode.name == 'stow'"),
+    "fault": _binary("Fault", "value_json.mode.name == 'fault'", "problem"),
+}

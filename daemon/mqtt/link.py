@@ -1,0 +1,278 @@
+"""The lasting link to the broker: connects, is born, sends, listens, and comes back after every loss."""
+
+import asyncio
+import contextlib
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+from daemon.backoff import Backoff
+from daemon.clock import Clock
+from daemon.config import Mqtt
+from daemon.errors import UserError
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
+from daemon.mqtt.outbox import Message, Outbox
+from daemon.mqtt.topics import Topics
+from daemon.outage import Outage
+from daemon.records import Event, Record
+
+log = logging.getLogger("heliocube.mqtt")
+
+ONLINE, OFFLINE = b"online", b"offline"
+
+_FIRST_DELAY_S = 1.0
+_LONGEST_DELAY_S = 60.0
+# A connection has proven itself after this long: only then is the next delay a short one again.
+_PROVEN_S = 30.0
+# A link that comes and goes is told as one outage: lost again within this time, it counts as back after as long.
+_STEADY_S = 600.0
+_ECHO_WITHIN_S = 10.0
+_TELL_AGAIN_S = 3600.0
+_LEAVE_WITHIN_S = 1.5
+
+Handler = Callable[[Incoming], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """How the link is.
+
+    Attributes
+    ----------
+    broker
+        Host and port.
+    connected
+        Whether there is a connection now.
+    down_why
+        Why not, or None.
+    waiting, sent, dropped
+        Messages in the queue, handed over, and lost for want of room.
+    troubles
+        One sentence each for what does not work although the link may.
+    """
+
+    broker: str
+    connected: bool
+    down_why: str | None
+    waiting: int
+    sent: int
+    dropped: int
+    troubles: tuple[str, ...]
+
+
+class Link:
+    """Keeps one connection, and tells whether there is one on the availability topic.
+
+    Parameters
+    ----------
+    settings, topics
+        The broker, and under which names this process is known there.
+    clock, random
+        The service's time; jitter of reconnection.
+    publish
+        Called with an event when the link is lost or back.
+    speed
+        How many times as fast as the machine's the clock runs.
+    """
+
+    def __init__(
+        self,
+        settings: Mqtt,
+        topics: Topics,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        speed: float,
+    ) -> None:
+        self._settings = settings
+        self._topics = topics
+        self._clock = clock
+        self._publish = publish
+        self._speed = speed
+        self._client_id = settings.client_id or topics.base.replace("/", "-")
+        self._backoff = Backoff(random, _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)
+        self._outbox = Outbox(settings.queue_messages)
+        self._outage = Outage(log, "the MQTT broker")
+        self._handlers: dict[str, Handler] = {topics.status: self._hear_status}
+        self._births: list[Callable[[], list[Message]]] = []
+        self._troubles: dict[str, str] = {}
+        self._told_s: dict[str, float] = {}
+        self._connected = False
+        self._down_why: str | None = "not connected yet"
+        self._told_back_s = -math.inf
+        self._unsteady = False
+        self._told_dropped = 0
+        self._sent = 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection now."""
+        return self._connected
+
+    @property
+    def status(self) -> LinkStatus:
+        """A snapshot for displays."""
+        return LinkStatus(
+            f"{self._settings.host}:{self._settings.port}",
+            self._connected,
+            None if self._connected else self._down_why,
+            self._outbox.waiting,
+            self._sent,
+            self._outbox.dropped,
+            tuple(self._troubles.values()),
+        )
+
+    def listen(self, topic: str, handler: Handler) -> None:
+        """Give each message on `topic` to `handler`, which must neither block nor raise."""
+        self._handlers[topic] = handler
+
+    def at_birth(self, messages: Callable[[], list[Message]]) -> None:
+        """Send what `messages` returns after each connection, before anything that waits."""
+        self._births.append(messages)
+
+    def send(self, message: Message) -> None:
+        """Queue a message; without a connection it waits."""
+        self._outbox.put(message)
+
+    def send_now(self, message: Message) -> None:
+        """Send a message before all that wait; without a connection it is not sent at all."""
+        if self._connected:
+            self._outbox.put(message, urgent=True)
+
+    def trouble(self, subject: str, sentence: str | None) -> None:
+        """Show what does not work, or with None that it works again; the log has each subject once an hour at most."""
+        now_s = self._clock.monotonic()
+        if sentence is None:
+            if self._troubles.pop(subject, None) is not None:
+                log.debug("%s works again", subject)
+        else:
+            if now_s - self._told_s.get(subject, -math.inf) >= _TELL_AGAIN_S and subject not in self._troubles:
+                self._told_s[subject] = now_s
+                log.warning("%s", sentence)
+                self._tell(sentence)
+            self._troubles[subject] = sentence
+
+    async def run(self) -> None:
+        """Keep the link until cancelled; then take leave on the availability topic."""
+        while True:
+            try:
+                await self._connect_and_serve()
+            except (ConnectionLostError, UserError) as error:
+                self._lost(str(error))
+            await asyncio.sleep(self._backoff.next_s() * self._speed)
+
+    async def _connect_and_serve(self) -> None:
+        will = Message(self._topics.status, OFFLINE, 1, retain=True)
+        connection = Connection(self._settings, self._client_id, will, self._speed)
+        await connection.open()
+        timers: list[asyncio.TimerHandle] = []
+        try:
+            try:
+                await self._be_born(connection)
+            except ConnectionLostError as error:
+                rights = f"does it let this user read and write {self._topics.base}/#?"
+                raise ConnectionLostError(f"{error} as soon as it was used: {rights}") from None
+            timers = self._watch()
+            await self._serve(connection)
+        except asyncio.CancelledError:
+            with contextlib.suppress(ConnectionLostError, TimeoutError):
+                async with asyncio.timeout(_LEAVE_WITHIN_S * self._speed):
+                    await connection.publish(will)
+            raise
+        finally:
+            for timer in timers:
+                timer.cancel()
+            self._connected = False
+            self._outbox.forget_urgent()
+            await connection.close()
+
+    async def _serve(self, connection: Connection) -> None:
+        """Send and hear at once; the first of the two that ends tells why the connection is lost."""
+        tasks = [asyncio.create_task(self._send_all(connection)), asyncio.create_task(self._hear_all(connection))]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _be_born(self, connection: Connection) -> None:
+        for topic in self._handlers:
+            granted = await connection.subscribe(topic)
+            self.trouble(topic, None if granted else f"the broker does not let {self._client_id} listen to {topic}")
+        await connection.publish(Message(self._topics.status, ONLINE, 1, retain=True))
+        for messages in self._births:
+            for message in messages():
+                await connection.publish(message)
+        self._connected = True
+        self._down_why = None
+
+    def _watch(self) -> list[asyncio.TimerHandle]:
+        loop = asyncio.get_running_loop()
+        self._echo_missing = loop.call_later(_ECHO_WITHIN_S * self._speed, self._no_echo)
+        back_after_s = _STEADY_S if self._unsteady else 0.0
+        return [
+            self._echo_missing,
+            loop.call_later(_PROVEN_S * self._speed, self._backoff.reset),
+            loop.call_later(back_after_s * self._speed, self._back),
+        ]
+
+    async def _send_all(self, connection: Connection) -> None:
+        while True:
+            message = await self._outbox.take()
+            try:
+                await connection.publish(message)
+            except ConnectionLostError:
+                if message.qos:
+                    self._outbox.put_back(message)
+                raise
+            self._sent += 1
+
+    async def _hear_all(self, connection: Connection) -> None:
+        async for message in connection.incoming():
+            handler = self._handlers.get(message.topic)
+            if handler is not None:
+                handler(message)
+
+    def _hear_status(self, message: Incoming) -> None:
+        if message.retained:
+            return
+        if message.payload == ONLINE:
+            self._echo_missing.cancel()
+            self.trouble(self._topics.status, None)
+        else:
+            # The will of a connection before this one, or somebody else's: it is not true.
+            self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), urgent=True)
+
+    def _no_echo(self) -> None:
+        self.trouble(
+            self._topics.status,
+            f"what is published on {self._topics.status} does not come back: the broker must let this user read and"
+            f" write {self._topics.base}/#",
+        )
+
+    def _back(self) -> None:
+        now_s = self._clock.monotonic()
+        self._unsteady = False
+        lost = self._outbox.dropped - self._told_dropped
+        self._told_dropped = self._outbox.dropped
+        if self._told_back_s == -math.inf and not self._outage.is_down:
+            log.info("connected to the MQTT broker at %s:%d", self._settings.host, self._settings.port)
+        if self._outage.up(now_s):
+            self._told_back_s = now_s
+            dropped = f"; {lost} messages were dropped meanwhile, the oldest first" if lost else ""
+            self._tell(f"the broker is back{dropped}")
+
+    def _lost(self, why: str) -> None:
+        self._down_why = why
+        now_s = self._clock.monotonic()
+        self._unsteady = self._unsteady or now_s - self._told_back_s < _STEADY_S * self._speed
+        if self._outage.down(now_s, why):
+            self._tell(f"the broker is down: {why}")
+
+    def _tell(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "mqtt", text))

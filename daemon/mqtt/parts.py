@@ -1,0 +1,131 @@
+"""Everything over MQTT put together, as a companion of the service."""
+
+import asyncio
+from collections.abc import Callable
+from functools import partial
+from random import Random
+from typing import Any
+
+from daemon.api.commands import Operator
+from daemon.bridge.receiver import BridgeReceiver
+from daemon.clock import Clock, iso_utc
+from daemon.config import Settings
+from daemon.mqtt.commands import NAMES, Commands
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.discovery import discovery
+from daemon.mqtt.link import Link, LinkStatus
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.telemetry import Telemetry, encoded
+from daemon.mqtt.topics import Topics
+from daemon.records import Record
+from daemon.service import Role, Service
+from daemon.stow import StowSource, WindStow
+
+
+class Mqtt:
+    """The link and all that uses it.
+
+    It is made before the service, which needs the reasons to stow and the way of the scans; `attach` follows it.
+
+    Parameters
+    ----------
+    settings, role
+        The configuration.
+    clock, random, publish
+        The service's time, jitter, and where events go.
+    speed
+        How many times as fast as the machine's the clock runs.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        role: Role,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        speed: float,
+    ) -> None:
+        self._settings = settings
+        self._role = role
+        self._clock = clock
+        self._speed = speed
+        mqtt = settings.mqtt
+        name = mqtt.name or (Role.CUBE.value if role is Role.CUBE else Role.TRACKER.value)
+        self._topics = Topics(mqtt.prefix, name)
+        self.link = Link(mqtt, self._topics, clock, random, publish, speed)
+        self._look_again: Callable[[], None] = lambda: None
+        self._telemetry: Telemetry | None = None
+        self._commands: Commands | None = None
+
+    @property
+    def status(self) -> LinkStatus:
+        """How the link is."""
+        return self.link.status
+
+    def stow_sources(self) -> list[StowSource]:
+        """Return the reasons to stow that come over the broker, and begin to listen for them."""
+        mqtt, safety = self._settings.mqtt, self._settings.safety
+        found: list[StowSource] = []
+        if self._role is Role.CUBE:
+            return found
+        if mqtt.wind.topic is not None:
+            wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._wake, self.link.trouble)
+            self.link.listen(mqtt.wind.topic, wind.take)
+            found.append(WindStow(safety, wind.since_last_asked))
+        if mqtt.safe.topic is not None:
+            safe = SafeStow(mqtt.safe, self._wake, self.link.trouble)
+            self.link.listen(mqtt.safe.topic, safe.take)
+            found.append(safe)
+        return found
+
+    def send_scan(self, datagram: bytes) -> None:
+        """Hand a signed scan to the trackers; without a connection it is lost, as it would soon be too old."""
+        self.link.send_now(Message(self._settings.bridge.topic, datagram))
+
+    def attach(self, service: Service, state: Callable[[], dict[str, Any]]) -> None:
+        """Connect with a service, whose `state` is sent; call it once, before `run`."""
+        mqtt, simulated = self._settings.mqtt, service.rig.simulated
+        if service.control is not None:
+            self._look_again = service.control.look_again
+        self._telemetry = Telemetry(
+            self.link, self._topics, state, mqtt.state_every_s * self._speed, simulated=simulated
+        )
+        service.bus.subscribe(self._telemetry.note)
+        if self._settings.bridge.transport == "mqtt" and self._role is Role.TRACKER and service.receiver is not None:
+            self.link.listen(self._settings.bridge.topic, partial(self._take_scan, service.receiver))
+        tracker = service.control is not None
+        if mqtt.commands and tracker:
+            self._commands = Commands(Operator(service, self._speed), partial(self._reply, simulated=simulated))
+            for name in NAMES:
+                self.link.listen(self._topics.command(name), partial(self._commands.take, name))
+        messages = discovery(
+            mqtt.discovery_prefix,
+            self._topics,
+            enabled=mqtt.discovery,
+            commands=mqtt.commands,
+            tracker=tracker,
+            simulated=simulated,
+        )
+        self.link.at_birth(lambda: messages)
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self.link.run(), name="mqtt link")
+            if self._telemetry is not None:
+                group.create_task(self._telemetry.run(), name="mqtt telemetry")
+            if self._commands is not None:
+                group.create_task(self._commands.run(), name="mqtt commands")
+
+    def _wake(self) -> None:
+        self._look_again()
+
+    def _take_scan(self, receiver: BridgeReceiver, message: Incoming) -> None:
+        if not message.retained:
+            receiver.take(message.payload, f"the topic {message.topic}")
+
+    def _reply(self, found: dict[str, Any], *, simulated: bool) -> None:
+        whole = {"time": iso_utc(self._clock.utc()), **found, "simulated": simulated}
+        self.link.send(Message(self._topics.reply, encoded(whole), 1))

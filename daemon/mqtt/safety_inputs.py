@@ -1,0 +1,149 @@
+"""Reasons to stow that come over the broker. What is silent, garbled or of unknown age never counts as safe."""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+from daemon.config import SafeInput, WindInput
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.json_path import find
+
+_LONGEST = 65536
+_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+_STRONGEST_M_S = 150.0
+
+# Called with what the sentence is about, and the sentence, or None when it is true no more.
+Trouble = Callable[[str, str | None], None]
+
+
+class WindReadings:
+    """Wind speeds from a topic, for `daemon.stow.WindStow`.
+
+    Parameters
+    ----------
+    settings
+        The topic, where in its messages the speed is, and in which unit.
+    threshold_m_s
+        A retained message counts only from here: it proves wind, but no living sensor.
+    strong
+        Called when a reading reaches the threshold, so that nobody waits for the next look.
+    trouble
+        Told of what cannot be read.
+    """
+
+    def __init__(self, settings: WindInput, threshold_m_s: float, strong: Callable[[], None], trouble: Trouble) -> None:
+        self._settings = settings
+        self._threshold_m_s = threshold_m_s
+        self._strong = strong
+        self._trouble = trouble
+        self._strongest_m_s: float | None = None
+
+    def take(self, message: Incoming) -> None:
+        """Take in one message."""
+        subject = f"mqtt.wind of {self._settings.topic}"
+        try:
+            speed_m_s = self._speed_m_s(message.payload)
+        except ValueError as error:
+            self._trouble(subject, f"{subject} cannot be used: {error}")
+            return
+        self._trouble(subject, None)
+        if message.retained and not speed_m_s >= self._threshold_m_s:
+            return
+        self._strongest_m_s = max(speed_m_s, self._strongest_m_s or 0.0)
+        if speed_m_s >= self._threshold_m_s:
+            self._strong()
+
+    def since_last_asked(self) -> float | None:
+        """Return the strongest wind [m/s] since the last call, or None if there was no reading."""
+        strongest_m_s, self._strongest_m_s = self._strongest_m_s, None
+        return strongest_m_s
+
+    def _speed_m_s(self, payload: bytes) -> float:
+        value = _value(payload, self._settings.json_path)
+        try:
+            speed = math.nan if isinstance(value, bool) else float(value)
+        except (TypeError, ValueError, OverflowError):
+            speed = math.nan
+        speed_m_s = speed * _M_S[self._settings.unit]
+        if not 0.0 <= speed_m_s <= _STRONGEST_M_S:
+            raise ValueError(f"{ascii(value)[:40]} is no wind speed in {self._settings.unit}")
+        return speed_m_s
+
+
+class SafeStow:
+    """Stow while somebody else says that it is unsafe, or says nothing; a `daemon.stow.StowSource`.
+
+    Parameters
+    ----------
+    settings
+        The topic, its words, and its times.
+    unsafe
+        Called when the word is unsafe, so that nobody waits for the next look.
+    trouble
+        Told of what cannot be read.
+    """
+
+    def __init__(self, settings: SafeInput, unsafe: Callable[[], None], trouble: Trouble) -> None:
+        self._settings = settings
+        self._unsafe = unsafe
+        self._trouble = trouble
+        self._heard_safe = False
+        self._last_unsafe = False
+        self._safe_s: float | None = None
+        self._unsafe_s = -math.inf
+        self._why: str | None = None
+
+    def take(self, message: Incoming) -> None:
+        """Take in one message."""
+        settings = self._settings
+        subject = f"mqtt.safe of {settings.topic}"
+        try:
+            word = self._word(message.payload)
+        except ValueError as error:
+            self._trouble(subject, f"{subject} cannot be used: {error}")
+            return
+        self._trouble(subject, None)
+        if word == settings.unsafe:
+            self._last_unsafe = True
+            self._heard_safe = False
+            self._unsafe()
+        elif not message.retained:
+            self._heard_safe = True
+
+    def reason(self, now_s: float) -> str | None:
+        """Return why the tracker must be stowed at this monotonic time, or None."""
+        settings = self._settings
+        if self._safe_s is None:
+            self._safe_s = now_s
+        if self._heard_safe:
+            self._safe_s = now_s
+        silent_s = now_s - self._safe_s
+        if self._last_unsafe:
+            self._stow(now_s, f"{settings.topic} says {settings.unsafe}")
+        elif silent_s > settings.stale_s:
+            self._stow(now_s, f"{settings.topic} has not said {settings.safe} for {silent_s:.0f} s")
+        elif self._heard_safe and now_s - self._unsafe_s >= settings.stow_at_least_s:
+            self._why = None
+        if self._heard_safe:
+            self._last_unsafe = self._heard_safe = False
+        return self._why
+
+    def _word(self, payload: bytes) -> str:
+        settings = self._settings
+        value = _value(payload, settings.json_path)
+        # Numbers and truth values are words as JSON writes them.
+        word = value.strip() if isinstance(value, str) else json.dumps(value)
+        if word not in (settings.safe, settings.unsafe):
+            raise ValueError(f"{ascii(word)[:40]} is neither {settings.safe!r} nor {settings.unsafe!r}")
+        return word
+
+    def _stow(self, now_s: float, why: str) -> None:
+        self._unsafe_s = now_s
+        self._why = why
+
+
+def _value(payload: bytes, path: str) -> Any:
+    if len(payload) > _LONGEST:
+        raise ValueError(f"the message is longer than {_LONGEST} bytes")
+    return find(payload, path)

@@ -1,0 +1,73 @@
+"""What goes out: every record as it comes over the bus, and the whole state now and then."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from typing import Any
+
+from daemon.api.state import kind_of, number, record_json
+from daemon.mqtt.link import Link
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.topics import Topics
+from daemon.records import ModeChange, Record
+from daemon.waiting import wait_at_most
+
+# By the record's name: quality of service, and whether the broker keeps the last one.
+_MANNERS = {
+    "scan": (0, False),
+    "pose": (0, True),
+    "decision": (1, True),
+    "mode": (1, True),
+    "move": (1, False),
+    "event": (1, False),
+}
+
+
+class Telemetry:
+    """Sends records and state.
+
+    Parameters
+    ----------
+    link, topics
+        The way out, and under which names.
+    state
+        Returns the state of the service.
+    every_s
+        Time from one state to the next, on the loop's clock.
+    simulated
+        What every message bears.
+    """
+
+    def __init__(
+        self, link: Link, topics: Topics, state: Callable[[], dict[str, Any]], every_s: float, *, simulated: bool
+    ) -> None:
+        self._link = link
+        self._topics = topics
+        self._state = state
+        self._every_s = every_s
+        self._simulated = simulated
+        self._wake = asyncio.Event()
+        link.at_birth(lambda: [self._state_message()])
+
+    def note(self, record: Record) -> None:
+        """Queue one record; a change of mode brings the state at once."""
+        kind = kind_of(record)
+        qos, retain = _MANNERS[kind]
+        payload = encoded({**record_json(record), "simulated": self._simulated})
+        self._link.send(Message(self._topics.of(kind), payload, qos, retain))
+        if isinstance(record, ModeChange):
+            self._wake.set()
+
+    async def run(self) -> None:
+        """Send the state until cancelled; without a connection there is none to send."""
+        while True:
+            await wait_at_most(self._wake, self._every_s)
+            self._link.send_now(self._state_message())
+
+    def _state_message(self) -> Message:
+        return Message(self._topics.state, encoded(self._state()), 0, retain=True)
+
+
+def encoded(found: dict[str, Any]) -> bytes:
+    """Return one JSON object as the bytes of a message."""
+    return json.dumps(found, default=number, separators=(",", ":"), allow_nan=False).encode()

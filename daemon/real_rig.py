@@ -1,0 +1,98 @@
+"""The real instruments, built from the settings."""
+
+from collections.abc import Callable
+from functools import partial
+
+from daemon.clock import Clock
+from daemon.config import Settings
+from daemon.config_instruments import AxisGeometry, PositionerSettings
+from daemon.errors import UserError
+from drivers import pozsol_wire
+from drivers.geometry import AxisSetup, Geometry, Proportional, Triangle
+from drivers.keithley2000 import Keithley2000
+from drivers.multiplexer import NiMultiplexer
+from drivers.positioner import PozsolPositioner
+from drivers.serial_port import SerialPort
+from drivers.transcript import Tap, no_tap
+from drivers.visa_line import VisaLine, VisaSettings
+
+_B_OUT_BIT = {"unknown": None, "stm": pozsol_wire.B_OUT_BIT_STM, "lpc": pozsol_wire.B_OUT_BIT_LPC}
+
+
+def build_multiplexer(settings: Settings, tap: Tap = no_tap) -> NiMultiplexer:
+    """Return the multiplexer, not yet connected."""
+    multiplexer = settings.instruments.multiplexer
+    return NiMultiplexer(
+        multiplexer.digital_port,
+        multiplexer.addresses,
+        enable_line=multiplexer.enable_line,
+        enable_level=multiplexer.enable_level == "high",
+        server=multiplexer.server,
+        deadline_s=multiplexer.deadline_s,
+        tap=tap,
+    )
+
+
+def voltmeter_line(settings: Settings, tap: Tap = no_tap) -> Callable[[], VisaLine]:
+    """Return how to open the voltmeter's line; `UserError` if the settings do not say where it is."""
+    meter = settings.instruments.voltmeter
+    if meter.resource is None:
+        raise UserError(
+            "instruments.voltmeter.resource is missing: real instruments need the meter's VISA name, such as"
+            ' "ASRL/dev/serial/by-id/...::INSTR" or "GPIB0::16::INSTR"'
+        )
+    where = VisaSettings(
+        meter.resource, meter.visa, meter.prologix_port, meter.baud_rate, meter.terminator, meter.flow_control
+    )
+    return partial(VisaLine, where, tap)
+
+
+def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
+    """Return the voltmeter, not yet connected; `UserError` if the settings do not say where it is."""
+    meter = settings.instruments.voltmeter
+    return Keithley2000(
+        voltmeter_line(settings, tap),
+        range_v=meter.range_v,
+        nplc=meter.nplc,
+        deadline_s=settings.cube.reading_deadline_s,
+    )
+
+
+def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PozsolPositioner:
+    """Return the positioner, not yet connected; `UserError` if the settings do not say where it is."""
+    positioner = settings.instruments.positioner
+    return PozsolPositioner(
+        partial(SerialPort, "positioner", positioner_port(settings), tap),
+        clock.monotonic,
+        *axis_setups(settings),
+        boards=positioner.boards,
+        stale_s=positioner.telemetry_stale_s,
+        b_out_bit=_B_OUT_BIT[positioner.status_layout],
+    )
+
+
+def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:
+    """Return geometry and limits of the axes A and B."""
+    positioner, limits = settings.instruments.positioner, settings.limits
+    return (
+        AxisSetup(_geometry(positioner, positioner.a_axis), limits.a_min_deg, limits.a_max_deg),
+        AxisSetup(_geometry(positioner, positioner.b_axis), limits.b_min_deg, limits.b_max_deg),
+    )
+
+
+def positioner_port(settings: Settings) -> str:
+    """Return the positioner's port; `UserError` if the settings do not have it."""
+    port = settings.instruments.positioner.port
+    if port is None:
+        raise UserError(
+            "instruments.positioner.port is missing: real instruments need the positioner's port, such as"
+            ' "/dev/serial/by-id/usb-..." or the link that deploy/udev makes, "/dev/heliocube-positioner"'
+        )
+    return port
+
+
+def _geometry(positioner: PositionerSettings, axis: AxisGeometry) -> Geometry:
+    if positioner.position_unit == "mm":
+        return Triangle(axis.arm_1_mm, axis.arm_2_mm, axis.apex_deg, axis.low_deg)
+    units_per_deg = axis.impulses_per_deg if positioner.position_unit == "impulse" else 1.0
+    return Proportional(units_per_deg, axis.low_deg)

@@ -1,0 +1,152 @@
+"""A thread of its own for one instrument's blocking calls, each with a deadline.
+
+Third-party drivers block, and some never return. The event loop waits here without being held up; a call that does not
+come back is left behind with its thread, and the next one gets a new thread.
+"""
+
+import asyncio
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from queue import SimpleQueue
+from typing import Any, TypeVar
+
+from drivers.errors import ConnectError, LinkLostError
+
+T = TypeVar("T")
+
+# Each hung call keeps its thread; beyond this the driver under it is broken and more threads do not help.
+_MOST_HUNG = 4
+
+
+class DeviceThread:
+    """Runs the calls of one instrument one after the other.
+
+    Parameters
+    ----------
+    device
+        Role of the instrument, for errors and the thread's name.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._worker: _Worker | None = None
+        self._left: list[_Worker] = []
+
+    async def call(
+        self, function: Callable[[], T], deadline_s: float, discard: Callable[[T], object] | None = None
+    ) -> T:
+        """Return what `function` returns in the thread; raise what it raises.
+
+        Parameters
+        ----------
+        function
+            The blocking call.
+        deadline_s
+            Longest wait, calls before it included.
+        discard
+            Called in the thread with a result that comes after nobody waits for it any more, such as a port to close.
+
+        Raises
+        ------
+        LinkLostError
+            It did not return in time. Whatever session it belongs to must not be used again.
+        ConnectError
+            Too many calls have never returned.
+        """
+        worker = self._worker or self._start()
+        job = _Job(function, discard)
+        worker.jobs.put(job)
+        limit = asyncio.timeout(deadline_s)
+        try:
+            async with limit:
+                result: T = await asyncio.wrap_future(job.future)
+        except BaseException:
+            late = job.give_up()
+            if late is not None:
+                worker.jobs.put(_Job(late, None))
+            if limit.expired():
+                self._leave(worker)
+                message = f"a call of its driver did not return within {deadline_s:g} s"
+                raise LinkLostError(self._device, message) from None
+            raise
+        return result
+
+    async def finish(self, function: Callable[[], object] | None, deadline_s: float) -> None:
+        """Run a last call, if any, and end the thread; waits at most `deadline_s`, never raises a device's error."""
+        if self._worker is None and function is None:
+            return
+        try:
+            worker = self._worker or self._start()
+        except ConnectError:
+            return
+        self._leave(worker, function)
+        try:
+            async with asyncio.timeout(deadline_s):
+                await asyncio.wrap_future(worker.ended)
+        except TimeoutError:
+            return
+
+    def _start(self) -> "_Worker":
+        self._left = [worker for worker in self._left if not worker.ended.done()]
+        if len(self._left) >= _MOST_HUNG:
+            raise ConnectError(self._device, f"{_MOST_HUNG} calls of its driver never returned; restart the service")
+        self._worker = _Worker(f"heliocube-{self._device}")
+        return self._worker
+
+    def _leave(self, worker: "_Worker", last: Callable[[], object] | None = None) -> None:
+        if last is not None:
+            worker.jobs.put(_Job(last, None))
+        worker.jobs.put(None)
+        if self._worker is worker:
+            self._worker = None
+            self._left.append(worker)
+
+
+@dataclass
+class _Job:
+    function: Callable[[], Any]
+    discard: Callable[[Any], object] | None
+    future: "Future[Any]" = field(default_factory=Future)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    given_up: bool = False
+
+    def run(self) -> None:
+        if not self.future.set_running_or_notify_cancel():
+            return
+        try:
+            result = self.function()
+        except BaseException as error:  # noqa: BLE001 - handed to whoever waits, as it is
+            self.future.set_exception(error)
+            return
+        with self.lock:
+            if not self.given_up:
+                self.future.set_result(result)
+                return
+        if self.discard is not None:
+            self.discard(result)
+
+    def give_up(self) -> Callable[[], object] | None:
+        """Note that nobody waits any more; return how to discard a result that had come in the same instant."""
+        with self.lock:
+            self.given_up = True
+        discard, future = self.discard, self.future
+        if discard is None or not future.done() or future.cancelled() or future.exception() is not None:
+            return None
+        return lambda: discard(future.result())
+
+
+class _Worker:
+    def __init__(self, name: str) -> None:
+        self.jobs: SimpleQueue[_Job | None] = SimpleQueue()
+        self.ended: Future[None] = Future()
+        # Whoever gives up waiting for the end must not cancel it.
+        self.ended.set_running_or_notify_cancel()
+        # A daemon, so that a call that never returns does not keep the process from ending.
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    def _run(self) -> None:
+        while (job := self.jobs.get()) is not None:
+            job.run()
+        self.ended.set_result(None)

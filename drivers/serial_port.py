@@ -1,0 +1,158 @@
+"""A USB serial port that is raw before anything is read from it, and held by one program.
+
+A tty of Linux starts out with echo: what the instrument sends comes back to it, and the positioner takes its own
+telemetry for commands. So the first thing that is done with the port is to switch echo off and to throw away what was
+waiting, and whether it stays off is looked at from time to time.
+"""
+
+import errno
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import ConnectError, LinkLostError
+from drivers.transcript import Tap, no_tap
+
+_READ_S = 0.2
+_WRITE_S = 0.5
+_LARGEST_READ = 4096
+
+
+class SerialPort:
+    """An open port; `read` may run in one thread and `write` in another.
+
+    Parameters
+    ----------
+    device
+        Role of the instrument, for errors.
+    path
+        Name of the port.
+    tap
+        Told what is sent and received.
+
+    Raises
+    ------
+    ConnectError
+        The port is not there, held by another program, not permitted, or no serial port.
+    """
+
+    def __init__(self, device: str, path: str, tap: Tap = no_tap) -> None:
+        import serial  # noqa: PLC0415 - loaded only where there is a port; it needs termios or Windows
+
+        self._device = device
+        self._path = path
+        self._tap = tap
+        first = _open_raw(device, path) if os.name == "posix" else None
+        # Windows opens every port exclusively and knows no such option.
+        exclusive = True if os.name == "posix" else None
+        try:
+            self._port: Any = serial.Serial(path, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+        except (OSError, ValueError) as error:
+            raise cannot_open(device, path, error) from error
+        finally:
+            if first is not None:
+                os.close(first)
+        # pyserial's TypeError: the port was closed under the call.
+        self._gone: tuple[type[BaseException], ...] = (OSError, TypeError, *terminal_errors())
+
+    def read(self) -> bytes:
+        """Return what has come; empty after a while without anything."""
+        try:
+            data: bytes = self._port.read(1)
+            if data:
+                data += self._port.read(min(self._port.in_waiting, _LARGEST_READ))
+        except self._gone as error:
+            raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
+        if data:
+            self._tap("<", data)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; no longer than half a second."""
+        try:
+            self._port.write(data)
+        except self._gone as error:
+            raise LinkLostError(self._device, f"{self._path} takes no data: {error}") from error
+        self._tap(">", data)
+
+    def echoes(self) -> bool:
+        """Tell whether somebody has switched the terminal's echo on again."""
+        if sys.platform == "win32":
+            return False
+        import termios  # noqa: PLC0415 - not there on Windows
+
+        try:
+            local_modes: int = termios.tcgetattr(self._port.fileno())[3]
+        except (OSError, TypeError, termios.error) as error:
+            raise LinkLostError(self._device, f"{self._path} is gone: {error}") from error
+        return bool(local_modes & (termios.ECHO | termios.ICANON))
+
+    def close(self) -> None:
+        """Release the port; a read in another thread ends."""
+        self._port.close()
+
+
+def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
+    """Return the error for a port that cannot be opened, with the remedy."""
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in text:
+        return ConnectError(device, f"there is no {path}: is it plugged in and powered?")
+    if number == errno.EACCES or "PermissionError" in text:
+        remedy = "is it open in another program?" if os.name == "nt" else "add this user to the group that owns it"
+        return ConnectError(device, f"{path} may not be opened; {remedy}")
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return ConnectError(device, f"{path} is held by another program{_holder(path)}")
+    return ConnectError(device, f"{path} cannot be opened: {text}")
+
+
+def _open_raw(device: str, path: str) -> int:
+    """Return a descriptor on the port, which has been made raw and empty before anything else happened."""
+    import fcntl  # noqa: PLC0415 - not there on Windows
+    import termios  # noqa: PLC0415
+    import tty  # noqa: PLC0415
+
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError as error:
+        raise cannot_open(device, path, error) from error
+    try:
+        # Whoever holds the port has set it as needed: hands off.
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        tty.setraw(descriptor, termios.TCSANOW)
+        termios.tcflush(descriptor, termios.TCIOFLUSH)
+        fcntl.flock(descriptor, fcntl.LOCK_UN)
+    except OSError as error:
+        os.close(descriptor)
+        raise cannot_open(device, path, error) from error
+    except termios.error as error:
+        os.close(descriptor)
+        raise ConnectError(device, f"{path} is not a serial port") from error
+    return descriptor
+
+
+def _holder(path: str) -> str:
+    """Return who has the port open, as far as this user may know."""
+    try:
+        wanted = os.path.realpath(path)
+        for link in Path("/proc").glob("[0-9]*/fd/*"):
+            try:
+                if str(link.readlink()) != wanted or link.parts[2] == str(os.getpid()):
+                    continue
+                name = (link.parents[1] / "comm").read_text(encoding="utf-8", errors="replace").strip()
+            except OSError:
+                continue
+            return f" ({name}, process {link.parts[2]})"
+    except OSError:
+        pass
+    return ""
+
+
+def terminal_errors() -> tuple[type[Exception], ...]:
+    """Return what the terminal layer of POSIX raises beside OSError."""
+    try:
+        import termios  # noqa: PLC0415 - not there on Windows
+    except ImportError:
+        return ()
+    return (termios.error,)

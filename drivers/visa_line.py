@@ -1,0 +1,187 @@
+"""A VISA session as the voltmeter's line: RS-232, GPIB, or GPIB behind a Prologix adapter.
+
+Through PyVISA-py, or through NI-VISA where that is installed. Not checked on hardware: NI-VISA, and what device clear
+does over each kind of GPIB adapter; where clear is not supported the line is drained instead.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NoReturn
+
+from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissingError, LinkLostError
+from drivers.serial_port import cannot_open, terminal_errors
+from drivers.transcript import Tap, no_tap
+
+_DEVICE = "voltmeter"
+_ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
+_CONTROL_C = b"\x03"
+_LONGEST_LINE = 256
+_BITS_PER_BYTE = 10
+
+
+@dataclass(frozen=True, slots=True)
+class VisaSettings:
+    """How the meter is connected.
+
+    Attributes
+    ----------
+    resource
+        VISA name, ``ASRL<port>::INSTR`` or ``GPIB<board>::<address>::INSTR``.
+    library
+        ``py`` for PyVISA-py, ``ni`` for NI-VISA.
+    prologix_port
+        Serial port of a Prologix adapter that the GPIB address is behind.
+    baud_rate, terminator, flow_control
+        Of RS-232, as set at the meter: 300 to 19200, LF, CR or LFCR, none or xon-xoff.
+    """
+
+    resource: str
+    library: Literal["py", "ni"] = "py"
+    prologix_port: str | None = None
+    baud_rate: int = 19200
+    terminator: Literal["LF", "CR", "LFCR"] = "LF"
+    flow_control: Literal["none", "xon-xoff"] = "none"
+
+
+class VisaLine:
+    """The line to the meter; blocking, for use in one thread.
+
+    Parameters
+    ----------
+    settings
+        Where the meter is.
+    tap
+        Told what is sent and received.
+    """
+
+    def __init__(self, settings: VisaSettings, tap: Tap = no_tap) -> None:
+        import pyvisa  # noqa: PLC0415 - loaded by whoever has a meter, a quarter of a second
+
+        self._pyvisa = pyvisa
+        self._settings = settings
+        self._tap = tap
+        self._serial = settings.resource.upper().startswith("ASRL")
+        self._end = _ENDS[settings.terminator] if self._serial else "\n"
+        # The line's own time for a question and its answer comes on top of every deadline.
+        self._transfer_s = 2 * _LONGEST_LINE * _BITS_PER_BYTE / settings.baud_rate if self._serial else 0.0
+        self._gone: tuple[type[BaseException], ...] = (pyvisa.Error, OSError, *terminal_errors())
+        unusable: tuple[type[BaseException], ...] = (*self._gone, ValueError, NotImplementedError)
+        self._manager: Any = None
+        self._adapter: Any = None
+        self._resource: Any = None
+        try:
+            self._open()
+        except DeviceError:
+            self.close()
+            raise
+        except unusable as error:
+            self.close()
+            self._refuse_open(error)
+
+    def send(self, text: str) -> None:
+        """Send one line."""
+        self._write((text + self._end).encode("ascii"))
+
+    def receive(self, within_s: float) -> str:
+        """Return the next line; `DeadlineError` if it is not complete in time."""
+        return self._read(within_s + self._transfer_s)
+
+    def interrupt(self) -> None:
+        """Send control-C, or the bus's device clear."""
+        if self._serial:
+            self._write(_CONTROL_C)
+            return
+        with contextlib.suppress(self._pyvisa.Error, NotImplementedError, AttributeError):
+            self._resource.clear()
+
+    def drain(self, quiet_s: float) -> None:
+        """Read until nothing has come for `quiet_s`."""
+        with contextlib.suppress(DeadlineError):
+            while True:
+                self._read(quiet_s + self._transfer_s / 10)
+
+    def close(self) -> None:
+        """Release the session and its manager."""
+        for part in (self._resource, self._adapter, self._manager):
+            if part is not None:
+                with contextlib.suppress(*self._gone, ValueError, AttributeError):
+                    part.close()
+        self._resource = self._adapter = self._manager = None
+
+    def _open(self) -> None:
+        settings = self._settings
+        library = "@py" if settings.library == "py" else "@ivi"
+        try:
+            self._manager = self._pyvisa.ResourceManager(library)
+        except (OSError, ValueError) as error:
+            message = "NI-VISA is not installed on this PC; install it, or set instruments.voltmeter.visa to py"
+            raise DriverMissingError(_DEVICE, message) from error
+        if settings.prologix_port is not None:
+            self._adapter = self._manager.open_resource(f"PRLGX-ASRL::{settings.prologix_port}::INTFC")
+            self._hold(self._adapter)
+        self._resource = self._manager.open_resource(settings.resource)
+        if self._serial:
+            self._set_serial()
+
+    def _set_serial(self) -> None:
+        constants, resource = self._pyvisa.constants, self._resource
+        self._hold(resource)
+        resource.baud_rate = self._settings.baud_rate
+        resource.data_bits = 8
+        resource.parity = constants.Parity.none
+        resource.stop_bits = constants.StopBits.one
+        xon_xoff = self._settings.flow_control == "xon-xoff"
+        resource.flow_control = constants.ControlFlow.xon_xoff if xon_xoff else constants.ControlFlow.none
+        resource.read_termination = self._end[-1]
+        resource.write_termination = ""
+
+    def _hold(self, resource: Any) -> None:
+        """Hold the port exclusively, which PyVISA-py leaves out and NI-VISA does by itself."""
+        sessions = getattr(self._manager.visalib, "sessions", None)
+        port = getattr(sessions[resource.session], "interface", None) if sessions else None
+        if port is not None and hasattr(port, "exclusive"):
+            port.exclusive = True
+
+    def _write(self, data: bytes) -> None:
+        with self._translated():
+            self._set_timeout(1.0 + self._transfer_s)
+            self._resource.write_raw(data)
+        self._tap(">", data)
+
+    def _read(self, within_s: float) -> str:
+        with self._translated():
+            self._set_timeout(within_s)
+            data: bytes = self._resource.read_raw()
+        self._tap("<", data)
+        return data.decode("latin-1").strip("\r\n")
+
+    def _set_timeout(self, seconds: float) -> None:
+        # Behind a Prologix adapter the adapter's own time-out counts.
+        for part in (self._adapter, self._resource):
+            if part is not None:
+                part.timeout = max(1000 * seconds, 1)
+
+    @contextlib.contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except self._pyvisa.VisaIOError as error:
+            if error.error_code == self._pyvisa.constants.StatusCode.error_timeout:
+                raise DeadlineError(_DEVICE, "no line came in time") from error
+            raise LinkLostError(_DEVICE, f"{self._settings.resource}: {error}") from error
+        except self._gone as error:
+            raise LinkLostError(_DEVICE, f"{self._settings.resource} is gone; has it been unplugged?") from error
+
+    def _refuse_open(self, error: BaseException) -> NoReturn:
+        settings = self._settings
+        port = settings.prologix_port or settings.resource
+        if isinstance(error, OSError):
+            raise cannot_open(_DEVICE, port.removeprefix("ASRL").partition("::")[0], error) from error
+        if isinstance(error, ValueError) and not self._serial:
+            message = (
+                f"{settings.resource} cannot be opened with PyVISA-py: it needs linux-gpib, or"
+                ' instruments.voltmeter.prologix_port for a Prologix adapter, or instruments.voltmeter.visa = "ni"'
+            )
+            raise DriverMissingError(_DEVICE, message) from error
+        raise ConnectError(_DEVICE, f"{settings.resource} cannot be opened: {error}") from error

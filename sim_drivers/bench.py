@@ -1,0 +1,122 @@
+"""The bench: simulated instruments under one sky, on real transports, for the real drivers in another process."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers import pozsol_wire as wire
+from drivers.pozsol_wire import Field, TokenStream
+from sim_drivers.hosts.ni_server import NiServer
+from sim_drivers.hosts.positioner_host import PositionerHost
+from sim_drivers.hosts.voltmeter_host import VoltmeterHost
+from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.scene import Scene
+from sim_drivers.voltmeter_core import VoltmeterCore
+
+_DISTURBANCE_SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class BenchClock:
+    """The event loop's time [s], and the scene's UTC [s]; both run at real speed."""
+
+    now: Callable[[], float]
+    utc: Callable[[], float]
+
+
+class Bench:
+    """Three instruments and their surroundings.
+
+    Parameters
+    ----------
+    directory
+        Where the ports ``positioner`` and ``voltmeter`` appear.
+    scene
+        Sun, sky and cube.
+    switch, meter, unit
+        The cores of multiplexer, voltmeter and positioner.
+    clock
+        Time.
+    baud_rate
+        Of the voltmeter.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        scene: Scene,
+        switch: MultiplexerCore,
+        meter: VoltmeterCore,
+        unit: PositionerCore,
+        clock: BenchClock,
+        baud_rate: int,
+    ) -> None:
+        self.directory = directory
+        self.scene = scene
+        self.clock = clock
+        random = np.random.default_rng(_DISTURBANCE_SEED)
+        self.positioner = PositionerHost(unit, directory / "positioner", clock.now, random)
+        self.voltmeter = VoltmeterHost(meter, directory / "voltmeter", clock.now, baud_rate)
+        self.multiplexer = NiServer(switch, clock.now)
+
+    async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:
+        """Plug everything in, call `ready`, and serve until `stop` is set."""
+        await self.multiplexer.start()
+        self.positioner.port.plug()
+        self.voltmeter.port.plug()
+        try:
+            async with asyncio.TaskGroup() as group:
+                hosts = [group.create_task(self.positioner.run()), group.create_task(self.voltmeter.run())]
+                ready()
+                await stop.wait()
+                for host in hosts:
+                    host.cancel()
+        finally:
+            self.positioner.port.unplug()
+            self.voltmeter.port.unplug()
+            await self.multiplexer.stop()
+
+    def state(self) -> dict[str, Any]:
+        """Return the truth, which the instruments may tell or not, as plain data."""
+        now, utc_s = self.clock.now(), self.clock.utc()
+        sky, pose = self.scene.sky_state(utc_s), self.positioner.core.truth(now)
+        return {
+            "utc": datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "sun": {"azimuth_deg": sky.sun_azimuth_deg, "elevation_deg": sky.sun_elevation_deg},
+            "sky": {"ghi_w_m2": sky.ghi_w_m2, "dni_w_m2": sky.dni_w_m2, "dhi_w_m2": sky.dhi_w_m2},
+            "faces": self.scene.irradiances(utc_s)._asdict(),
+            "pose": {"a_deg": pose.a_deg, "b_deg": pose.b_deg},
+            "plane_of_array_w_m2": self.scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s),
+            "positioner": self._positioner_state(now),
+            "voltmeter": {
+                "plugged": self.voltmeter.port.plugged,
+                "in_use": self.voltmeter.port.in_use,
+                "range_v": self.voltmeter.core.range_v,
+            },
+            "multiplexer": {
+                "plugged": self.multiplexer.plugged,
+                "serving": self.multiplexer.serving,
+                "selected": self.multiplexer.core.selected(now),
+                "writes": self.multiplexer.writes,
+            },
+        }
+
+    def _positioner_state(self, now: float) -> dict[str, Any]:
+        host = self.positioner
+        values = dict(TokenStream().feed(host.core.live_screens(now) + bytes((wire.SEPARATOR,))))
+        return {
+            "plugged": host.port.plugged,
+            "in_use": host.port.in_use,
+            "position": [float(values[Field.A_POSITION]), float(values[Field.B_POSITION])],
+            "destination": [float(values[Field.A_DESTINATION]), float(values[Field.B_DESTINATION])],
+            "status": int(values[Field.STATUS]),
+            "received": {str(code): number for code, number in sorted(host.received.items())},
+            "stored": {str(code): text for code, text in sorted(host.core.parameters.items())},
+            "lost_screens": host.lost_screens,
+        }

@@ -1,0 +1,80 @@
+"""What a bench can be told, and how: one line of JSON in, one out, over a unix socket.
+
+A request is ``{"verb": "unplug", "arguments": ["voltmeter"]}``, a reply ``{"ok": true, "result": ...}`` or
+``{"ok": false, "error": "one sentence"}``.
+"""
+
+import json
+import socket
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sim_drivers.positioner_core import FAULTS
+
+SOCKET_NAME = "control"
+DEVICES = ("positioner", "voltmeter", "multiplexer", "server")
+"""What has a plug; the server is the NI gRPC server and not the device behind it."""
+_TIMEOUT_S = 10.0
+
+
+class BenchError(Exception):
+    """A command that the bench cannot carry out, in one sentence; or a bench that is not there."""
+
+
+class Verb(NamedTuple):
+    """What a command takes and what it does."""
+
+    usage: str
+    meaning: str
+
+
+VERBS = {
+    "state": Verb("", "the truth as JSON: sun, sky, faces, pose, instruments"),
+    "unplug": Verb("DEVICE [SECONDS]", f"pull a plug: {', '.join(DEVICES)}"),
+    "replug": Verb("DEVICE", "plug it in again"),
+    "freeze": Verb("DEVICE", "let a device hang; a hanging positioner is also one in its bootloader"),
+    "thaw": Verb("DEVICE", "let it go on"),
+    "delay": Verb("DEVICE SECONDS", "replies of voltmeter or multiplexer come this much later; 0 ends it"),
+    "drop": Verb("DEVICE [COUNT]", "lose the next replies of the voltmeter, screens of the positioner"),
+    "corrupt": Verb("DEVICE [COUNT]", "garble one byte of each of the next ones"),
+    "fail": Verb("CODE [COUNT]", "the next writes to the multiplexer fail with this NI error"),
+    "overcurrent": Verb("AXIS", "latch an overcurrent of axis a or b"),
+    "hall-loss": Verb("AXIS [on|off]", "take an axis's Hall pulses away, or give them back"),
+    "end-switch": Verb("AXIS closed|open|works", "let an axis's low end switch stick"),
+    "inject": Verb("FAULT", f"any fault of the positioner: {', '.join(FAULTS)}"),
+    "repair": Verb("FAULT", "end it"),
+    "mux-line": Verb("BIT high|low|works", "let address line 0, 1 or 2 stick; works frees all"),
+    "shade": Verb("FACE SHARE", "let only a share (0 to 1) of the light reach a face"),
+    "sensor": Verb("FACE VOLT|works", "let a sensor give one voltage, whatever falls on it"),
+    "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),
+    "identity": Verb("DEVICE TEXT", "let voltmeter or positioner say that it is something else"),
+}
+"""All commands; each is a method of `sim_drivers.bench_control.BenchControl`."""
+
+
+def request(directory: Path, verb: str, arguments: list[str]) -> Any:
+    """Send one command to the bench in a directory and return what it tells; blocks.
+
+    Raises
+    ------
+    BenchError
+        No bench is there, or it refuses.
+    """
+    line = json.dumps({"verb": verb, "arguments": arguments}).encode() + b"\n"
+    try:
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(_TIMEOUT_S)
+            connection.connect(str(directory / SOCKET_NAME))
+            connection.sendall(line)
+            with connection.makefile("rb") as stream:
+                text = stream.readline()
+    except OSError as error:
+        raise BenchError(
+            f"{directory}: no bench answers there ({error}); start one with 'heliocube bench --dir {directory}'"
+        ) from error
+    if not text:
+        raise BenchError(f"{directory}: the bench has ended")
+    reply = json.loads(text)
+    if not reply["ok"]:
+        raise BenchError(reply["error"])
+    return reply["result"]

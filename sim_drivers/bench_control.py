@@ -1,0 +1,266 @@
+"""Taking commands for a running bench and carrying them out."""
+
+import asyncio
+import contextlib
+import json
+import socket
+from collections.abc import Awaitable
+from pathlib import Path
+from typing import Any, Self
+
+from drivers.pozsol_wire import Field
+from sim_drivers.bench import Bench
+from sim_drivers.bench_client import DEVICES, SOCKET_NAME, VERBS, BenchError
+from sim_drivers.positioner_core import FAULTS
+
+FACES = ("east", "south", "west", "zenith")
+_REENUMERATION_S = 1.0
+_LONGEST_REQUEST = 65536
+
+
+class BenchControl:
+    """Takes commands for a bench.
+
+    Parameters
+    ----------
+    bench
+        The running bench; the socket is in its directory.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._server: asyncio.Server | None = None
+        self._later: set[asyncio.Task[None]] = set()
+        self._path = bench.directory / SOCKET_NAME
+
+    async def __aenter__(self) -> Self:
+        """Take commands.
+
+        Raises
+        ------
+        BenchError
+            Another bench has this directory, or no socket can be made there.
+        """
+        if _is_alive(self._path):
+            raise BenchError(f"{self._path.parent}: a bench is running there already; stop it or take another folder")
+        self._path.unlink(missing_ok=True)
+        try:
+            self._server = await asyncio.start_unix_server(self._serve, self._path, limit=_LONGEST_REQUEST)
+        except OSError as error:
+            raise BenchError(
+                f"{self._path}: no socket can be made there ({error}); take a folder with a short path"
+            ) from error
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Take no more."""
+        for task in self._later:
+            task.cancel()
+        if self._server is not None:
+            self._server.close()
+        self._path.unlink(missing_ok=True)
+
+    async def execute(self, verb: str, arguments: list[str]) -> Any:
+        """Carry out one command and return what it tells; `BenchError` for a mistake in it."""
+        if verb not in VERBS:
+            raise BenchError(f"the bench has no command '{verb}'; it has {', '.join(VERBS)}")
+        parameters = VERBS[verb].usage.split()
+        least = sum(not parameter.startswith("[") for parameter in parameters)
+        if not least <= len(arguments) <= len(parameters):
+            raise BenchError(f"usage: {' '.join((verb, *parameters))}")
+        try:
+            result = getattr(self, verb.replace("-", "_"))(*arguments)
+            return await result if isinstance(result, Awaitable) else result
+        except ValueError as error:
+            raise BenchError(f"{verb}: {error}") from error
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while line := await reader.readline():
+                writer.write(json.dumps(await self._answer(line)).encode() + b"\n")
+                await writer.drain()
+        except (OSError, ValueError):
+            # The user has gone, or sends something endless.
+            return
+        finally:
+            writer.close()
+
+    async def _answer(self, line: bytes) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+            verb, arguments = str(request["verb"]), [str(argument) for argument in request.get("arguments", [])]
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return {"ok": False, "error": 'a request is one line such as {"verb": "state", "arguments": []}'}
+        try:
+            return {"ok": True, "result": await self.execute(verb, arguments)}
+        except BenchError as error:
+            return {"ok": False, "error": str(error)}
+
+    def state(self) -> dict[str, Any]:
+        """Tell the truth."""
+        return self._bench.state()
+
+    async def unplug(self, device: str, seconds: str = "") -> None:
+        """Pull a plug, for some seconds or until `replug`."""
+        name = _one_of(device, DEVICES)
+        length_s = _number(seconds, 0, 86400) if seconds else None
+        bench = self._bench
+        if name == "server":
+            await bench.multiplexer.stop()
+        elif name == "multiplexer":
+            bench.multiplexer.unplug()
+        else:
+            (bench.positioner if name == "positioner" else bench.voltmeter).port.unplug()
+        if length_s is not None:
+            task = asyncio.create_task(self._replug_after(name, length_s))
+            self._later.add(task)
+            task.add_done_callback(self._later.discard)
+
+    async def replug(self, device: str) -> None:
+        """Plug in again."""
+        name, bench = _one_of(device, DEVICES), self._bench
+        if name == "server":
+            if not bench.multiplexer.serving:
+                await bench.multiplexer.start(bench.multiplexer.port)
+        elif name == "multiplexer":
+            bench.multiplexer.plug()
+        else:
+            (bench.positioner if name == "positioner" else bench.voltmeter).port.plug()
+
+    def freeze(self, device: str) -> None:
+        """Let a device hang."""
+        self._host(device).freeze()
+
+    def thaw(self, device: str) -> None:
+        """Let it go on."""
+        self._host(device).thaw()
+
+    def delay(self, device: str, seconds: str) -> None:
+        """Let every reply come later."""
+        delay_s = _number(seconds, 0, 3600)
+        if _one_of(device, ("voltmeter", "multiplexer")) == "voltmeter":
+            self._bench.voltmeter.delay_s = delay_s
+        else:
+            self._bench.multiplexer.delay_s = delay_s
+
+    def drop(self, device: str, number: str = "1") -> None:
+        """Lose the next replies or screens."""
+        bench = self._bench
+        name = _one_of(device, ("positioner", "voltmeter"))
+        (bench.positioner if name == "positioner" else bench.voltmeter.core).drop_next(_count(number))
+
+    def corrupt(self, device: str, number: str = "1") -> None:
+        """Garble the next replies or screens."""
+        bench = self._bench
+        name = _one_of(device, ("positioner", "voltmeter"))
+        (bench.positioner if name == "positioner" else bench.voltmeter.core).corrupt_next(_count(number))
+
+    def fail(self, code: str, number: str = "1") -> None:
+        """Let the next writes to the multiplexer fail."""
+        self._bench.multiplexer.core.fail_next(int(code), _count(number))
+
+    def overcurrent(self, axis: str) -> None:
+        """Latch an overcurrent."""
+        self.inject(f"{_one_of(axis, ('a', 'b'))}_overcurrent")
+
+    def hall_loss(self, axis: str, on: str = "on") -> None:
+        """Take the Hall pulses away."""
+        self._condition(f"{_one_of(axis, ('a', 'b'))}_hall_loss", _one_of(on, ("on", "off")) == "on")
+
+    def end_switch(self, axis: str, how: str) -> None:
+        """Let the low end switch stick."""
+        name, how = _one_of(axis, ("a", "b")), _one_of(how, ("closed", "open", "works"))
+        self._condition(f"{name}_switch_{'open' if how == 'works' else how}", how != "works")
+
+    def inject(self, fault: str) -> None:
+        """Cause any of the positioner's faults."""
+        self._condition(fault, present=True)
+
+    def repair(self, fault: str) -> None:
+        """End a condition of the positioner."""
+        self._condition(fault, present=False)
+
+    def mux_line(self, bit: str, level: str) -> None:
+        """Let an address line of the multiplexer stick."""
+        number = int(_one_of(bit, ("0", "1", "2")))
+        how, core, now = _one_of(level, ("high", "low", "works")), self._bench.multiplexer.core, self._bench.clock.now()
+        if how == "works":
+            core.unstick(now)
+        else:
+            core.stick(number, how == "high", now)
+
+    def shade(self, face: str, share: str) -> None:
+        """Let only a share of the light reach a face."""
+        self._bench.scene.shade(FACES.index(_one_of(face, FACES)), _number(share, 0, 1))
+
+    def sensor(self, face: str, volt: str) -> None:
+        """Let a sensor give one voltage, whatever falls on it."""
+        index = FACES.index(_one_of(face, FACES))
+        if volt == "works":
+            self._bench.scene.repair_sensor(index)
+        else:
+            self._bench.scene.break_sensor(index, _number(volt, -1000, 1000))
+
+    async def power_cycle(self, device: str, position: str = "kept") -> None:
+        """Switch a device off and on; the positioner's port is gone for a second."""
+        bench = self._bench
+        name = _one_of(device, ("positioner", "voltmeter", "multiplexer"))
+        if name == "voltmeter":
+            bench.voltmeter.power_cycle()
+        elif name == "multiplexer":
+            bench.multiplexer.reset()
+        else:
+            keep = _one_of(position, ("kept", "lost")) == "kept"
+            bench.positioner.core.power_cycle(bench.clock.now(), keep_position=keep)
+            await self.unplug("positioner", str(_REENUMERATION_S))
+
+    def identity(self, device: str, text: str) -> None:
+        """Let a device say that it is something else."""
+        if _one_of(device, ("positioner", "voltmeter")) == "voltmeter":
+            self._bench.voltmeter.core.identity = text
+        else:
+            self._bench.positioner.core.parameters[Field.BOARD] = text
+
+    def _host(self, device: str) -> Any:
+        return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "multiplexer")))
+
+    def _condition(self, fault: str, present: bool) -> None:
+        core, now = self._bench.positioner.core, self._bench.clock.now()
+        name = _one_of(fault, FAULTS)
+        if present:
+            core.inject(name, now)
+        else:
+            core.repair(name, now)
+
+    async def _replug_after(self, device: str, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+        await self.replug(device)
+
+
+def _is_alive(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe, contextlib.suppress(OSError):
+        probe.connect(str(path))
+        return True
+    return False
+
+
+def _one_of(text: str, choices: tuple[str, ...]) -> str:
+    if text not in choices:
+        raise ValueError(f"'{text}' is not one of {', '.join(choices)}")
+    return text
+
+
+def _number(text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"'{text}' is not a number") from None
+    if not low <= value <= high:
+        raise ValueError(f"{text} is not in {low:g} to {high:g}")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError(f"'{text}' is not a whole number")
+    return int(text)

@@ -1,0 +1,1 @@
+"""The simulator cores on real transports: pseudo-terminals, and a mock NI gRPC device server."""

@@ -1,0 +1,106 @@
+"""The simulated positioner on its USB port: a stream of screens every 20 ms out, commands in."""
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from drivers.pozsol_wire import SEPARATOR
+from sim_drivers.hosts.pty_port import PtyPort
+from sim_drivers.positioner_core import PositionerCore
+
+SCREEN_EVERY_S = 0.02
+
+
+class PositionerHost:
+    """The unit behind its port.
+
+    The first screen after the port has been opened is an old one, held since the last user left, and it comes one
+    period late: a user has that long to switch the echo off. Whatever is echoed later is taken for a command.
+
+    Parameters
+    ----------
+    core
+        The simulated unit.
+    link
+        Path of the port.
+    now
+        The event loop's time [s].
+    random
+        For corrupted screens.
+
+    Attributes
+    ----------
+    received
+        How often each command code has come in, whoever sent it.
+    lost_screens
+        Screens for which there was no room.
+    """
+
+    def __init__(self, core: PositionerCore, link: Path, now: Callable[[], float], random: np.random.Generator) -> None:
+        self.core = core
+        self.port = PtyPort(link, self._take)
+        self.received: Counter[int] = Counter()
+        self.lost_screens = 0
+        self._now = now
+        self._random = random
+        self._held: bytes | None = None
+        self._user = False
+        self._frozen = False
+        self._drops = self._corruptions = 0
+
+    async def run(self) -> None:
+        """Stream until cancelled."""
+        due_s = self._now()
+        while True:
+            due_s = max(due_s + SCREEN_EVERY_S, self._now())
+            await asyncio.sleep(due_s - self._now())
+            if not self._frozen:
+                self._stream()
+
+    def freeze(self) -> None:
+        """Neither send nor take anything, as a unit that hangs and as one in its bootloader."""
+        self._frozen = True
+        self.port.pause()
+
+    def thaw(self) -> None:
+        """Go on."""
+        self._frozen = False
+        self.port.resume()
+
+    def drop_next(self, count: int) -> None:
+        """Lose the next screens."""
+        self._drops += count
+
+    def corrupt_next(self, count: int) -> None:
+        """Garble one byte of each of the next screens."""
+        self._corruptions += count
+
+    def _stream(self) -> None:
+        if not self.port.in_use:
+            self._user = False
+            if self._held is None:
+                self._held = self.core.next_screen(self._now())
+            return
+        if not self._user:
+            self._user = True
+            return
+        screen, self._held = self._held or self.core.next_screen(self._now()), None
+        if self._drops:
+            self._drops -= 1
+            return
+        if self._corruptions:
+            self._corruptions -= 1
+            garbled = bytearray(screen)
+            garbled[int(self._random.integers(len(garbled)))] ^= 0x40
+            screen = bytes(garbled)
+        if not self.port.send(screen):
+            self.lost_screens += 1
+
+    def _take(self, data: bytes) -> None:
+        at = data.find(SEPARATOR)
+        if 0 <= at < len(data) - 1:
+            self.received[data[at + 1]] += 1
+        self.core.feed(data, self._now())

@@ -1,0 +1,186 @@
+"""What the four faces say of the light, and where that light is collected best.
+
+With the sun's position known, the faces are linear in three quantities: the beam B (with all diffuse light that falls
+like it), the uniform part D of the diffuse light, and the part H that a bright horizon adds to a vertical plane:
+
+    vertical face j:  B max(s_j, 0) + D/2 + H + rho (B s_z + D)/2
+    zenith face:      B s_z + D
+
+Four readings, three unknowns: no model of the sky is assumed. On a plane that sees the sun the same light gives
+
+    I(n) = B s.n + D (1 + n_z)/2 + H sqrt(1 - n_z^2) + rho G (1 - n_z)/2 = M.n + constant
+    M = B s + (D - rho G)/2 k + H h,     h horizontal, towards the sun's azimuth
+
+in the sun's vertical plane, where the best normal lies: it is M's direction, found without a search,
+and brought inside the tracker's limits by :func:`solar.frames.angles_within`, which is exact. Because I is
+linear in B, D and H, the best pose for an uncertain future is the best pose for their expected values.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from solar.frames import Array
+
+# How firmly H is taken to be nothing, against one face reading of the same size: it decides where faces are missing.
+_HORIZON_PRIOR = 0.02
+_RIDGE = 1e-6
+_SMALLEST = 1e-4
+_HORIZON_RANGE = (-0.3, 0.7)
+_LOWEST_W_M2, _HIGHEST_W_M2 = -20.0, 2000.0
+_DEAD_SHARE = 0.2
+_ZENITH_SHARE = 0.03
+_NOISE_W_M2 = 4.0
+_ALIKE = 1e-6
+
+
+class Light(NamedTuple):
+    """The light of an instant, arrays of one shape [W/m2].
+
+    Attributes
+    ----------
+    beam
+        Normal to the sun: direct and circumsolar.
+    uniform
+        Horizontal irradiance of the uniform part of the sky.
+    horizon
+        What the horizon adds to a vertical plane; negative where it is dark.
+    """
+
+    beam: Array
+    uniform: Array
+    horizon: Array
+
+
+def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which of the faces, shape (..., 4) in the order east, south, west, zenith [W/m2], can be believed.
+
+    A face cannot that is no finite number in -20..2000 W/m2; nor one that is covered or dead: a vertical face that
+    reads less than a fifth of another which gets no more beam by the sun's direction (shape (..., 3)), or less than
+    3 % of the zenith face; a zenith face that reads less than a fifth of every vertical one.
+    """
+    readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
+    # Written so that NaN fails.
+    possible = (readings >= _LOWEST_W_M2) & (readings <= _HIGHEST_W_M2)
+    seen = np.where(possible, readings, 0.0)
+    shares = _beam_shares(sun)
+    zenith = seen[..., 3]
+    believed = []
+    for face in range(3):
+        least = _ZENITH_SHARE * zenith
+        for other in range(3):
+            if other != face:
+                bound = np.where(shares[other] <= shares[face] + _ALIKE, _DEAD_SHARE * seen[..., other], 0.0)
+                least = np.maximum(least, bound)
+        believed.append(~(seen[..., face] < least - _NOISE_W_M2))
+    least = _DEAD_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
+    believed.append(~(np.isfinite(least) & (zenith < least - _NOISE_W_M2)))
+    return possible & np.stack(believed, axis=-1)
+
+
+def light_from_faces(
+    faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2, usable: ArrayLike | None = None
+) -> Light:
+    """Return the light that explains the faces best, by least squares, within what is physically possible.
+
+    Parameters
+    ----------
+    faces
+        Irradiances [W/m2], shape (..., 4).
+    sun
+        Unit vector(s) to the apparent sun, shape (..., 3). There is no beam from below the horizon.
+    albedo
+        Of the ground around the cube, shape (...).
+    usable
+        Which faces count, shape (..., 4); by default what :func:`usable_faces` says. With one face missing the
+        horizon is taken to be as bright as the vault where nothing tells otherwise; with fewer than three the result
+        is finite and worth nothing.
+    """
+    readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
+    counts = usable_faces(readings, sun) if usable is None else np.asarray(usable, dtype=np.bool_)
+    weight = counts.astype(np.float64)
+    readings = np.where(counts, readings, 0.0)
+    rho = np.asarray(albedo, dtype=np.float64)
+    height = np.maximum(sun[..., 2], 0.0)
+    towards = _beam_shares(sun)
+    beam_share = [side + 0.5 * rho * height for side in towards]
+    diffuse_share = 0.5 * (1.0 + rho)
+    solution = _solve(weight, readings, beam_share, diffuse_share, height)
+    return _possible(solution, weight, towards, height)
+
+
+def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
+    """Return M [W/m2], shape (..., 3): its product with a unit normal is the normal's irradiance but for a constant.
+
+    `sun` may stand elsewhere than where it stood when the light was measured: ahead of it, for a pose that is to last.
+    """
+    sun = np.asarray(sun, dtype=np.float64)
+    height = np.maximum(sun[..., 2], 0.0)
+    across = np.hypot(sun[..., 0], sun[..., 1])
+    total = light.beam * height + light.uniform
+    # A dark horizon takes away from the tilt that the beam asks for, but never tilts away from the sun.
+    outward = np.maximum(light.beam * across + light.horizon, 0.0) / np.maximum(across, _SMALLEST)
+    up = np.maximum(light.beam * height + 0.5 * (light.uniform - np.asarray(albedo) * total), 1e-3 * total)
+    return np.stack([outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9)], axis=-1)
+
+
+def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
+    """Return the product of `vector`, shape (..., 3), with the normal at tracker angles [deg]."""
+    vector = np.asarray(vector, dtype=np.float64)
+    a, b = np.radians(a_deg), np.radians(b_deg)
+    upright = vector[..., 0] * np.cos(b) + vector[..., 2] * np.sin(b)
+    result: Array = upright * np.cos(a) - vector[..., 1] * np.sin(a)
+    return result
+
+
+def _beam_shares(sun: Array) -> list[Array]:
+    """Cosines of the beam's incidence on east, south and west; zero where they are shaded."""
+    lit = np.where(sun[..., 2] > 0.0, 1.0, 0.0)
+    return [np.maximum(side, 0.0) * lit for side in (sun[..., 1], sun[..., 0], -sun[..., 1])]
+
+
+def _solve(
+    weight: Array, readings: Array, beam_share: list[Array], diffuse_share: Array, height: Array
+) -> tuple[Array, Array, Array]:
+    """Weighted least squares for (B, D, H), by Cramer's rule on the symmetric 3 x 3 normal equations."""
+    bb = weight[..., 3] * height * height + _RIDGE
+    bd = weight[..., 3] * height
+    dd = weight[..., 3] + _RIDGE
+    bh = np.zeros_like(bb)
+    yb = weight[..., 3] * height * readings[..., 3]
+    yd = weight[..., 3] * readings[..., 3]
+    hh = np.full_like(bb, _HORIZON_PRIOR)
+    yh = np.zeros_like(bb)
+    for face, share in enumerate(beam_share):
+        w, y = weight[..., face], readings[..., face]
+        bb = bb + w * share * share
+        bd = bd + w * share * diffuse_share
+        bh = bh + w * share
+        dd = dd + w * diffuse_share * diffuse_share
+        hh = hh + w
+        yb, yd, yh = yb + w * share * y, yd + w * diffuse_share * y, yh + w * y
+    dh = (hh - _HORIZON_PRIOR) * diffuse_share
+    c_bb, c_bd, c_bh = dd * hh - dh * dh, bh * dh - bd * hh, bd * dh - bh * dd
+    c_dd, c_dh, c_hh = bb * hh - bh * bh, bd * bh - bb * dh, bb * dd - bd * bd
+    determinant = bb * c_bb + bd * c_bd + bh * c_bh
+    beam = (c_bb * yb + c_bd * yd + c_bh * yh) / determinant
+    uniform = (c_bd * yb + c_dd * yd + c_dh * yh) / determinant
+    horizon = (c_bh * yb + c_dh * yd + c_hh * yh) / determinant
+    return beam, uniform, horizon
+
+
+def _possible(solution: tuple[Array, Array, Array], weight: Array, towards: list[Array], height: Array) -> Light:
+    """Bring the beam above zero and below what the zenith face allows, and keep the fitted faces otherwise."""
+    beam, uniform, horizon = solution
+    zenith = np.maximum(beam * height + uniform, 0.0)
+    vertical = 0.5 * uniform + horizon
+    kept = np.minimum(
+        np.maximum(beam, 0.0), np.divide(zenith, height, out=np.zeros_like(zenith), where=height > _SMALLEST)
+    )
+    verticals = np.maximum(weight[..., :3].sum(axis=-1), 1.0)
+    mean_share = sum((weight[..., face] * share for face, share in enumerate(towards)), np.zeros_like(beam)) / verticals
+    uniform = np.maximum(zenith - kept * height, 0.0)
+    vertical = vertical + (beam - kept) * mean_share
+    low, high = _HORIZON_RANGE
+    return Light(kept, uniform, np.clip(vertical - 0.5 * uniform, low * uniform, high * uniform))

@@ -1,0 +1,273 @@
+"""The pointing law `optimal`: the same object live, in replay and in the benchmark.
+
+At every reading the light is estimated from the faces (:mod:`solar.optimal`) and remembered twice, over about one and
+about ten minutes. What is expected of the next minutes lies between the two: near the quick memory while the sky is
+steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects the
+expected light best is known in closed form, with the sun where it will be halfway through the rest that follows. The
+tracker moves there when the expected gain [W/m2] exceeds the price of the move, and not otherwise: many times an hour
+under broken clouds, hardly ever under an even sky. As the day's budget of moves and degrees is used up faster than
+the daylight, the price rises; the budget itself is never exceeded.
+
+Everything is an array of one shape: () for one tracker, (n,) for n days or sites at once.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from solar.frames import Array, Limits, angles_within
+from solar.optimal import Light, aim_vector, light_from_faces, product, usable_faces
+from solar.optimal_site import Learned, SiteLearning
+
+Flags = NDArray[np.bool_]
+
+_FACES_NEEDED = 3
+_SUNNY_W_M2 = 500.0
+_LEAST_LEFT = 1e-3
+_MOST_PRESSURE = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class OptimalSettings:
+    """What the law weighs, and what it may not exceed.
+
+    Attributes
+    ----------
+    quick_half_life_s, slow_half_life_s
+        Of the two memories of the light.
+    unrest_weight, slow_share_max
+        The expected light takes from the slow memory `unrest_weight` times the beam's relative deviation between the
+        two memories, averaged over the slow one, up to this share.
+    lead_s
+        How far ahead of the last reading the sun is taken.
+    price_per_degree_w_m2, price_per_move_w_m2
+        Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
+    thrift
+        What both prices are multiplied by: the one knob between harvest and wear. A varying sky is also taken at its
+        slower mean, the more so the thriftier.
+    travel_per_day_deg, moves_per_day
+        The day's budget.
+    pacing
+        How steeply prices rise when the budget is used faster than the daylight.
+    forget_after_s
+        A gap in the readings after which the memory starts again.
+    """
+
+    quick_half_life_s: float = 90.0
+    slow_half_life_s: float = 600.0
+    unrest_weight: float = 0.6
+    slow_share_max: float = 0.8
+    lead_s: float = 240.0
+    price_per_degree_w_m2: float = 0.02
+    price_per_move_w_m2: float = 0.2
+    thrift: float = 1.0
+    travel_per_day_deg: float = 1300.0
+    moves_per_day: int = 250
+    pacing: float = 6.0
+    forget_after_s: float = 900.0
+
+
+class Expectation(NamedTuple):
+    """What the law knows of the sky.
+
+    Attributes
+    ----------
+    light
+        Expected over the next minutes.
+    unrest
+        Relative deviation of the beam between quick and slow memory, averaged: 0 for an even sky.
+    known
+        Whether there is anything to go by: at least three good faces not long ago.
+    """
+
+    light: Light
+    unrest: Array
+    known: Flags
+
+
+class Choice(NamedTuple):
+    """What the law decides.
+
+    Attributes
+    ----------
+    a_deg, b_deg
+        Where the tracker should stand: where it stands, unless `move`.
+    move
+        Whether moving there is worth it.
+    gain_w_m2
+        Expected of the best pose over the present one.
+    price_w_m2
+        What it had to exceed.
+    vector
+        The direction of the best pose before limits, shape (..., 3), of any length.
+    """
+
+    a_deg: Array
+    b_deg: Array
+    move: Flags
+    gain_w_m2: Array
+    price_w_m2: Array
+    vector: Array
+
+
+class OptimalLaw:
+    """Stateful pointing law on readings of the cube.
+
+    Parameters
+    ----------
+    settings
+        The law's weights and budget.
+    limits
+        Of the tracker.
+    shape
+        Of every array that goes in and comes out.
+    learned
+        Albedo and gains to begin with, from :meth:`SiteLearning.learned` of an earlier run or the default.
+
+    Attributes
+    ----------
+    site
+        What the site has taught.
+    light
+        What the newest readings show; NaN where they show nothing.
+    """
+
+    def __init__(
+        self,
+        settings: OptimalSettings,
+        limits: Limits,
+        shape: tuple[int, ...] = (),
+        learned: Learned | None = None,
+    ) -> None:
+        self._settings = settings
+        self._limits = limits
+        self._shape = shape
+        self.site = SiteLearning(shape, learned)
+        self._quick = np.zeros((3, *shape))
+        self._slow = np.zeros((3, *shape))
+        self._deviation = np.zeros(shape)
+        self._since_good_s = np.full(shape, np.inf)
+        self.light = Light(*np.full((3, *shape), np.nan))
+        self.new_day()
+
+    def new_day(self) -> None:
+        """Take over what the past day taught of the site, and open a new budget."""
+        self.site.end_of_day()
+        self._travelled_deg = np.zeros(self._shape)
+        self._moves = np.zeros(self._shape)
+
+    @property
+    def travelled_deg(self) -> Array:
+        """Degrees ordered since the day began, A and B added."""
+        return self._travelled_deg
+
+    @property
+    def moves(self) -> Array:
+        """Moves ordered since the day began."""
+        return self._moves
+
+    def observe(self, faces: ArrayLike, sun: ArrayLike, elapsed_s: ArrayLike) -> None:
+        """Take in the mean faces [W/m2], shape (*shape, 4), of the last `elapsed_s` seconds.
+
+        `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN. All three may
+        have one more axis in front: means that followed each other, the oldest first.
+        """
+        faces, sun, elapsed = (np.asarray(value, dtype=np.float64) for value in (faces, sun, elapsed_s))
+        if faces.ndim == len(self._shape) + 1:
+            faces, sun, elapsed = faces[None], sun[None], elapsed[None]
+        elapsed = np.broadcast_to(elapsed, faces.shape[:-1])
+        faces = self.site.corrected(faces)
+        usable = usable_faces(faces, sun)
+        good = (usable.sum(axis=-1) >= _FACES_NEEDED) & (sun[..., 2] > 0.0)
+        lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
+        for light, is_good, seconds in zip(lights, good, elapsed, strict=True):
+            self._remember(light, is_good, seconds)
+        self.light = Light(*np.where(good[-1], lights[-1], np.nan))
+        self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
+
+    def _remember(self, light: Array, good: Flags, elapsed: Array) -> None:
+        fresh = good & ~(self._since_good_s + elapsed <= self._settings.forget_after_s)
+        self._quick = _towards(self._quick, light, good, fresh, elapsed / self._settings.quick_half_life_s)
+        pace = elapsed / self._settings.slow_half_life_s
+        self._slow = _towards(self._slow, light, good, fresh, pace)
+        deviation = np.abs(self._quick[0] - self._slow[0])
+        self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
+        self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
+
+    def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
+        """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
+        settings = self._settings
+        # The scale keeps the unrest of a sky without beam at zero instead of at the noise of the sensors.
+        unrest = self._deviation / (self._slow[0] + 0.1 * self._slow[1] + 10.0)
+        share = np.minimum(settings.unrest_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
+        light = Light(*((1.0 - share) * self._quick + share * self._slow))
+        return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
+
+    def decide(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
+        """Choose where to stand, and book the move if there is one; parameters as for `choose`."""
+        choice = self.choose(a_deg, b_deg, sun, daylight_left)
+        distance = np.abs(choice.a_deg - np.asarray(a_deg)) + np.abs(choice.b_deg - np.asarray(b_deg))
+        self.book(distance, choice.move)
+        return choice
+
+    def choose(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
+        """Choose where to stand, and leave it to the caller to `book` the move that comes of it.
+
+        Parameters
+        ----------
+        a_deg, b_deg
+            Where the tracker stands or is on its way to.
+        sun
+            Unit vector(s) to the sun `lead_s` from now, shape (*shape, 3).
+        daylight_left
+            Share of the day's light hours that is still to come, 0..1.
+        """
+        thrift = self._thrift(np.asarray(daylight_left, dtype=np.float64))
+        expected = self.expect(thrift)
+        a, b = np.asarray(a_deg, dtype=np.float64), np.asarray(b_deg, dtype=np.float64)
+        sun = np.asarray(sun, dtype=np.float64)
+        vector = aim_vector(expected.light, sun, self.site.learned.albedo)
+        # Without faces the sun is followed, at the price of a sunny day.
+        vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
+        best_a, best_b = angles_within(vector, self._limits)
+        distance = np.abs(best_a - a) + np.abs(best_b - b)
+        gain = product(vector, best_a, best_b) - product(vector, a, b)
+        price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
+        move = (gain > price) & (sun[..., 2] > 0.0) & self.affords(distance)
+        return Choice(np.where(move, best_a, a), np.where(move, best_b, b), move, gain, price, vector)
+
+    def book(self, distance_deg: ArrayLike, move: ArrayLike = True) -> None:
+        """Take moves out of the day's budget: what was travelled, or ordered to be, A and B added [deg]."""
+        self._travelled_deg = self._travelled_deg + np.where(move, distance_deg, 0.0)
+        self._moves = self._moves + np.asarray(move)
+
+    def resume(self, travelled_deg: ArrayLike, moves: ArrayLike) -> None:
+        """Go on with a day of which so much of the budget has been used."""
+        self._travelled_deg = np.broadcast_to(np.asarray(travelled_deg, dtype=np.float64), self._shape)
+        self._moves = np.broadcast_to(np.asarray(moves, dtype=np.float64), self._shape)
+
+    def _thrift(self, daylight_left: Array) -> Array:
+        """Return what prices are multiplied by: the setting, and more when the daylight outlasts the budget."""
+        settings = self._settings
+        spent = np.maximum(
+            self._travelled_deg / max(settings.travel_per_day_deg, _LEAST_LEFT),
+            self._moves / max(settings.moves_per_day, 1),
+        )
+        left = np.maximum(1.0 - spent, _LEAST_LEFT)
+        pressure = np.clip(np.clip(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
+        return settings.thrift * pressure**settings.pacing
+
+    def affords(self, distance_deg: ArrayLike) -> Flags:
+        """Tell whether one more move of this length [deg] stays within the day's budget."""
+        settings = self._settings
+        result: Flags = (self._travelled_deg + np.asarray(distance_deg) <= settings.travel_per_day_deg) & (
+            self._moves + 1 <= settings.moves_per_day
+        )
+        return result
+
+
+def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:
+    share = np.where(fresh, 1.0, np.where(good, 1.0 - 0.5**half_lives, 0.0))
+    return memory + share * (np.where(good, value, memory) - memory)

@@ -1,0 +1,176 @@
+"""What the cube's own readings teach of its site: the ground's albedo and the sensors' relative gains.
+
+In steady beam the sun's known direction fixes what the lit faces must read relative to each other:
+
+    (I_E - I_W)/(I_S - I_W) = s_E/s_S     with the west face in shade, and the mirror image in the afternoon
+
+so the gains of east and west relative to south are seen; their common factor is not, and is set so that the three
+multiply to 1. The vertical intercept h (what a face without beam reads) and the zenith face give the albedo,
+
+    rho = (2 h - 1.2 (I_Z - B s_z))/I_Z
+
+where a tenth of the diffuse light is left to the horizon, which is brighter than the vault under a clear sky. The
+zenith sensor's gain is in rho too: one equation cannot tell them apart, and for pointing it need not. Sums of a day
+are taken over at its end, a small step at a time, inside bounds.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from solar.frames import Array
+
+ALBEDO_RANGE = (0.0, 0.9)
+GAIN_RANGE = (0.93, 1.07)
+_STEP = 0.2
+_ENOUGH_S = 3600.0
+_BEAM_W_M2 = 300.0
+_BEAM_SHARE = 0.7
+_HORIZON_SHARE = 0.1
+_LIT_COSINE = 0.3
+_LIGHT_W_M2 = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """Albedo of the ground and gains of the vertical faces; readings are divided by their gain.
+
+    Arrays of the law's shape, or floats.
+    """
+
+    albedo: Any = 0.2
+    gain_east: Any = 1.0
+    gain_south: Any = 1.0
+    gain_west: Any = 1.0
+
+    def to_dict(self) -> dict[str, float]:
+        """Return plain numbers for JSON; for one tracker only."""
+        return {name: float(getattr(self, name)) for name in _NAMES}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, float]) -> Self:
+        """Return what :meth:`to_dict` gave; `ValueError` names a key or a number that is out of place."""
+        if set(values) != set(_NAMES):
+            raise ValueError(f"what was learned of the site has the keys {', '.join(_NAMES)}, not {', '.join(values)}")
+        for name, value in values.items():
+            low, high = ALBEDO_RANGE if name == "albedo" else GAIN_RANGE
+            if not (low <= value <= high):
+                raise ValueError(f"{name} = {value} that was learned of the site is not in {low:g}..{high:g}")
+        return cls(**values)
+
+
+_NAMES = ("albedo", "gain_east", "gain_south", "gain_west")
+
+
+class DaySums(NamedTuple):
+    """Weighted sums of one day: seconds and second-weighted values, each of the law's shape."""
+
+    albedo_s: Array
+    albedo: Array
+    east_s: Array
+    east: Array
+    west_s: Array
+    west: Array
+
+
+class SiteLearning:
+    """Learns slowly, from its own data, inside bounds.
+
+    Parameters
+    ----------
+    shape
+        Of the readings, without the four faces.
+    learned
+        To begin with.
+    """
+
+    def __init__(self, shape: tuple[int, ...] = (), learned: Learned | None = None) -> None:
+        self._shape = shape
+        self.learned = learned or Learned()
+        self._sums = no_sums(shape)
+
+    def corrected(self, faces: ArrayLike) -> Array:
+        """Return the faces [W/m2], shape (..., 4), divided by their gains."""
+        readings = np.asarray(faces, dtype=np.float64)
+        gains = np.stack(
+            np.broadcast_arrays(
+                self.learned.gain_east, self.learned.gain_south, self.learned.gain_west, np.ones(readings.shape[:-1])
+            ),
+            axis=-1,
+        )
+        result: Array = readings / gains
+        return result
+
+    def observe(
+        self, faces: Array, sun: Array, usable: NDArray[np.bool_], beam_w_m2: Array, elapsed_s: ArrayLike
+    ) -> None:
+        """Add corrected faces, with the beam they were found to show, to the day's sums."""
+        clear = usable.all(axis=-1) & (beam_w_m2 > _BEAM_W_M2) & (beam_w_m2 * sun[..., 2] > _BEAM_SHARE * faces[..., 3])
+        if not clear.any():
+            return
+        added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
+        # Readings of many instants at once, shape (n, *shape), are summed too.
+        extra = tuple(range(np.ndim(added.albedo) - len(self._shape)))
+        self._sums = DaySums(*(total + part.sum(axis=extra) for total, part in zip(self._sums, added, strict=True)))
+
+    def end_of_day(self) -> None:
+        """Take a step towards what the day showed, and begin another."""
+        self.learned = step(self.learned, self._sums)
+        self._sums = no_sums(self._shape)
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.learned = Learned()
+        self._sums = no_sums(self._shape)
+
+
+def no_sums(shape: tuple[int, ...]) -> DaySums:
+    """Return the sums of a day that has not begun."""
+    return DaySums(*(np.zeros(shape) for _ in DaySums._fields))
+
+
+def _sums_of(faces: Array, sun: Array, beam: Array, seconds: Array) -> DaySums:
+    """Return what readings of shape (..., 4) add to a day's sums; zero where they stand for no seconds."""
+    east, south, west, zenith = (faces[..., face] for face in range(4))
+    east_s, east_log = _log_ratio(east - west, south - west, sun[..., 1], sun[..., 0], seconds)
+    west_s, west_log = _log_ratio(west - east, south - east, -sun[..., 1], sun[..., 0], seconds)
+    shaded = np.minimum(east, west)
+    diffuse = zenith - beam * sun[..., 2]
+    albedo = (2.0 * (shaded - _HORIZON_SHARE * diffuse) - diffuse) / np.maximum(zenith, _LIGHT_W_M2)
+    return DaySums(seconds, seconds * albedo, east_s, east_s * east_log, west_s, west_s * west_log)
+
+
+def step(learned: Learned, sums: DaySums) -> Learned:
+    """Return what is known after a day with these sums: at most a fifth of the way to what it showed."""
+    albedo = _step(np.asarray(learned.albedo), sums.albedo_s, sums.albedo)
+    # The readings were corrected: what they show of the gains is what is left to correct.
+    east = np.log(learned.gain_east / learned.gain_south)
+    west = np.log(learned.gain_west / learned.gain_south)
+    east, west = _step(east, sums.east_s, sums.east, east), _step(west, sums.west_s, sums.west, west)
+    south = -(east + west) / 3.0
+    low, high = GAIN_RANGE
+    return Learned(
+        np.clip(albedo, *ALBEDO_RANGE),
+        np.clip(np.exp(south + east), low, high),
+        np.clip(np.exp(south), low, high),
+        np.clip(np.exp(south + west), low, high),
+    )
+
+
+def _step(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -> Array:
+    """Go from `now` towards `base` plus the day's mean, by a share that grows with the seconds behind it."""
+    mean = np.divide(total, seconds, out=np.zeros_like(total), where=seconds > 0.0)
+    share = _STEP * np.minimum(seconds / _ENOUGH_S, 1.0)
+    result: Array = now + share * np.where(seconds > 0.0, base + mean - now, 0.0)
+    return result
+
+
+def _log_ratio(lit: Array, south: Array, cosine: Array, south_cosine: Array, seconds: Array) -> tuple[Array, Array]:
+    """Seconds and log of what `lit` reads too much relative to the south face, both less the shaded face."""
+    valid = (seconds > 0.0) & (cosine > _LIT_COSINE) & (south_cosine > _LIT_COSINE)
+    valid &= (lit > _LIGHT_W_M2) & (south > _LIGHT_W_M2)
+    ratio = np.where(valid, lit, 1.0) * np.where(valid, south_cosine, 1.0)
+    expected = np.where(valid, south, 1.0) * np.where(valid, cosine, 1.0)
+    return np.where(valid, seconds, 0.0), np.log(ratio / expected)

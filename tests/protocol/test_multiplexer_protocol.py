@@ -1,0 +1,146 @@
+import asyncio
+import contextlib
+
+import pytest
+
+from drivers.errors import ConnectError, DriverMissingError, LinkLostError, RefusedError
+from drivers.multiplexer import NiMultiplexer
+from sim_drivers.hosts.ni_server import NiServer
+from sim_drivers.multiplexer_core import MultiplexerCore
+
+
+@contextlib.asynccontextmanager
+async def ni_server(**options):
+    now = asyncio.get_running_loop().time
+    server = NiServer(MultiplexerCore(lambda channel, _now: 0.01 * channel, latency_s=0.0, **options), now)
+    await server.start()
+    try:
+        yield server
+    finally:
+        await server.stop()
+
+
+def multiplexer_at(server, **options):
+    return NiMultiplexer(server=f"127.0.0.1:{server.port}", deadline_s=options.pop("deadline_s", 5.0), **options)
+
+
+def selected(server):
+    return server.core.selected(server._now())
+
+
+def test_each_input_is_one_write_of_these_values(transcript):
+    pieces = transcript("multiplexer")
+
+    async def scene():
+        async with ni_server() as server:
+            written = []
+            multiplexer = multiplexer_at(server, tap=lambda direction, data: written.append((direction, data)))
+            assert "USB-6008" in await multiplexer.open()
+            assert server.writes == 0
+            for channel in range(8):
+                await multiplexer.select(channel)
+                assert (selected(server), server.writes) == (channel, channel + 1)
+            await multiplexer.close()
+            assert written == [(piece.direction, piece.data) for piece in pieces]
+
+    asyncio.run(scene())
+
+
+def test_the_simulated_switch_selects_each_input_by_the_same_values(transcript):
+    core = MultiplexerCore(lambda channel, _now: float(channel), latency_s=0.0)
+    for channel, piece in enumerate(transcript("multiplexer")):
+        core.write(int(piece.data), piece.time_s)
+        assert core.selected(piece.time_s) == channel
+
+
+@pytest.mark.parametrize(("enable", "level"), [("active-low", False), ("active-high", True)])
+def test_wiring_and_enable_are_configuration(enable, level):
+    async def scene():
+        async with ni_server(enable=enable, address_lines=(2, 1, 0)) as server:
+            addresses = (0, 4, 2, 6, 1, 5, 3, 7)
+            multiplexer = multiplexer_at(server, addresses=addresses, enable_line=3, enable_level=level)
+            await multiplexer.open()
+            for channel in range(8):
+                await multiplexer.select(channel)
+                assert selected(server) == channel
+            with pytest.raises(RefusedError, match="inputs 0 to 7, not 8"):
+                await multiplexer.select(8)
+            await multiplexer.close()
+
+    asyncio.run(scene())
+
+
+def test_a_device_that_is_gone_is_a_lost_link_and_is_built_anew():
+    async def scene():
+        async with ni_server() as server:
+            multiplexer = multiplexer_at(server)
+            await multiplexer.open()
+            await multiplexer.select(2)
+            server.unplug()
+            assert selected(server) == 7
+            with pytest.raises(LinkLostError, match=r"did not take the address.*-88705"):
+                await multiplexer.select(3)
+            with pytest.raises(LinkLostError, match="opened first"):
+                await multiplexer.select(3)
+            with pytest.raises(ConnectError, match=r"no device for Dev1/port0.*NI MAX"):
+                await multiplexer.open()
+            server.plug()
+            await multiplexer.open()
+            await multiplexer.select(3)
+            assert selected(server) == 3
+            await multiplexer.close()
+
+    asyncio.run(scene())
+
+
+def test_a_server_that_ends_or_hangs_is_a_lost_link_within_the_deadline():
+    async def scene():
+        async with ni_server() as server:
+            multiplexer = multiplexer_at(server, deadline_s=0.5)
+            await multiplexer.open()
+            server.freeze()
+            with pytest.raises(LinkLostError, match="did not return"):
+                await multiplexer.select(1)
+            server.thaw()
+            await multiplexer.open()
+            await multiplexer.select(1)
+            port = server.port
+            await server.stop()
+            with pytest.raises(LinkLostError, match="did not take the address"):
+                await multiplexer.select(2)
+            with pytest.raises(ConnectError, match="no NI gRPC Device Server answers"):
+                await multiplexer.open()
+            await server.start(port)
+            await multiplexer.open()
+            await multiplexer.select(2)
+            assert selected(server) == 2
+            await multiplexer.close()
+
+    asyncio.run(scene())
+
+
+def test_the_session_of_a_program_that_died_is_taken_over():
+    async def scene():
+        async with ni_server() as server:
+            dead = multiplexer_at(server)
+            await dead.open()
+            dead._session._channel.close()
+            successor = multiplexer_at(server)
+            await successor.open()
+            await successor.select(5)
+            assert selected(server) == 5
+            await successor.close()
+            await dead.close()
+
+    asyncio.run(scene())
+
+
+def test_a_wrong_name_and_a_missing_driver_are_one_sentence():
+    async def scene():
+        async with ni_server() as server:
+            with pytest.raises(ConnectError, match="no device for Dev9/port0/line0:2"):
+                await multiplexer_at(server, digital_port="Dev9/port0").open()
+        with pytest.raises(DriverMissingError, match=r"NI-DAQmx is not installed on this PC.*instruments.multiplexer"):
+            await NiMultiplexer().open()
+
+    asyncio.run(scene())

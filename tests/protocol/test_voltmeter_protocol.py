@@ -1,0 +1,283 @@
+import asyncio
+import os
+import re
+import threading
+import time
+import tty
+from collections import deque
+from functools import partial
+
+import numpy as np
+import pytest
+
+from drivers.errors import (
+    ConnectError,
+    DeadlineError,
+    IdentityError,
+    LinkLostError,
+    OverRangeError,
+    ProtocolError,
+)
+from drivers.keithley2000 import Keithley2000
+from drivers.visa_line import VisaLine, VisaSettings
+from sim_drivers.voltmeter_core import VoltmeterCore
+
+READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
+
+
+def meter_on(link, *, terminator="LF", **options):
+    settings = VisaSettings(f"ASRL{link}::INSTR", terminator=terminator)
+    return Keithley2000(partial(VisaLine, settings), deadline_s=options.pop("deadline_s", 0.5), **options)
+
+
+class Player(threading.Thread):
+    """Plays the instrument's part of a transcript on a port, and notes what it was sent instead of what it expects."""
+
+    def __init__(self, pieces, link):
+        super().__init__(daemon=True)
+        self._pieces = pieces
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self.received = []
+        self.start()
+
+    def run(self):
+        for piece in self._pieces:
+            if piece.direction == "<":
+                os.write(self._master, piece.data)
+                continue
+            data = b""
+            while len(data) < len(piece.data):
+                data += os.read(self._master, len(piece.data) - len(data))
+            self.received.append(data)
+            if data != piece.data:
+                return
+
+    def end(self):
+        self.join(5.0)
+        os.close(self._slave)
+        os.close(self._master)
+
+
+def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, tmp_path):
+    pieces = transcript("voltmeter")
+    player = Player(pieces, tmp_path / "voltmeter")
+
+    async def scene():
+        meter = meter_on(tmp_path / "voltmeter", deadline_s=5.0)
+        identity = await meter.open()
+        readings = [await meter.read_voltage(), await meter.read_voltage()]
+        await meter.close()
+        return identity, readings
+
+    identity, readings = asyncio.run(scene())
+    player.end()
+    assert player.received == [piece.data for piece in pieces if piece.direction == ">"]
+    assert identity == "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234567,A20  /A02"
+    assert readings == [0.0123000591, 0.0122998847]
+
+
+def test_the_simulated_meter_answers_the_same_bytes(transcript):
+    core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
+    expected, answered = [], []
+    for piece in transcript("voltmeter"):
+        if piece.direction == ">":
+            answered += [reply for _, reply in core.feed(piece.data, piece.time_s)]
+        else:
+            expected.append(piece.data)
+    assert len(answered) == len(expected)
+    for answer, wanted in zip(answered, expected, strict=True):
+        assert answer == wanted or (READING.fullmatch(answer) and READING.fullmatch(wanted))
+
+
+@pytest.mark.parametrize("terminator", ["LF", "CR", "LFCR"])
+def test_each_line_ending_of_the_front_panel_works(voltmeter_host, terminator):
+    async def scene():
+        async with voltmeter_host(terminator=terminator) as host:
+            meter = meter_on(host.port.link, terminator=terminator)
+            await meter.open()
+            assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+def test_a_reply_that_comes_after_its_deadline_is_never_taken_for_the_next_one(voltmeter_host):
+    async def scene():
+        volts = [0.010]
+        async with voltmeter_host() as host:
+            host.core._converter._input_voltage = lambda _now: volts[0]
+            meter = meter_on(host.port.link, deadline_s=0.3)
+            await meter.open()
+            for _ in range(3):
+                volts[0] = 0.010
+                host.delay_s = 0.9
+                with pytest.raises(DeadlineError, match="READ"):
+                    await meter.read_voltage()
+                host.delay_s = 0.0
+                volts[0] = 0.020
+                assert await meter.read_voltage() == pytest.approx(0.020, abs=1e-5)
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize("volts", [1.3, -1.3, float("nan")])
+def test_a_voltage_beyond_the_range_is_an_error_and_never_a_number(voltmeter_host, volts):
+    async def scene():
+        async with voltmeter_host(volts) as host:
+            meter = meter_on(host.port.link)
+            await meter.open()
+            with pytest.raises(OverRangeError):
+                await meter.read_voltage()
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+def test_a_garbled_reply_is_no_reading_and_the_next_one_is_right(voltmeter_host):
+    async def scene():
+        async with voltmeter_host() as host:
+            meter = meter_on(host.port.link)
+            await meter.open()
+            for _ in range(5):
+                host.core.corrupt_next()
+                with pytest.raises((ProtocolError, DeadlineError)):
+                    await meter.read_voltage()
+                assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(voltmeter_host):
+    async def scene():
+        async with voltmeter_host() as host:
+            meter = meter_on(host.port.link, deadline_s=0.3)
+            for upset in (host.power_cycle, lambda: host.core.change(host._now(), elements=("READ", "CHAN"))):
+                await meter.open()
+                upset()
+                with pytest.raises((DeadlineError, ProtocolError)):
+                    await meter.read_voltage()
+                with pytest.raises(LinkLostError, match=r"restarted|answered by"):
+                    await meter.read_voltage()
+            await meter.open()
+            assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+def test_who_is_not_there_silent_held_or_another_model_is_one_sentence(voltmeter_host, tmp_path):
+    async def scene():
+        with pytest.raises(ConnectError, match=r"there is no .*nowhere"):
+            await meter_on(tmp_path / "nowhere").open()
+        async with voltmeter_host(identity="KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,A01") as host:
+            with pytest.raises(IdentityError, match=r"MODEL 2700.*not a Keithley MODEL 2000"):
+                await meter_on(host.port.link).open()
+        async with voltmeter_host() as host:
+            first = meter_on(host.port.link)
+            await first.open()
+            with pytest.raises(ConnectError, match="held by another program"):
+                await meter_on(host.port.link).open()
+            await first.close()
+            host.core.mute = True
+            with pytest.raises(ConnectError, match=r"did not answer .IDN.*is it on"):
+                await meter_on(host.port.link).open()
+
+    asyncio.run(scene())
+
+
+def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_host):
+    async def scene():
+        async with voltmeter_host() as host:
+            meter = meter_on(host.port.link)
+            await meter.open()
+            host.port.unplug()
+            with pytest.raises(LinkLostError, match="has it been unplugged"):
+                await meter.read_voltage()
+            with pytest.raises(LinkLostError, match="opened first"):
+                await meter.read_voltage()
+            with pytest.raises(ConnectError, match="there is no"):
+                await meter.open()
+            host.port.plug()
+            await meter.open()
+            assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+            await meter.close()
+
+    asyncio.run(scene())
+
+
+class Prologix(threading.Thread):
+    """A GPIB-USB adapter with a simulated meter on its bus: talks when it is told to."""
+
+    def __init__(self, core, link):
+        super().__init__(daemon=True)
+        self._core = core
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        link.symlink_to(os.ttyname(self._slave))
+        self.addresses = set()
+        self.start()
+
+    def run(self):
+        said, data = deque(), b""
+        while True:
+            try:
+                data += os.read(self._master, 256)
+            except OSError:
+                return
+            while b"\n" in data:
+                line, _, data = data.partition(b"\n")
+                if line == b"end":
+                    return
+                if line.startswith(b"++addr"):
+                    self.addresses.add(int(line.split()[1]))
+                elif line == b"++read eoi" and said:
+                    os.write(self._master, said.popleft())
+                elif not line.startswith(b"++"):
+                    text = re.sub(rb"\x1b(.)", rb"\1", line)
+                    said.extend(reply for _, reply in self._core.feed(text + b"\n", time.monotonic()))
+
+    def end(self):
+        os.write(self._slave, b"end\n")
+        self.join(5.0)
+        os.close(self._slave)
+        os.close(self._master)
+
+
+def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
+    core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3), now=time.monotonic())
+    adapter = Prologix(core, tmp_path / "prologix")
+
+    async def scene():
+        settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "prologix"))
+        meter = Keithley2000(partial(VisaLine, settings), deadline_s=1.0)
+        for _ in range(2):
+            assert "MODEL 2000" in await meter.open()
+            for _ in range(3):
+                assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+        core.drop_next()
+        with pytest.raises(DeadlineError):
+            await meter.read_voltage()
+        assert await meter.read_voltage() == pytest.approx(0.0123, abs=5e-6)
+        await meter.close()
+
+    try:
+        asyncio.run(scene())
+    finally:
+        adapter.end()
+    assert adapter.addresses == {16}
+
+
+def test_a_bus_or_library_that_is_not_there_is_named_with_the_remedy():
+    async def scene():
+        meter = Keithley2000(partial(VisaLine, VisaSettings("GPIB0::16::INSTR")))
+        with pytest.raises(ConnectError, match="prologix_port"):
+            await meter.open()
+        ni = Keithley2000(partial(VisaLine, VisaSettings("GPIB0::16::INSTR", library="ni")))
+        with pytest.raises(ConnectError, match="NI-VISA is not installed"):
+            await ni.open()
+
+    asyncio.run(scene())

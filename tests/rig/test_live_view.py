@@ -1,0 +1,47 @@
+"""What a person sees in the terminal."""
+
+import asyncio
+import io
+
+from rich.console import Console
+
+from daemon.live_view import LiveView
+from daemon.records import Mode
+
+
+def shown(run_rig, *, terminal, faults=()):
+    out = io.StringIO()
+
+    async def scenario(bench):
+        console = Console(file=out, force_terminal=terminal, width=110, height=40)
+        viewing = asyncio.create_task(LiveView(bench.service, console, speed=1.0).run())
+        await bench.until_mode(Mode.TRACKING, 120)
+        await asyncio.sleep(30)
+        for name in faults:
+            getattr(bench, name).link_up = False
+        await asyncio.sleep(90)
+        viewing.cancel()
+        await asyncio.gather(viewing, return_exceptions=True)
+
+    run_rig(scenario)
+    return out.getvalue()
+
+
+def test_a_terminal_shows_mode_readings_target_and_pose_and_that_it_is_simulated(run_rig):
+    text = shown(run_rig, terminal=True)
+    for expected in ("SIMULATED", "tracking", "zenith", "W/m2", "by mu-prime", "scans accepted", "moved to A"):
+        assert expected in text
+
+
+def test_a_terminal_shows_what_is_wrong(run_rig):
+    text = shown(run_rig, terminal=True, faults=("positioner", "voltmeter"))
+    assert "fault" in text
+    assert "positioner: is unplugged" in text
+    assert "voltmeter: is unplugged" in text
+
+
+def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
+    lines = shown(run_rig, terminal=False).splitlines()
+    assert len(lines) > 10
+    assert all("SIMULATED" in line and "\x1b" not in line for line in lines)
+    assert "tracking: the cube's readings are good" in lines[-1]

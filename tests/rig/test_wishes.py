@@ -1,0 +1,62 @@
+"""What an operator asked for survives a restart."""
+
+import asyncio
+
+import pytest
+
+from daemon.records import Mode, Move
+
+
+@pytest.mark.parametrize(
+    ("ask", "mode"),
+    [
+        (lambda control: control.hold("repair"), Mode.HOLD),
+        (lambda control: control.stop("repair"), Mode.HOLD),
+        (lambda control: control.stow("repair"), Mode.STOW),
+        (lambda control: control.goto(10, 60, "repair"), Mode.HOLD),
+    ],
+)
+def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, ask, mode):
+    async def first(bench):
+        await bench.until_mode(Mode.TRACKING, 120)
+        asked = ask(bench.control)
+        if asked is not None:
+            await asked
+        await bench.until_mode(mode, 10)
+
+    async def second(bench):
+        await asyncio.sleep(900)
+        assert bench.mode is mode
+        assert bench.control.why == "repair"
+        assert not bench.of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
+        bench.control.auto()
+        await bench.until_mode(Mode.TRACKING, 30)
+
+    async def third(bench):
+        await bench.until_mode(Mode.TRACKING, 120)
+
+    for scenario in (first, second, third):
+        run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
+    (tmp_path / "operator.json").write_text('{"stop": 1')
+
+    async def scenario(bench):
+        await asyncio.sleep(600)
+        assert bench.mode is Mode.HOLD
+        assert "cannot be read" in bench.control.why
+        assert not bench.of(Move)
+
+    run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_a_disk_that_cannot_be_written_hinders_no_command(run_rig, tmp_path):
+    (tmp_path / "file").write_text("")
+
+    async def scenario(bench):
+        await bench.until_mode(Mode.TRACKING, 120)
+        bench.control.stow("storm")
+        await bench.until_mode(Mode.STOW, 1)
+
+    run_rig(scenario, store={"directory": tmp_path / "file" / "folder"})

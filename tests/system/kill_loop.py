@@ -1,0 +1,92 @@
+"""Start the service, kill it at a random moment, look at its store; again and again. Run by test_operation.py.
+
+Each service is forked from this process, which has the libraries loaded already: 50 starts then take seconds.
+"""
+
+import os
+import random
+import signal
+import sys
+import time
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from io import StringIO
+from pathlib import Path
+
+from rich.console import Console
+
+from daemon.config import Settings
+from daemon.run import run_service
+from daemon.service import Role
+from daemon.store_schema import FILE_NAME, open_for_reading, open_for_writing
+from daemon.tables import COLUMNS
+
+SPEED = 200.0
+BATCH_S = 0.2
+START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
+# What a loaded machine may add between a record and its batch's commit.
+MARGIN_S = 1.0
+
+
+def main(folder, restarts, seed):
+    anchor = datetime.now(UTC)
+    settings = Settings.model_validate(
+        {
+            "bridge": {"listen": "127.0.0.1:0", "send_to": []},
+            "api": {"listen": "127.0.0.1:0"},
+            "store": {"directory": folder, "batch_s": BATCH_S},
+            # One simulated clock for all runs, so that a record's time tells when it was made.
+            "simulation": {"speed": SPEED, "start_utc": START, "anchor_utc": anchor},
+        }
+    )
+    chance, lost_s = random.Random(seed), []
+    for _ in range(restarts):
+        child = os.fork()
+        if not child:
+            serve(settings)
+        time.sleep(chance.uniform(0.1, 0.8))
+        os.kill(child, signal.SIGKILL)
+        killed_utc = START + (datetime.now(UTC) - anchor) * SPEED
+        assert os.WIFSIGNALED(os.waitpid(child, 0)[1]), "the service ended by itself"
+        lost_s += inspect(folder / FILE_NAME, killed_utc)
+    print(f"{restarts} restarts, {len(lost_s)} with records, the most that was lost: {max(lost_s):.2f} s")
+    assert len(lost_s) >= restarts / 3
+    assert max(lost_s) <= BATCH_S + MARGIN_S
+
+
+def serve(settings):
+    devnull = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, 1)
+    try:
+        run_service(settings, Role.BOTH, None, Console(file=StringIO()))
+    finally:
+        os._exit(1)
+
+
+inspected = {"run": 0}
+
+
+def inspect(path, killed_utc):
+    """Open the store after a kill; return how much wall time of a new run is missing."""
+    if not path.exists():
+        return []
+    with closing(open_for_writing(path)) as connection:
+        assert connection.execute("PRAGMA quick_check").fetchall() == [("ok",)]
+    with closing(open_for_reading(path)) as connection:
+        found = connection.execute("SELECT max(run) FROM runs").fetchone()[0] or 0
+        if found == inspected["run"]:
+            return []
+        inspected["run"] = found
+        numbers, newest = [], 0.0
+        for name, _ in COLUMNS.values():
+            rows = connection.execute(f"SELECT number, time FROM {name} WHERE run = ?", (found,)).fetchall()
+            numbers += [number for number, _ in rows]
+            newest = max(newest, *[time_s for _, time_s in rows], 0.0)
+        if not numbers:
+            return []
+        assert sorted(numbers) == list(range(len(numbers))), f"run {found} has a gap or a duplicate"
+        return [(killed_utc - datetime.fromtimestamp(newest, UTC)) / timedelta(seconds=SPEED)]
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

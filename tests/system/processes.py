@@ -1,0 +1,96 @@
+"""Processes for the system tier: a bench, and a service that drives it."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sim_drivers.bench_client import request
+
+HELIOCUBE = Path(sys.executable).with_name("heliocube")
+READY_WITHIN_S = 30.0
+ENDS_WITHIN_S = 10.0
+
+
+def wait_until(condition, within_s, what):
+    """Look until `condition()` is true and return it; the limit is for a broken program, not for a slow machine."""
+    deadline_s = time.monotonic() + within_s
+    while True:
+        found = condition()
+        if found:
+            return found
+        if time.monotonic() > deadline_s:
+            pytest.fail(f"not within {within_s:g} s: {what() if callable(what) else what}")
+        time.sleep(0.1)
+
+
+class Process:
+    """A process of ours, with its output in a file."""
+
+    def __init__(self, arguments, output, **options):
+        self.output = output
+        with output.open("ab") as stream:
+            self._process = subprocess.Popen(
+                [str(HELIOCUBE), *map(str, arguments)], stderr=stream, env=os.environ | {"COLUMNS": "200"}, **options
+            )
+        self.pid = self._process.pid
+
+    def log(self):
+        return self.output.read_text(encoding="utf-8", errors="replace")
+
+    @property
+    def exit_code(self):
+        return self._process.poll()
+
+    def wait(self, within_s=ENDS_WITHIN_S):
+        return self._process.wait(within_s)
+
+    def cpu_s(self):
+        """Return the processor time used so far by the process and its threads."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def stop(self, number=signal.SIGTERM):
+        """End it, and return its exit code."""
+        if self._process.poll() is None:
+            self._process.send_signal(number)
+        try:
+            return self._process.wait(ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            raise
+        finally:
+            if self._process.stdout is not None:
+                self._process.stdout.close()
+
+
+class BenchProcess(Process):
+    """`heliocube bench`, up and ready."""
+
+    def __init__(self, directory, *options):
+        self.directory = directory
+        directory.mkdir(exist_ok=True)
+        super().__init__(
+            ["bench", "--dir", directory, *options], directory / "bench.log", stdout=subprocess.PIPE, text=True
+        )
+        readable, _, _ = select.select([self._process.stdout], [], [], READY_WITHIN_S)
+        line = self._process.stdout.readline() if readable else ""
+        if line != "ready\n":
+            self.stop()
+            pytest.fail(f"the bench said {line!r} and logged: {self.log()}")
+
+    @property
+    def config(self):
+        return self.directory / "heliocube.toml"
+
+    def ask(self, verb, *arguments):
+        return request(self.directory, verb, [str(argument) for argument in arguments])
+
+    def state(self):
+        return self.ask("state")

@@ -1,0 +1,203 @@
+"""The bench as independent programs see it: its files, its ports, its commands."""
+
+import os
+import re
+import subprocess
+import sys
+import termios
+import textwrap
+import time
+
+import pytest
+import serial
+
+from daemon.config_file import check_file
+from drivers.pozsol_wire import TokenStream
+from sim_drivers.bench_client import BenchError
+
+from .processes import HELIOCUBE, wait_until
+
+pytestmark = pytest.mark.system
+
+
+def heliocube(*arguments):
+    return subprocess.run(
+        [str(HELIOCUBE), *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_a_bench_makes_everything_that_a_service_needs_and_leaves_no_port_behind(start_bench):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z", "--site", "55.79,12.52", "--seed", "5")
+    settings = check_file(bench.config)
+    assert settings.instruments.kind == "real"
+    assert settings.instruments.positioner.port == str(bench.directory / "positioner")
+    assert (settings.site.latitude_deg, settings.simulation.seed, settings.simulation.speed) == (55.79, 5, 1.0)
+    state = bench.state()
+    assert state["utc"].startswith("2022-06-21T12:0")
+    assert 45 < state["sun"]["elevation_deg"] < 60
+    assert state["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0})
+    assert bench.stop() == 0
+    assert sorted(path.name for path in bench.directory.iterdir()) == ["bench.log", "heliocube.toml"]
+
+
+def test_a_second_bench_in_the_same_folder_and_a_file_of_somebody_else_are_refused(start_bench, tmp_path):
+    bench = start_bench()
+    before = bench.config.read_bytes()
+    second = heliocube("bench", "--dir", bench.directory)
+    assert (second.returncode, "running there already" in second.stderr) == (2, True)
+    assert bench.config.read_bytes() == before
+    (tmp_path / "heliocube.toml").write_text("[site]\nname = 'mine'\n")
+    third = heliocube("bench", "--dir", tmp_path)
+    assert (third.returncode, "was not written by a bench" in third.stderr) == (2, True)
+    assert "Traceback" not in second.stderr + third.stderr
+
+
+def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
+    bench = start_bench()
+    mistakes = {
+        ("explode",): "no command 'explode'",
+        ("unplug",): "usage: unplug DEVICE [SECONDS]",
+        ("unplug", "toaster"): "'toaster' is not one of positioner, voltmeter, multiplexer, server",
+        ("unplug", "voltmeter", "soon"): "'soon' is not a number",
+        ("shade", "east", "2"): "2 is not in 0 to 1",
+        ("mux-line", "3", "high"): "'3' is not one of 0, 1, 2",
+        ("inject", "meteor"): "'meteor' is not one of",
+        ("repair", "button"): "there is nothing to end",
+        ("drop", "voltmeter", "-1"): "'-1' is not a whole number",
+        ("fail", "200220"): "errors of the DAQ driver are negative",
+    }
+    for command, sentence in mistakes.items():
+        with pytest.raises(BenchError, match=re.escape(sentence)):
+            bench.ask(*command)
+    told = heliocube("bench-ctl", bench.directory, "explode")
+    assert (told.returncode, told.stderr.count("\n")) == (2, 1)
+    nobody = heliocube("bench-ctl", tmp_path / "nowhere", "state")
+    assert (nobody.returncode, "no bench answers" in nobody.stderr) == (2, True)
+
+
+def test_the_positioner_streams_all_its_screens_and_comes_back_under_the_same_name(start_bench):
+    bench = start_bench()
+    link = bench.directory / "positioner"
+    with serial.Serial(str(link), timeout=30, exclusive=True) as port:
+        text = port.read(5000)
+        assert {code for code, _ in TokenStream().feed(text)} >= {37, 38, 39, 40, 44, 45, 48, 49, 56, 58, 87, 136, 204}
+        bench.ask("unplug", "positioner")
+        with pytest.raises(serial.SerialException):
+            read_to_the_end(port)
+        assert not link.is_symlink()
+    bench.ask("replug", "positioner")
+    with serial.Serial(str(link), timeout=30) as port:
+        assert TokenStream().feed(port.read(500))
+
+
+def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_not(start_bench):
+    bench = start_bench()
+    link = bench.directory / "positioner"
+    before = bench.state()["positioner"]
+    assert before["received"] == {}
+    with serial.Serial(str(link), timeout=30) as port:
+        # A whole round of screens with raw mode from the first moment on.
+        assert len(port.read(5000)) == 5000
+        quiet = bench.state()["positioner"]
+        assert quiet["received"] == {}
+        assert (quiet["destination"], quiet["stored"]) == (before["destination"], before["stored"])
+    bench.ask("unplug", "positioner")
+    bench.ask("replug", "positioner")
+    naive = os.open(link, os.O_RDWR | os.O_NOCTTY)
+    try:
+        assert termios.tcgetattr(naive)[3] & termios.ECHO
+        # It is told to go where it stands, to forget its status, to store its settings anew.
+        harm = {"44", "48", "70", "110", "136"}
+        wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), 20, "the echo of all screens")
+        assert bench.state()["positioner"]["destination"] != before["destination"]
+    finally:
+        os.close(naive)
+
+
+def test_an_independent_client_configures_and_reads_the_voltmeter(start_bench):
+    bench = start_bench("--weather", "clear")
+    bench.ask("sensor", "zenith", "0.0625")
+    program = f"""
+        from pymeasure.instruments.keithley import Keithley2000
+
+        meter = Keithley2000("ASRL{bench.directory}/voltmeter::INSTR", visa_library="@py",
+                             asrl=dict(baud_rate=19200), read_termination="\\n", write_termination="\\n")
+        assert "MODEL 2000" in meter.id, meter.id
+        meter.reset()
+        meter.measure_voltage(max_voltage=0.1)
+        meter.voltage_nplc = 2
+        assert meter.mode == "voltage", meter.mode
+        assert meter.voltage_nplc == 2, meter.voltage_nplc
+        assert meter.voltage_range == 0.1, meter.voltage_range
+        print(meter.voltage)
+        errors = meter.check_errors()
+        assert not errors, errors
+        meter.adapter.close()
+    """
+    # After power-up the multiplexer stands on its last input, where nothing is connected: the zenith is selected first.
+    run_python(select(bench, 3))
+    reading = float(run_python(program))
+    assert reading == pytest.approx(0.0625, abs=2e-6)
+
+
+def test_the_voltmeter_line_is_no_faster_than_its_baud_rate(start_bench, tmp_path):
+    config = tmp_path / "slow.toml"
+    config.write_text("[instruments.voltmeter]\nbaud_rate = 600\n")
+    bench = start_bench("--config", config)
+    with serial.Serial(str(bench.directory / "voltmeter"), timeout=10) as port:
+        start_s = time.monotonic()
+        port.write(b"*IDN?\n")
+        identity = port.read_until(b"\n")
+        # A lower bound is no race: the bits cannot have come sooner.
+        assert time.monotonic() - start_s >= (len(identity) + len(b"*IDN?\n")) * 10 / 600
+        assert b"MODEL 2000" in identity
+
+
+def test_an_independent_client_switches_the_multiplexer_and_loses_its_task_with_the_plug(start_bench):
+    bench = start_bench()
+    assert bench.state()["multiplexer"]["selected"] == 7
+    run_python(select(bench, 2))
+    assert bench.state()["multiplexer"]["selected"] == 2
+    bench.ask("mux-line", "0", "high")
+    assert bench.state()["multiplexer"]["selected"] == 3
+    bench.ask("mux-line", "0", "works")
+    bench.ask("unplug", "multiplexer")
+    assert bench.state()["multiplexer"]["selected"] == 7
+    assert "-200220" in run_python(select(bench, 1), fails=True)
+    bench.ask("replug", "multiplexer")
+    bench.ask("fail", "-50405")
+    assert "-50405" in run_python(select(bench, 1), fails=True)
+    assert bench.state()["multiplexer"]["selected"] == 7
+    run_python(select(bench, 1))
+    assert bench.state()["multiplexer"]["selected"] == 1
+    bench.ask("unplug", "server")
+    assert "UNAVAILABLE" in run_python(select(bench, 1), fails=True)
+    bench.ask("replug", "server")
+    run_python(select(bench, 5))
+    assert bench.state()["multiplexer"]["selected"] == 5
+
+
+def read_to_the_end(port):
+    while port.read(1000):
+        pass
+
+
+def select(bench, channel):
+    return f"""
+        import grpc, nidaqmx
+        from nidaqmx.constants import LineGrouping
+
+        with grpc.insecure_channel("{check_file(bench.config).instruments.multiplexer.server}") as channel:
+            with nidaqmx.Task(grpc_options=nidaqmx.GrpcSessionOptions(channel, "")) as task:
+                task.do_channels.add_do_chan("Dev1/port0/line0:2", line_grouping=LineGrouping.CHAN_FOR_ALL_LINES)
+                task.write({channel})
+    """
+
+
+def run_python(program, fails=False):
+    """Run a program of its own: these libraries keep threads and descriptors for as long as a process lives."""
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode != 0) is fails, done.stderr
+    return done.stderr if fails else done.stdout

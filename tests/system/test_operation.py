@@ -1,0 +1,165 @@
+"""The service as real processes, commanded and killed as a person and a power cut would."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from daemon.api.token import generate_token, write_token
+
+pytestmark = pytest.mark.system
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
+
+
+def heliocube(*arguments, **environment):
+    clean = {key: value for key, value in os.environ.items() if not key.startswith("HELIOCUBE_")}
+    done = subprocess.run(
+        [*PROGRAM, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=clean | environment | {"COLUMNS": "120"},
+        timeout=60,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.timeout(180)
+def test_killed_fifty_times_under_load_the_store_loses_no_more_than_a_batch(tmp_path):
+    loop = [sys.executable, "-m", "tests.system.kill_loop", tmp_path / "store", "50", "1"]
+    done = subprocess.run(loop, capture_output=True, text=True, cwd=ROOT, timeout=170)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    assert done.stdout.startswith("50 restarts, ")
+
+    code, _, err = heliocube("export", "--store", tmp_path / "store", "--out", tmp_path / "out", "--format", "parquet")
+    assert (code, err) == (0, "")
+    scans = pd.read_parquet(tmp_path / "out" / "scans.parquet")
+    assert not scans.duplicated(["source", "session", "sequence"]).any()
+    for _, run in scans.groupby("run"):
+        assert run["sequence"].tolist() == list(range(run["sequence"].iloc[0], run["sequence"].iloc[0] + len(run)))
+
+
+@pytest.fixture
+def service(tmp_path):
+    """A service with a store and a token; returns its configuration's path, the process and where it listens."""
+    config = tmp_path / "heliocube.toml"
+    config.write_text(
+        "[bridge]\nlisten = '127.0.0.1:0'\n[store]\ndirectory = 'records'\nbatch_s = 0.2\n"
+        "[api]\nlisten = '127.0.0.1:0'\ntoken_file = 'api.token'\n"
+    )
+    write_token(tmp_path / "api.token", generate_token())
+    process = subprocess.Popen(
+        [*PROGRAM, "run", "--config", str(config), "--speed", "60"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=ROOT,
+    )
+    line = process.stdout.readline()
+    found = re.match(r"local interface at http://(.*); the token of commands is in (.*)\n", line)
+    assert found, line
+    assert found[2] == str(tmp_path / "api.token")
+    yield config, process, found[1]
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path):
+    config, process, address = service
+    at = ("--api", address)
+    token = ("--token-file", tmp_path / "api.token")
+
+    code, out, err = heliocube("status", *at)
+    assert (code, err) == (0, "")
+    assert out.startswith("heliocube SIMULATED both at SIRTA, 60 x real time\n")
+    for name in ("time", "mode", "tracker", "bridge", "store"):
+        assert re.search(rf"^{name} ", out, re.MULTILINE), out
+    assert "\x1b" not in out
+    assert json.loads(heliocube("status", "--json", *at)[1])["simulated"] is True
+
+    code, out, _ = heliocube("goto", "-30", "60", *at, *token, "--why", "shading test")
+    assert (code, out[:26]) == (0, "moving to A -30.0, B 60.0 ")
+    code, out, err = heliocube("goto", "-70", "60", *at, *token)
+    assert (code, out) == (2, "")
+    assert err == "heliocube: A -70, B 60 deg is outside the limits (A -50..50 deg, B 15..90 deg)\n"
+
+    config.write_text(config.read_text().replace("[api]\nlisten = '127.0.0.1:0'", f"[api]\nlisten = '{address}'"))
+    code, out, err = heliocube("stow", "--config", config)
+    assert (code, err) == (0, "")
+    assert re.fullmatch(r"(moving to|standing at) A \+0\.0, B 90\.0 deg.*; mode stow: an operator asked\n", out), out
+    code, out, _ = heliocube("stop", HELIOCUBE_CONFIG=str(config))
+    assert code == 0
+    assert re.search(r"standing at A .*; mode hold: an operator asked\n$", out), out
+
+    code, out, err = heliocube("stop", *at, HELIOCUBE_TOKEN="x" * 43)
+    assert (code, out, err) == (2, "", "heliocube: the token is not the service's: see api.token_file\n")
+    code, out, err = heliocube("stop", *at)
+    assert (code, out) == (2, "")
+    assert err.startswith("heliocube: 'stop' needs the service's token: ")
+    assert err.count("\n") == 1
+
+    code, out, err = heliocube("export", "--config", config, "--out", tmp_path / "day", "--kind", "moves")
+    assert (code, err) == (0, "")
+
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=20) == 0
+    code, out, err = heliocube("status", *at)
+    assert (code, out) == (2, "")
+    assert err == (
+        f"heliocube: nothing listens at {address}: the service is not running, or its api.listen is another address\n"
+    )
+
+
+def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_path):
+    _, _, address = service
+    token = tmp_path / "api.token"
+    broken = tmp_path / "broken.toml"
+    broken.write_text(f"[site]\nlatitude_deg = 'north'\n[api]\nlisten = '{address}'\ntoken_file = '{token}'\n")
+    code, out, err = heliocube("stop", "-c", broken)
+    assert (code, err) == (0, "")
+    assert "; mode " in out
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[api", "{config} is not TOML: "),
+        ("api = 3", "the [api] of {config} is wrong; see 'heliocube config check {config}'"),
+        ("[api]\nlisten = 'here'", "api.listen: 'here' is not an address and a port"),
+        ("[api]\ntoken_file = 'none'", "the token file {folder}/none does not exist"),
+        ("[api]\ntoken_file = 'open'", "the token file {folder}/open is open to others than its owner"),
+        ("[api]\ntoken_file = 'short'", "the token file {folder}/short is not one line of 32 to 512 letters"),
+    ],
+)
+def test_a_configuration_that_leads_nowhere_is_one_sentence(tmp_path, text, sentence):
+    config = tmp_path / "heliocube.toml"
+    config.write_text(text)
+    write_token(tmp_path / "open", generate_token())
+    (tmp_path / "open").chmod(0o644)
+    write_token(tmp_path / "short", "abc")
+    code, out, err = heliocube("stop", "--config", config)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"heliocube: {sentence.format(config=config, folder=tmp_path)}")
+    assert err.count("\n") == 1
+
+
+def test_an_urgent_command_loads_no_large_library(tmp_path):
+    shutil.rmtree(tmp_path)
+    code = (
+        "import sys; sys.argv = ['heliocube', 'stop']\n"
+        "from daemon.entry import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "large = {'typer', 'rich', 'numpy', 'pandas', 'pydantic', 'pvlib', 'http.client', 'ssl'} & set(sys.modules)\n"
+        "assert not large, large"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)

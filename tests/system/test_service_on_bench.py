@@ -1,0 +1,138 @@
+"""The service, its real drivers and the bench: three kinds of transport, one sun."""
+
+import os
+import socket
+import time
+
+import pytest
+import serial
+
+from daemon.bridge import senml
+from daemon.records import FACES, Quality
+
+from .processes import wait_until
+from .rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
+
+# Destinations, tracking off, stop and homing, clearing of faults.
+ALLOWED = {44, 46, 48, 50, 56, 57, 136}
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+
+def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start_bench, start_service, measured):
+    file = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
+    options = ("--weather", file, "--start", "2016-06-05T08:00Z", "--site", "55.79,12.52,50")
+    bench = start_bench("--config", brisk(tmp_path), *options)
+    rig = Rig(bench, start_service(bench.config))
+    rig.settle()
+    rig.new_sky()
+    rig.settle()
+    assert bench.state()["sky"]["ghi_w_m2"] > 100
+    assert "SIMULATED" not in rig.service.log()
+
+
+@pytest.mark.parametrize("devices", [("positioner",), ("voltmeter", "multiplexer")], ids="-".join)
+def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
+    rig = start_rig()
+    stored = rig.bench.state()["positioner"]["stored"]
+    rig.settle()
+    for device in devices:
+        for phase in PHASES:
+            phase(rig, device)
+            rig.survive(device, 1.0, phase.__name__)
+    rig.new_sky()
+    rig.settle()
+    assert rig.service.exit_code is None
+    # Each replug brought a port with echo: nothing but the driver's own commands has come through it.
+    positioner = rig.bench.state()["positioner"]
+    assert {int(code) for code in positioner["received"]} <= ALLOWED
+    assert positioner["stored"] == stored
+
+
+def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, start_bench, start_service):
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    for device in ROLES:
+        bench.ask("unplug", device)
+    rig = Rig(bench, start_service(bench.config))
+    wait_until(lambda: rig.lines(" is down: ") == 2, SETTLES_WITHIN_S, rig.service.log)
+    assert rig.load(3.0) < 0.2
+    for device in ("multiplexer", "positioner", "voltmeter"):
+        bench.ask("replug", device)
+        time.sleep(1.0)
+    wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, lambda: f"tracking, but it is {rig.service.log()}")
+    assert rig.lines(" is down: ") == rig.lines(" is back") == 2, rig.service.log()
+
+
+def test_plugs_that_are_pulled_at_the_start_are_survived(start_rig):
+    rig = start_rig()
+    wait_until(lambda: "real instruments" in rig.service.log(), SETTLES_WITHIN_S, rig.service.log)
+    for device in ROLES:
+        rig.bench.ask("unplug", device, 1)
+    rig.settle()
+    assert rig.last_mode() == "tracking"
+
+
+def test_a_late_reply_is_never_credited_to_another_face(tmp_path, start_bench, start_service):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(30)
+        config = brisk(tmp_path, send_to=f"127.0.0.1:{listener.getsockname()[1]}")
+        bench = start_bench("--config", config, "--weather", "clear")
+        for index, face in enumerate(FACES):
+            bench.ask("sensor", face, 0.01 * (index + 1))
+        service = start_service(bench.config)
+        seen = []
+
+        def next_scan():
+            seen.append(senml.decode(listener.recv(2048)))
+            return seen[-1]
+
+        while not next_scan().ok:
+            pass
+        for turn in range(4):
+            # Longer than any deadline, for a part of a scan or a little more: replies come when nobody waits for them.
+            bench.ask("delay", "voltmeter", 1.0 + 0.1 * turn)
+            time.sleep(0.1 + 0.15 * turn)
+            bench.ask("delay", "voltmeter", 0)
+            for _ in range(4):
+                next_scan()
+        bench.ask("drop", "voltmeter", 3)
+        bench.ask("corrupt", "voltmeter", 3)
+        for _ in range(8):
+            next_scan()
+        while not next_scan().ok:
+            pass
+    qualities = {face.quality for scan in seen for face in scan.faces}
+    assert Quality.LATE in qualities or "is down" in service.log()
+    readings = [(index, face) for scan in seen for index, face in enumerate(scan.faces)]
+    for index, face in readings:
+        if face.quality is Quality.OK:
+            assert face.irradiance_w_m2 == pytest.approx(100 * (index + 1), abs=1.0)
+
+
+def test_wrong_and_silent_instruments_are_told_in_one_sentence_and_waited_for(tmp_path, start_bench, start_service):
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    bench.ask("identity", "voltmeter", "KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B01")
+    bench.ask("freeze", "positioner")
+    rig = Rig(bench, start_service(bench.config))
+    for sentence in ("MODEL 2700", "in its bootloader"):
+        wait_until(lambda sentence=sentence: rig.outages(sentence) == 1, SETTLES_WITHIN_S, rig.service.log)
+    bench.ask("identity", "voltmeter", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234567,A20  /A02")
+    bench.ask("thaw", "positioner")
+    rig.settle()
+    assert rig.lines("is down") == rig.lines("is back") == 2
+
+
+def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(
+    tmp_path, start_bench, start_service
+):
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    config = tmp_path / "here.toml"
+    lines = bench.config.read_text().splitlines()
+    config.write_text("\n".join(line for line in lines if not line.startswith("server = ")))
+    holder = bench.directory / "positioner"
+    with serial.Serial(str(holder), exclusive=True):
+        rig = Rig(bench, start_service(config))
+        for sentence in (f"is held by another program (python, process {os.getpid()})", "NI-DAQmx"):
+            wait_until(lambda sentence=sentence: rig.outages(sentence) == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("the positioner is back") == 1, SETTLES_WITHIN_S, rig.service.log)
+    assert rig.service.exit_code is None

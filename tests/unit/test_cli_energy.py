@@ -1,0 +1,72 @@
+"""`heliocube energy`."""
+
+import csv
+import sys
+
+import pytest
+
+from daemon.cli import main
+
+SITE = "55.79,12.53,50"
+
+
+@pytest.fixture
+def weather(tmp_path):
+    path = tmp_path / "weather.csv"
+    lines = ["time,ghi,dni,dhi"]
+    for minute in range(1440):
+        dni = 700 * (minute // 30 % 2)
+        lines.append(f"2016-06-05T{minute // 60:02d}:{minute % 60:02d}:00Z,{150 + dni / 2},{dni},150")
+    path.write_text("\n".join(lines))
+    return path
+
+
+def energy(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["heliocube", "energy", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def test_it_writes_table_csv_and_picture(monkeypatch, weather, tmp_path, capsys):
+    laws = "flat,fixed:35,mu-prime,optimal,optimal:4,bound"
+    code = energy(
+        monkeypatch, weather, "--site", SITE, "--laws", laws, "--sky", "isotropic,perez1993", "--out", tmp_path / "o"
+    )
+    assert code == 0
+    out = capsys.readouterr().out
+    assert "sky perez1993" in out
+    assert (tmp_path / "o" / "energy.txt").read_text() == out
+    rows = list(csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines()))
+    assert [row["law"] for row in rows[:6]] == laws.split(",")
+    assert float(rows[5]["share_pct"]) == pytest.approx(100.0)
+    assert (tmp_path / "o" / "energy.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--laws", "fastest"), "there is no law 'fastest'"),
+        (("--laws", "fixed:95"), "there is no law 'fixed:95'"),
+        (("--laws", "optimal:nan"), "there is no law 'optimal:nan'"),
+        (("--sky", "green"), "there is no sky 'green'"),
+        (("--site", "91,0"), "is not on Earth"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(monkeypatch, weather, tmp_path, capsys, arguments, message):
+    given = {"--site": SITE, "--out": str(tmp_path / "o")} | {arguments[0]: arguments[1]}
+    code = energy(monkeypatch, weather, *(word for pair in given.items() for word in pair))
+    assert code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+
+
+def test_a_file_that_is_not_there_is_named(monkeypatch, tmp_path, capsys):
+    assert energy(monkeypatch, tmp_path / "none.csv", "--site", SITE, "--out", tmp_path) == 2
+    assert "no weather file" in capsys.readouterr().err
+
+
+def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, capsys):
+    assert energy(monkeypatch, weather, "--site", "55.79,120", "--out", tmp_path / "o", "--laws", "flat") == 0
+    assert "does not fit" in capsys.readouterr().err

@@ -1,0 +1,53 @@
+import re
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from daemon.cli import app
+
+
+def commands(command, path=()):
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, (*path, name))
+
+
+COMMANDS = dict(commands(get_command(app)))
+
+
+def words(text):
+    """The text without the lines, boxes and breaks of its setting."""
+    return " ".join(re.findall(r"[^\s│╭╮╰╯─]+", text))
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_every_help_fits_its_width_and_shows_every_word(path, columns):
+    command = COMMANDS[path]
+    shown = CliRunner(env={"COLUMNS": str(columns)}).invoke(app, [*path, "--help"])
+    assert shown.exit_code == 0
+    assert max(len(line) for line in shown.output.splitlines()) <= columns
+    told = words(shown.output)
+    for parameter in command.params:
+        about = getattr(parameter, "help", None)
+        assert about, f"{parameter.name} has no text"
+        assert about.endswith("."), about
+        assert words(about) in told, about
+
+
+def test_the_version_is_told():
+    shown = CliRunner().invoke(app, ["--version"])
+    assert re.fullmatch(r"heliocube \d+\.\d+\.\d+\S*\n", shown.output)
+
+
+@pytest.mark.parametrize(("typed", "completed"), [("sim", "simulate"), ("sto", "stow"), ("config i", "init")])
+def test_the_shell_completes_commands(typed, completed):
+    *before, last = ["heliocube", *typed.split()]
+    environment = {
+        "_HELIOCUBE_COMPLETE": "complete_bash",
+        "COMP_WORDS": " ".join([*before, last]),
+        "COMP_CWORD": str(len(before)),
+    }
+    shown = CliRunner(env=environment).invoke(app, [], prog_name="heliocube")
+    assert completed in shown.output.split()

@@ -1,0 +1,103 @@
+import asyncio
+import threading
+
+import pytest
+
+from drivers.errors import ConnectError, DeadlineError, LinkLostError
+from drivers.executor import DeviceThread
+
+
+@pytest.fixture
+def gate():
+    """An event that lets every hung call of a test go at its end."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def test_results_and_errors_come_back_as_they_are_and_calls_keep_their_order():
+    async def scene():
+        thread, seen = DeviceThread("voltmeter"), []
+        calls = [thread.call(lambda i=i: seen.append(i) or i, 5.0) for i in range(5)]
+        assert await asyncio.gather(*calls) == [0, 1, 2, 3, 4]
+        assert seen == [0, 1, 2, 3, 4]
+
+        def fail():
+            raise DeadlineError("voltmeter", "too late")
+
+        def time_out():
+            raise TimeoutError("of the third party's own")
+
+        with pytest.raises(DeadlineError, match="too late"):
+            await thread.call(fail, 5.0)
+        with pytest.raises(TimeoutError, match="third party"):
+            await thread.call(time_out, 5.0)
+        await thread.finish(lambda: seen.append("closed"), 5.0)
+        assert seen[-1] == "closed"
+
+    asyncio.run(scene())
+
+
+def test_a_call_that_never_returns_loses_the_link_and_the_next_one_has_a_thread_of_its_own(gate):
+    async def scene():
+        thread = DeviceThread("multiplexer")
+        with pytest.raises(LinkLostError, match="did not return within"):
+            await thread.call(gate.wait, 0.05)
+        assert await thread.call(lambda: "alive", 5.0) == "alive"
+        await thread.finish(lambda: None, 5.0)
+        gate.set()
+
+    asyncio.run(scene())
+
+
+def test_what_comes_after_nobody_waits_for_it_any_more_is_discarded(gate):
+    discarded = threading.Event()
+
+    def connect():
+        gate.wait()
+        return "port"
+
+    async def scene():
+        thread = DeviceThread("positioner")
+        with pytest.raises(LinkLostError):
+            await thread.call(connect, 0.05, lambda port: port == "port" and discarded.set())
+        gate.set()
+
+    asyncio.run(scene())
+    assert discarded.wait(5.0)
+
+
+def test_a_cancelled_call_finishes_in_its_thread_and_its_result_is_discarded(gate):
+    discarded = threading.Event()
+
+    async def scene():
+        thread, started = DeviceThread("positioner"), threading.Event()
+
+        def connect():
+            started.set()
+            gate.wait()
+            return "port"
+
+        call = asyncio.create_task(thread.call(connect, 5.0, lambda _port: discarded.set()))
+        assert await asyncio.to_thread(started.wait, 5.0)
+        call.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await call
+        gate.set()
+        await thread.finish(lambda: None, 5.0)
+
+    asyncio.run(scene())
+    assert discarded.wait(5.0)
+
+
+def test_closing_does_not_wait_for_a_hung_call_and_too_many_of_them_are_an_error(gate):
+    async def scene():
+        thread = DeviceThread("voltmeter")
+        for _ in range(4):
+            with pytest.raises(LinkLostError):
+                await thread.call(gate.wait, 0.01)
+        with pytest.raises(ConnectError, match="never returned"):
+            await thread.call(lambda: None, 1.0)
+        await thread.finish(lambda: None, 0.01)
+
+    asyncio.run(scene())

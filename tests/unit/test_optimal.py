@@ -1,0 +1,118 @@
+"""The light behind four faces, and where it is collected best."""
+
+import numpy as np
+import pvlib
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles
+from solar.optimal import Light, aim_vector, light_from_faces, product, usable_faces
+
+LIMITS = Limits()
+LATITUDE = 50.0
+FACES = {"east": (90.0, 90.0), "south": (90.0, 180.0), "west": (90.0, 270.0), "zenith": (0.0, 180.0)}
+
+reading = st.floats(min_value=0.0, allow_nan=False, allow_infinity=False)
+direction = st.tuples(st.floats(0, 360), st.floats(-20, 90)).map(
+    lambda angles: direction_from_azimuth(*angles, LATITUDE)
+)
+
+
+def test_hand_worked_morning():
+    # Sun due south-east at 30 deg: cosines 0.6124 on east and south, 0.5 on the zenith face, none on west.
+    sun = direction_from_azimuth(135.0, 30.0, LATITUDE)
+    # B 800, D 100, H 10, albedo 0.2: GHI 500, vertical diffuse 50 + 10 + 50.
+    faces = [800 * 0.612372 + 110, 800 * 0.612372 + 110, 110.0, 500.0]
+    light = light_from_faces(faces, sun, 0.2)
+    assert light.beam == pytest.approx(800, rel=2e-3)
+    assert light.uniform == pytest.approx(100, abs=1)
+    assert light.horizon == pytest.approx(10, abs=0.6)
+
+
+def test_hand_worked_aim():
+    # Due south at 45 deg: M = 500 (1, 0, 1) + 30 i + (200 - 0.2 * 700)/2 k.
+    sun = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    light = Light(np.array(500 * np.sqrt(2.0)), np.array(200.0), np.array(30.0))
+    np.testing.assert_allclose(aim_vector(light, sun, 0.2), [530.0, 0.0, 530.0])
+
+
+def test_a_uniform_sky_is_met_flat():
+    sun = direction_from_azimuth(200.0, 20.0, LATITUDE)
+    light = light_from_faces([60.0, 60.0, 60.0, 100.0], sun, 0.2)
+    assert light.beam == pytest.approx(0, abs=0.5)
+    _, b_deg = angles_within(aim_vector(light, sun, 0.2), LIMITS)
+    assert b_deg == pytest.approx(90, abs=1)
+
+
+@pytest.mark.parametrize("model", ["isotropic", "haydavies", "perez"])
+@pytest.mark.parametrize(("azimuth", "elevation"), [(75.0, 12.0), (110.0, 30.0), (180.0, 62.0), (300.0, 8.0)])
+def test_the_light_of_pvlibs_faces_predicts_pvlibs_planes(model, azimuth, elevation):
+    dni, dhi, extra = 600.0, 140.0, 1360.0
+    ghi = dhi + dni * np.sin(np.radians(elevation))
+
+    def plane(tilt, facing):
+        return pvlib.irradiance.get_total_irradiance(
+            tilt, facing, 90 - elevation, azimuth, dni, ghi, dhi, dni_extra=extra,
+            airmass=pvlib.atmosphere.get_relative_airmass(90 - elevation), albedo=0.2, model=model,
+        )["poa_global"]  # fmt: skip
+
+    sun = direction_from_azimuth(azimuth, elevation, LATITUDE)
+    light = light_from_faces([plane(*angles) for angles in FACES.values()], sun, 0.2)
+    vector = aim_vector(light, sun, 0.2)
+    # M says how much more one plane gets than another, in the sun's vertical plane.
+    for tilt in (20.0, 50.0):
+        up, out = np.cos(np.radians(tilt)), np.sin(np.radians(tilt))
+        around = direction_from_azimuth(azimuth, 0.0, LATITUDE)
+        normal = out * around + np.array([0.0, 0.0, up])
+        horizon = light.horizon * (np.sqrt(1 - up * up) - out)
+        assert vector @ normal - vector[2] + horizon == pytest.approx(plane(tilt, azimuth) - plane(0, azimuth), abs=2.5)
+
+
+@pytest.mark.parametrize("missing", range(4))
+@pytest.mark.parametrize(("azimuth", "elevation"), [(75.0, 12.0), (110.0, 30.0), (250.0, 25.0)])
+def test_three_faces_and_the_ephemeris_still_tell_the_beam(missing, azimuth, elevation):
+    sun = direction_from_azimuth(azimuth, elevation, LATITUDE)
+    beam, uniform = 600.0, 120.0
+    shares = np.maximum([sun[1], sun[0], -sun[1]], 0)
+    ghi = beam * sun[2] + uniform
+    faces = np.array([*(beam * shares + uniform / 2 + 0.1 * ghi), ghi])
+    faces[missing] = np.nan
+    light = light_from_faces(faces, sun, 0.2)
+    assert light.beam == pytest.approx(beam, rel=0.05)
+    assert light.uniform == pytest.approx(uniform, rel=0.25)
+
+
+def test_a_face_that_cannot_be_true_is_not_believed():
+    sun = direction_from_azimuth(100.0, 30.0, LATITUDE)
+    assert usable_faces([600.0, 200.0, 90.0, 420.0], sun).all()
+    assert list(usable_faces([np.nan, 200.0, 90.0, 420.0], sun)) == [False, True, True, True]
+    assert list(usable_faces([0.0, 200.0, 90.0, 420.0], sun)) == [False, True, True, True]
+    assert list(usable_faces([600.0, 200.0, 90.0, 2.0], sun)) == [True, True, True, False]
+    assert list(usable_faces([600.0, 200.0, 1e4, 420.0], sun)) == [True, True, False, True]
+
+
+@given(st.lists(reading, min_size=4, max_size=4), direction, st.floats(0, 1))
+def test_any_finite_faces_give_finite_angles_inside_the_limits(faces, sun, albedo):
+    light = light_from_faces(faces, sun, albedo)
+    assert all(np.isfinite(part) for part in light)
+    assert light.beam >= 0
+    assert light.uniform >= 0
+    a_deg, b_deg = angles_within(aim_vector(light, sun, albedo), LIMITS)
+    assert LIMITS.contain(float(a_deg), float(b_deg))
+
+
+@given(st.lists(st.one_of(reading, st.just(np.nan), st.just(np.inf)), min_size=4, max_size=4), direction)
+def test_even_broken_faces_give_finite_light(faces, sun):
+    assert all(np.isfinite(part) for part in light_from_faces(faces, sun))
+
+
+@given(
+    st.tuples(st.floats(-500, 1000), st.floats(-1000, 1000), st.floats(1, 1000)),
+    st.floats(-50, 50),
+    st.floats(15, 90),
+)
+def test_no_pose_inside_the_limits_beats_the_closed_form(vector, a_deg, b_deg):
+    best_a, best_b = angles_within(np.array(vector), LIMITS)
+    assert product(vector, best_a, best_b) >= product(vector, a_deg, b_deg) - 1e-6
+    assert product(vector, a_deg, b_deg) == pytest.approx(np.dot(vector, normal_from_angles(a_deg, b_deg)), abs=1e-6)

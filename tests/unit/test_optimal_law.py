@@ -1,0 +1,138 @@
+"""The law `optimal` over time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solar.ephemeris import sun_direction
+from solar.frames import Limits, angles_within, normal_from_angles, separation_deg
+from solar.optimal_law import OptimalLaw, OptimalSettings
+from solar.sky import sky
+
+LIMITS = Limits()
+SITE = (48.7176, 2.2090, 156.0)
+NOON = 1665576000.0  # 2022-10-12 12:00 UTC
+SETTINGS = OptimalSettings()
+NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])
+
+
+def faces_at(utc_s, dni, dhi):
+    return sky("isotropic", sun_direction(utc_s, *SITE), dni, dhi, 1360.0).irradiance_on(NORMALS)
+
+
+def day(dni_of_minute, *, settings=SETTINGS, minutes=240, dhi=150.0, start=NOON - 7200, fault=None):
+    """Run the law by the minute; returns the poses and the law."""
+    law = OptimalLaw(settings, LIMITS)
+    a, b, poses = 0.0, 90.0, []
+    for minute in range(minutes):
+        utc_s = start + 60.0 * minute
+        faces = faces_at(utc_s, dni_of_minute(minute), dhi)
+        if fault is not None:
+            faces[fault] = np.nan
+        law.observe(faces, sun_direction(utc_s, *SITE), 60.0)
+        ahead = sun_direction(utc_s + settings.lead_s, *SITE)
+        choice = law.decide(a, b, ahead, 1.0 - minute / minutes)
+        a, b = float(choice.a_deg), float(choice.b_deg)
+        poses.append((a, b))
+    return np.array(poses), law
+
+
+def off_sun_deg(pose, utc_s):
+    return float(separation_deg(normal_from_angles(*pose), sun_direction(utc_s, *SITE)))
+
+
+def test_a_clear_sky_is_followed_within_a_few_degrees_by_a_few_moves_an_hour():
+    poses, law = day(lambda _minute: 800.0, dhi=80.0)
+    off = [off_sun_deg(pose, NOON - 7200 + 60 * (minute + 1)) for minute, pose in enumerate(poses)]
+    assert max(off[5:]) < 5.0
+    assert law.moves <= 4 * 12
+
+
+def test_an_even_sky_is_met_flat_and_at_rest():
+    poses, law = day(lambda _minute: 0.0)
+    np.testing.assert_allclose(poses[-1], [0.0, 90.0], atol=2.0)
+    assert law.moves == 0
+
+
+def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
+    steady, _ = day(lambda _minute: 800.0)
+    blink, _ = day(lambda minute: 0.0 if minute == 120 else 800.0)
+    assert np.abs(blink[121] - steady[121]).sum() < 5.0
+    cloud, _ = day(lambda minute: 0.0 if minute >= 120 else 800.0)
+    assert cloud[-1][1] > 80.0
+
+
+def test_the_thriftier_the_less_it_travels():
+    def sky_of(minute):
+        return 700.0 if (minute // 7) % 2 else 0.0
+
+    travelled = [float(day(sky_of, settings=replace(SETTINGS, thrift=t))[1].travelled_deg) for t in (0.25, 1.0, 8.0)]
+    assert travelled[0] > travelled[1] > travelled[2]
+
+
+@pytest.mark.parametrize(("travel", "moves"), [(0.0, 250), (60.0, 250), (300.0, 250), (1300.0, 0), (1300.0, 7)])
+def test_the_budget_is_never_exceeded(travel, moves):
+    settings = replace(SETTINGS, travel_per_day_deg=travel, moves_per_day=moves)
+    poses, law = day(lambda minute: 800.0 * (minute % 20 < 10), settings=settings)
+    way = np.abs(np.diff(poses, axis=0, prepend=[[0.0, 90.0]])).sum(axis=1)
+    assert way.sum() <= travel + 1e-9
+    assert np.count_nonzero(way) <= moves
+    assert law.moves == np.count_nonzero(way)
+
+
+@pytest.mark.parametrize("fault", range(4))
+def test_with_one_face_missing_the_sun_is_still_followed(fault):
+    poses, _ = day(lambda _minute: 800.0, dhi=80.0, fault=fault)
+    assert off_sun_deg(poses[-1], NOON + 7200) < 6.0
+
+
+def test_with_two_faces_missing_the_law_is_chronometric():
+    poses, law = day(lambda _minute: 0.0, fault=[0, 3])
+    assert not law.expect().known
+    a_deg, b_deg = angles_within(sun_direction(NOON + 7200 - 60 + 240, *SITE), LIMITS)
+    np.testing.assert_allclose(poses[-1], [a_deg, b_deg], atol=2.5)
+
+
+def test_after_a_long_gap_the_memory_starts_again():
+    law = OptimalLaw(SETTINGS, LIMITS)
+    for minute in range(30):
+        law.observe(faces_at(NOON + 60 * minute, 800.0, 100.0), sun_direction(NOON + 60 * minute, *SITE), 60.0)
+    law.observe(np.full(4, np.nan), sun_direction(NOON + 3600, *SITE), 1800.0)
+    assert not law.expect().known
+    law.observe(faces_at(NOON + 3660, 0.0, 200.0), sun_direction(NOON + 3660, *SITE), 60.0)
+    assert law.expect().light.beam == pytest.approx(0.0, abs=1.0)
+
+
+def test_days_side_by_side_are_the_days_one_by_one():
+    both = OptimalLaw(SETTINGS, LIMITS, (2,))
+    single = [OptimalLaw(SETTINGS, LIMITS) for _ in range(2)]
+    pose = np.array([[0.0, 0.0], [90.0, 90.0]])
+    alone = pose.T.copy()
+    for minute in range(60):
+        utc_s = NOON + 60.0 * minute
+        faces = np.stack([faces_at(utc_s, 700.0, 100.0), faces_at(utc_s, 700.0 * (minute % 9 < 4), 200.0)])
+        sun, ahead = sun_direction(utc_s, *SITE), sun_direction(utc_s + SETTINGS.lead_s, *SITE)
+        both.observe(faces, np.stack([sun, sun]), 60.0)
+        choice = both.decide(pose[0], pose[1], np.stack([ahead, ahead]), 0.5)
+        pose = np.stack([choice.a_deg, choice.b_deg])
+        for index, law in enumerate(single):
+            law.observe(faces[index], sun, 60.0)
+            one = law.decide(alone[index][0], alone[index][1], ahead, 0.5)
+            alone[index] = float(one.a_deg), float(one.b_deg)
+    np.testing.assert_allclose(pose.T, alone)
+
+
+def test_a_new_day_has_a_new_budget():
+    _, law = day(lambda minute: 800.0 * (minute % 20 < 10))
+    assert law.moves > 0
+    law.new_day()
+    assert law.moves == 0
+    assert law.travelled_deg == 0
+
+
+def test_below_the_horizon_nothing_moves():
+    law = OptimalLaw(SETTINGS, LIMITS)
+    choice = law.decide(10.0, 40.0, np.array([0.6, 0.7, -0.4]), 0.0)
+    assert not choice.move
+    assert (choice.a_deg, choice.b_deg) == (10.0, 40.0)

@@ -1,0 +1,115 @@
+import queue
+import threading
+
+import pytest
+
+from drivers.errors import LinkLostError
+from drivers.pozsol_wire import Field
+from drivers.telemetry import TelemetryReader
+
+
+class Wire:
+    """A port that gives out what it is handed, one piece at a time, and a clock that the pieces carry forward."""
+
+    def __init__(self):
+        self.now_s = 0.0
+        self.echo = False
+        self.closed = threading.Event()
+        self._pieces = queue.Queue()
+        self._taken = threading.Semaphore(0)
+
+    def read(self):
+        self._taken.release()
+        piece = self._pieces.get(timeout=5.0)
+        if piece is None:
+            raise LinkLostError("positioner", "pulled")
+        return piece
+
+    def say(self, data, after_s=0.12):
+        """Let a piece be read, and wait until the reader asks for the next one."""
+        self._taken.acquire()
+        self.now_s += after_s
+        self._pieces.put(data)
+        self._taken.acquire()
+        self._taken.release()
+
+    def end(self):
+        self._taken.acquire()
+        self._pieces.put(None)
+        assert self.closed.wait(5.0)
+
+    def echoes(self):
+        return self.echo
+
+    def write(self, data):
+        raise AssertionError(data)
+
+    def close(self):
+        self.closed.set()
+
+
+@pytest.fixture
+def wire():
+    return Wire()
+
+
+@pytest.fixture
+def reader(wire):
+    reader = TelemetryReader(wire, lambda: wire.now_s)
+    yield reader
+    if reader.lost is None:
+        wire.end()
+    reader.close()
+
+
+def angle(text):
+    return b"$%c%s$" % (Field.A_ANGLE, text)
+
+
+def test_the_newest_value_counts_with_the_time_at_which_it_came(wire, reader):
+    wire.say(angle(b"1.0"))
+    wire.say(angle(b"1.5"))
+    assert reader.get(Field.A_ANGLE) == (b"1.5", pytest.approx(0.24))
+    assert reader.get(Field.B_ANGLE) is None
+
+
+def test_what_comes_within_the_first_instant_is_an_old_screen_and_not_believed(wire, reader):
+    wire.say(angle(b"1.0"), after_s=0.05)
+    assert (reader.heard, reader.get(Field.A_ANGLE)) == (False, None)
+
+
+@pytest.mark.parametrize("text", [b"1.", b"1", b"", b"1.00", b"nan", b"--1.0", b"1.0x"])
+def test_a_number_that_has_lost_bytes_is_dropped(wire, reader, text):
+    wire.say(angle(b"2.0"))
+    wire.say(angle(text))
+    assert reader.get(Field.A_ANGLE).text == b"2.0"
+
+
+def test_one_impossible_angle_is_dropped_and_a_confirmed_one_is_a_jump(wire, reader):
+    for text in (b"10.0", b"90.0", b"10.1"):
+        wire.say(angle(text))
+        assert reader.get(Field.A_ANGLE).text != b"90.0"
+    assert reader.jumped_s is None
+    for text in (b"-52.0", b"-52.0"):
+        wire.say(angle(text))
+    assert reader.get(Field.A_ANGLE).text == b"-52.0"
+    assert reader.jumped_s == wire.now_s
+
+
+def test_after_a_gap_any_angle_is_possible(wire, reader):
+    wire.say(angle(b"10.0"))
+    wire.say(angle(b"40.0"), after_s=5.0)
+    assert (reader.get(Field.A_ANGLE).text, reader.jumped_s) == (b"40.0", None)
+
+
+def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
+    wire.end()
+    reader.close()
+    assert reader.lost == "pulled"
+    other = Wire()
+    other.echo = True
+    echoing = TelemetryReader(other, lambda: other.now_s)
+    other._pieces.put(b"")
+    assert other.closed.wait(5.0)
+    echoing.close()
+    assert "echo" in echoing.lost
