@@ -51,13 +51,20 @@ def cube(
     config: ConfigOption = None,
     lag: Annotated[
         float | None,
-        typer.Option(min=-3600, max=3600, help="Seconds that the sensors' clock is ahead; without it found from them."),
+        typer.Option(
+            min=-3600,
+            max=3600,
+            metavar="S",
+            help="Seconds that the sensors' clock is ahead; without it found from them.",
+        ),
     ] = None,
     reference_uncertainty: Annotated[
-        float, typer.Option(min=0, max=20, help="Of the reference's own calibration, percent, k = 2.")
+        float, typer.Option(min=0, max=20, metavar="PERCENT", help="Of the reference's own calibration, k = 2.")
     ] = 1.5,
     serial: SerialOption = None,
-    valid_days: Annotated[float, typer.Option(min=1, max=3660, help="Days until the calibration expires.")] = 730,
+    valid_days: Annotated[
+        float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
+    ] = 730,
     plot: Annotated[Path | None, typer.Option(help="Draw scatter and residuals too: .png, .svg or .pdf.")] = None,
     out: OutOption = Path("calibration.toml"),
 ) -> None:
@@ -101,15 +108,26 @@ def field(
     end: ToOption = None,
     site: SiteOption = None,
     config: ConfigOption = None,
-    sky: Annotated[SkyChoice, typer.Option(help="How diffuse light is taken to spread.")] = SkyChoice.perez1990,
+    sky: Annotated[
+        SkyChoice,
+        typer.Option(metavar="MODEL", help="How diffuse light is taken to spread: perez1990, haydavies or isotropic."),
+    ] = SkyChoice.perez1990,
     water: Annotated[
-        float, typer.Option(min=0.1, max=8, help="Precipitable water of those days, cm; 1 cm more lowers GHI by 2 %.")
+        float,
+        typer.Option(
+            min=0.1, max=8, metavar="CM", help="Precipitable water of those days; 1 cm more lowers GHI by 2 %."
+        ),
     ] = 1.5,
     cosine_error: Annotated[
-        float, typer.Option(min=0, max=0.2, help="Share of the beam that the sensors miss at 80 deg of incidence.")
+        float,
+        typer.Option(
+            min=0, max=0.2, metavar="SHARE", help="Share of the beam that the sensors miss at 80 deg of incidence."
+        ),
     ] = 0.008,
     serial: SerialOption = None,
-    valid_days: Annotated[float, typer.Option(min=1, max=3660, help="Days until the calibration expires.")] = 365,
+    valid_days: Annotated[
+        float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
+    ] = 365,
     out: OutOption = Path("calibration.toml"),
 ) -> None:
     """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
