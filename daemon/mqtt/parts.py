@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from random import Random
 from typing import Any
@@ -13,9 +14,10 @@ from daemon.config import Settings
 from daemon.mqtt.commands import NAMES, Commands
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.discovery import discovery
-from daemon.mqtt.link import Link, LinkStatus
+from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.status import InputStatus, LinkStatus
 from daemon.mqtt.telemetry import Telemetry, encoded
 from daemon.mqtt.topics import Topics
 from daemon.records import Record
@@ -54,6 +56,7 @@ class Mqtt:
         mqtt = settings.mqtt
         name = mqtt.name or (Role.CUBE.value if role is Role.CUBE else Role.TRACKER.value)
         self._topics = Topics(mqtt.prefix, name)
+        self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
         self._look_again: Callable[[], None] = lambda: None
         self._telemetry: Telemetry | None = None
@@ -61,8 +64,9 @@ class Mqtt:
 
     @property
     def status(self) -> LinkStatus:
-        """How the link is."""
-        return self.link.status
+        """How the link is, and what is heard of safety."""
+        now_s = self._clock.monotonic()
+        return replace(self.link.status, inputs=tuple(status(now_s) for status in self._inputs))
 
     def stow_sources(self) -> list[StowSource]:
         """Return the reasons to stow that come over the broker, and begin to listen for them."""
@@ -71,12 +75,15 @@ class Mqtt:
         if self._role is Role.CUBE:
             return found
         if mqtt.wind.topic is not None:
-            wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._wake, self.link.trouble)
+            wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.trouble)
             self.link.listen(mqtt.wind.topic, wind.take)
-            found.append(WindStow(safety, wind.since_last_asked))
+            wind_stow = WindStow(safety, wind.since_last_asked)
+            self._inputs.append(partial(_input_status, "wind", mqtt.wind.topic, wind, wind_stow))
+            found.append(wind_stow)
         if mqtt.safe.topic is not None:
-            safe = SafeStow(mqtt.safe, self._wake, self.link.trouble)
+            safe = SafeStow(mqtt.safe, self._clock.monotonic, self._wake, self.link.trouble)
             self.link.listen(mqtt.safe.topic, safe.take)
+            self._inputs.append(partial(_input_status, "safe", mqtt.safe.topic, safe, safe))
             found.append(safe)
         return found
 
@@ -129,3 +136,10 @@ class Mqtt:
     def _reply(self, found: dict[str, Any], *, simulated: bool) -> None:
         whole = {"time": iso_utc(self._clock.utc()), **found, "simulated": simulated}
         self.link.send(Message(self._topics.reply, encoded(whole), 1))
+
+
+def _input_status(
+    name: str, topic: str, source: WindReadings | SafeStow, stow: WindStow | SafeStow, now_s: float
+) -> InputStatus:
+    age_s = None if source.heard_s is None else now_s - source.heard_s
+    return InputStatus(name, topic, age_s, stow.stowing)
