@@ -76,6 +76,7 @@ class Link:
         self._down_why: str | None = "not connected yet"
         self._told_back_s = -math.inf
         self._unsteady = False
+        self._renounced = False
         self._told_dropped = 0
         self._since_utc_s = clock.utc()
         self._dropped_since_utc_s: float | None = None
@@ -134,8 +135,17 @@ class Link:
                 self._tell(sentence)
             self._troubles[subject] = sentence
 
+    def renounce(self, sentence: str) -> None:
+        """Never connect, and show why; to be called before `run`."""
+        self._renounced = True
+        self._down_why = sentence
+        log.warning("%s", sentence)
+        self._tell(sentence)
+
     async def run(self) -> None:
         """Keep the link until cancelled; then take leave on the availability topic."""
+        if self._renounced:
+            await asyncio.Event().wait()
         while True:
             try:
                 await self._connect_and_serve()
