@@ -42,6 +42,8 @@ def tls_context(settings: "Mqtt") -> ssl.SSLContext:
     """Return how the broker is recognised, and how this client is; raises `CredentialsError`."""
     try:
         context = ssl.create_default_context(cafile=settings.ca_file)
+    except FileNotFoundError:
+        raise CredentialsError(f"mqtt.ca_file: there is no file {settings.ca_file}") from None
     except OSError as error:
         raise CredentialsError(
             f"mqtt.ca_file: {settings.ca_file} has no certificates in PEM form ({_said(error)})"
