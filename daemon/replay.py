@@ -2,6 +2,7 @@
 
 import asyncio
 import csv
+import gc
 import gzip
 import math
 import sqlite3
@@ -137,6 +138,8 @@ def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
 
 def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], None]) -> _Log:
     log = _Log()
+    # The readings stay until the end: the collector need not look at them again and again.
+    gc.freeze()
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
