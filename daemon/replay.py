@@ -23,7 +23,7 @@ from daemon.config import Cube, Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.control import Control
 from daemon.errors import UserError
-from daemon.motion import Motion
+from daemon.motion import Motion, Polling
 from daemon.records import FACES, FaceReading, Mode, Quality, Scan
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
@@ -39,8 +39,8 @@ COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_es
 # The service starts so long before the first row, to be connected when it comes.
 _WARM_UP_S = 10.0
 _SLOWEST_S, _QUICKEST_S = 60.0, 0.5
-# Nothing breaks here that a look at a resting tracker would show.
-_IDLE_POLL_S = 300.0
+# Nothing breaks here that a look at a resting tracker would show, and nothing in half a second of a move.
+_POLLING = Polling(idle_s=300.0, moving_s=1.0)
 _STALE_AFTER_ROWS = 2.5
 # What a gap in the night is skipped by, how near to its end, and how deep below the horizon the sun must be.
 _SKIP_S = 600.0
@@ -153,7 +153,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
             Bus(),
             None,
             Notifier({}, 0),
-            idle_poll_s=_IDLE_POLL_S,
+            polling=_POLLING,
         )
         runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
@@ -222,7 +222,7 @@ class _Feeder:
 
     async def _wait(self, duration_s: float) -> None:
         """Let time pass; while the tracker is at rest there is nobody else who would use it, but for a look at rest."""
-        if self._motion.resting and self._loop.time() - self._woken_s < _IDLE_POLL_S:
+        if self._motion.resting and self._loop.time() - self._woken_s < _POLLING.idle_s:
             self._loop.skip(max(duration_s, 0.0))
         else:
             # A short move may begin and end in here.

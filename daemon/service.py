@@ -17,7 +17,7 @@ from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
 from daemon.learned import LearnedFile
-from daemon.motion import IDLE_POLL_S, Motion
+from daemon.motion import OFTEN, Motion, Polling
 from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -85,8 +85,8 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
-    idle_poll_s
-        How often a tracker at rest is looked at.
+    polling
+        How often to look at the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator.
     send_beyond
@@ -104,7 +104,7 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
-        idle_poll_s: float = IDLE_POLL_S,
+        polling: Polling = OFTEN,
         stow_sources: Sequence[StowSource] = (),
         send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
@@ -116,7 +116,7 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
-        self._idle_poll_s = idle_poll_s
+        self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site)
@@ -165,7 +165,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
-            self._idle_poll_s,
+            self._polling,
         )
         self.control = Control(
             settings,
