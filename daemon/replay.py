@@ -295,7 +295,9 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
         some = rows[first : first + _ROWS_AT_ONCE]
         utc_s = np.array([row.time_utc_s for row in some])
         faces = np.array([row.irradiances_w_m2 for row in some])
-        estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
+        estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
+        if log.learned:
+            estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
         for at, row in enumerate(some):
             mode = log.modes[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
@@ -305,9 +307,6 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
 
 def _estimates(faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Learned]]) -> list[tuple[str, ...]]:
     """Return beam, diffuse and albedo for each row, by its own readings and by what was known of the site then."""
-    nothing = ("", "", "")
-    if not learned:
-        return [nothing] * len(faces)
     found: list[tuple[str, ...]] = []
     ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
     for (begin, known), end in zip(learned, ends, strict=True):
