@@ -12,6 +12,7 @@ from daemon.acquisition import Acquisition
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
+from daemon.calibration_file import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
@@ -85,6 +86,8 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
+    calibration
+        Of the cube; None for the gains of the settings.
     polling
         How often to look at the positioner.
     stow_sources
@@ -104,6 +107,7 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
+        calibration: CubeCalibration | None = None,
         polling: Polling = OFTEN,
         stow_sources: Sequence[StowSource] = (),
         send_beyond: Callable[[bytes], None] | None = None,
@@ -116,6 +120,8 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
+        self.calibration = calibration
+        self._expiry = ExpiryWatch(calibration, bus.publish)
         self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
@@ -136,7 +142,7 @@ class Service:
         if rig.multiplexer is None or rig.voltmeter is None:
             raise ValueError("the cube's role needs a multiplexer and a voltmeter")
         self.acquisition = Acquisition(
-            settings.cube,
+            calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube,
             settings.instruments.multiplexer.settle_s,
             rig.multiplexer,
             rig.voltmeter,
@@ -146,6 +152,7 @@ class Service:
             self.bus.publish,
             self.sun_elevation_deg,
             rig.simulated,
+            self.calibration.identifier if self.calibration else "",
         )
 
     def _build_tracker(self) -> None:
@@ -248,6 +255,7 @@ class Service:
         await self.sender.open()
 
     def _send(self, scan: Scan) -> None:
+        self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
         if self._send_beyond is not None:

@@ -58,6 +58,7 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
                     Column(f"{face}_time", f"{face}.time_utc_s", "time"),
                 )
             ],
+            Column("calibration", "calibration", "text"),
         ],
     ),
     Decision: (

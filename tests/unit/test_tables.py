@@ -111,6 +111,7 @@ def test_a_scan_is_one_row_with_units_in_the_names_and_nothing_where_there_is_no
         "zenith_w_m2": "0.3333333333333333",
         "zenith_quality": "ok",
         "zenith_time": "2022-10-14T06:00:01.250Z",
+        "calibration": "",
     }
 
 
