@@ -105,8 +105,8 @@ class VisaLine:
                 self._read(quiet_s + self._transfer_s / 10)
 
     def close(self) -> None:
-        """Release the session and its manager."""
-        for part in (self._resource, self._adapter, self._manager):
+        """Release the session. PyVISA has one manager for all instruments, and closing it would end their sessions."""
+        for part in (self._resource, self._adapter):
             if part is not None:
                 with contextlib.suppress(*self._gone, ValueError, AttributeError):
                     part.close()
