@@ -30,7 +30,7 @@ def dialect(channel: int) -> Dialect:
     """Return how one channel is spoken to."""
     return Dialect(
         maker="CHROMA",
-        models=("636",),
+        models=("63600", "636"),
         select=f"CHAN {channel}",
         select_proof=("CHAN?", str(channel)),
         identify_channel="CHAN:ID?",

@@ -86,8 +86,7 @@ class ScpiLoad:
             try:
                 return await self._swept(session, plan, stop_why)
             finally:
-                if not session.in_doubt:
-                    await self._call(session.switch_off, 3)
+                await self._call(session.leave, 3)
         except (DeadlineError, ProtocolError, LinkLostError, ConnectError):
             await self.close()
             raise

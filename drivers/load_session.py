@@ -88,6 +88,16 @@ class Dialect:
     clear_protection: str
     protections: Mapping[int, str]
 
+    @property
+    def name(self) -> str:
+        """Maker and first model, for messages."""
+        return f"{self.maker} {self.models[0]}".strip()
+
+    def knows(self, identity: str) -> bool:
+        """Tell whether an answer to ``*IDN?`` is that of such a load."""
+        fields = [field.strip().upper() for field in identity.split(",")]
+        return len(fields) > 1 and fields[0].startswith(self.maker) and fields[1].startswith(self.models)
+
 
 class Measured(NamedTuple):
     """Voltage and current, None where one of them is beyond the range, and the names of tripped protections."""
@@ -174,13 +184,20 @@ class LoadSession:
                     DEVICE, f"answers {state[:80]!r} to {self._dialect.is_on} after {self._dialect.off}"
                 )
 
+    def leave(self) -> None:
+        """Switch the input off after a sweep; nothing is said in a session that is in doubt, which has to be closed."""
+        if not self.in_doubt:
+            self.switch_off()
+
     def close(self) -> None:
-        """Switch the input of a load that is known to be one off, unheard, and release the line."""
+        """Switch the input of a load that is known to be one off, whatever it answers, and release the line."""
         if self._known:
             with contextlib.suppress(DeviceError):
                 if self.in_doubt:
                     self._line.interrupt()
                 self._tell(self._dialect.off)
+                # A line that is closed too soon may not have sent it yet.
+                self._ask(self._dialect.is_on)
         self._line.close()
 
     @contextlib.contextmanager
@@ -204,11 +221,8 @@ class LoadSession:
         self._line.interrupt()
         self._line.drain(_QUIET_S)
         identity = self._ask("*IDN?")
-        fields = [field.strip().upper() for field in identity.split(",")]
-        dialect = self._dialect
-        if len(fields) < 2 or not fields[0].startswith(dialect.maker) or not fields[1].startswith(dialect.models):
-            expected = f"{dialect.maker} {dialect.models[0]}".strip()
-            raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is not a {expected}")
+        if not self._dialect.knows(identity):
+            raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is not a {self._dialect.name}")
         return identity
 
     def _synchronise(self) -> None:

@@ -20,6 +20,7 @@ MEASURING_S = 0.004
 SETTLING_S = 0.003
 INPUT_LIMIT = 1024
 _DROPPED_S = 0.02
+_SETTLED = 1e-4
 _ABORT = 0x03
 _ENDS = b"\n\r"
 _CACHED_LINES = 512
@@ -118,6 +119,8 @@ class LoadCore:
     selected: int
     latched: set[Trip]
     scpi: Status
+    # What the terminals come from, None for the open circuit.
+    _before_v: float | None
 
     def __init__(
         self,
@@ -167,10 +170,6 @@ class LoadCore:
         """Whether it would draw current: the input is on, in constant voltage, and no protection is latched."""
         return self.on and self.mode.startswith(("VOLT", "CV")) and not self.latched
 
-    def open_circuit(self, now: float) -> float:
-        """Return the true voltage [V] with no current."""
-        return float(self.source.voltage(self.source.light(now), 0.0))
-
     def hold(self, light: Light, level_v: ArrayLike) -> Held:
         """Return what is at the terminals while the load holds `level_v`, or comes as near as it can."""
         level, least_v, most_a = np.asarray(level_v, dtype=np.float64), self.rating.least_v, self.limit_a
@@ -191,10 +190,12 @@ class LoadCore:
         """
         count = levels_v.size
         light = Light(*(np.linspace(before, after, count) for before, after in zip(first, last, strict=True)))
-        held_v = self.hold(light, levels_v).voltage_v
-        before_v = np.concatenate([[float(self.source.voltage(first, 0.0))], held_v[:-1]])
-        voltage_v = held_v + (before_v - held_v) * np.exp(-settle_s / SETTLING_S)
-        current_a = np.clip(self.source.current(light, voltage_v), 0.0, self.limit_a)
+        voltage_v, current_a, _ = self.hold(light, levels_v)
+        left = np.exp(-settle_s / SETTLING_S)
+        if left > _SETTLED:
+            before_v = np.concatenate([[float(self.source.voltage(first, 0.0))], voltage_v[:-1]])
+            voltage_v = voltage_v + (before_v - voltage_v) * left
+            current_a = np.clip(self.source.current(light, voltage_v), 0.0, self.limit_a)
         beyond = np.flatnonzero(voltage_v * current_a > self.rating.trips_w)
         if beyond.size:
             self.trip("over-power")
@@ -215,8 +216,8 @@ class LoadCore:
         if not self.draws or now < self._dropped_until_s:
             return open_v, 0.0, True
         held = self.hold(light, self.level_v)
-        settled_v = float(held.voltage_v)
-        voltage_v = settled_v + (self._before_v - settled_v) * float(np.exp((self._changed_s - now) / SETTLING_S))
+        settled_v, before_v = float(held.voltage_v), open_v if self._before_v is None else self._before_v
+        voltage_v = settled_v + (before_v - settled_v) * float(np.exp((self._changed_s - now) / SETTLING_S))
         current_a = float(np.clip(self.source.current(light, voltage_v), 0.0, self.limit_a))
         if voltage_v * current_a > self.rating.trips_w:
             self.trip("over-power")
@@ -243,14 +244,14 @@ class LoadCore:
 
     def switch(self, now: float, *, on: bool) -> None:
         """Switch the input."""
-        self._before_v, self._changed_s = self.at_terminals(now)[0], now
+        self._before_v, self._changed_s = None, now
         self.sweeps += on and not self.on
         self.on = on
 
     def set_mode(self, mode: str, now: float) -> None:
         """Change the mode, which drops the input for a moment."""
         self._dropped_until_s = now + _DROPPED_S
-        self._before_v, self._changed_s = self.open_circuit(now), self._dropped_until_s
+        self._before_v, self._changed_s = None, self._dropped_until_s
         self.mode = mode
 
     def drop_next(self, count: int = 1) -> None:
@@ -269,7 +270,7 @@ class LoadCore:
         self.voltage_range = "HIGH"
         self.event_enable = 0
         self.selected = self.dialect.channels[0]
-        self._before_v, self._changed_s, self._dropped_until_s = 0.0, now, now
+        self._before_v, self._changed_s, self._dropped_until_s = None, now, now
 
     def power_cycle(self, now: float) -> None:
         """Switch off and on: input off, protections cleared, everything under way forgotten."""
