@@ -106,6 +106,8 @@ class _Table:
         low = -math.inf if start is None else start.timestamp()
         high = math.inf if end is None else end.timestamp()
         there = columns_of(connection, self.name)
+        if not there:
+            return 0
         names = ", ".join(f"kept.{name}" if name in there else "NULL" for name in self._stored)
         query = (
             f"SELECT {names}, kept.run, runs.simulated, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
