@@ -123,7 +123,11 @@ def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles]) -
     def utc_s(now_s: float) -> float:
         return clock.utc() + now_s - clock.monotonic()
 
-    return _Module(scene, pose, utc_s, Q_PEAK_G4_1_305)
+    def present(_now_s: float) -> Angles:
+        # A load that answers some milliseconds from now must not drive the axes ahead of everybody else's time.
+        return pose(clock.monotonic())
+
+    return _Module(scene, present, utc_s, Q_PEAK_G4_1_305)
 
 
 def _build_load(settings: Settings, clock: Clock, source: PvSource) -> ElectronicLoad | None:
