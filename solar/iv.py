@@ -117,15 +117,15 @@ def _none(why: str, voc_v: float = np.nan) -> MeasuredMaximum:
 def _without_wild_points(voltage: Array, current: Array) -> tuple[Array, Array]:
     """Leave out the points that are far from the median of themselves and their two neighbours.
 
-    The current of a curve falls throughout, so without noise every point is that median.
+    The current of a curve falls throughout, so without noise every point is that median: those at the ends too, with a
+    neighbour beyond them that is as high or as low as can be.
     """
     if voltage.size < LEAST_POINTS:
         return voltage, current
-    middle = np.median(np.stack([current[:-2], current[1:-1], current[2:]]), axis=0)
-    off = np.abs(current[1:-1] - middle)
+    before, after = np.append(np.inf, current[:-1]), np.append(current[1:], -np.inf)
+    off = np.abs(current - np.median(np.stack([before, current, after]), axis=0))
     noise = _MAD_TO_SIGMA * float(np.median(off))
-    tame = np.ones(voltage.size, dtype=np.bool_)
-    tame[1:-1] = off <= max(_OUTLIER * noise, _WILD * float(np.median(np.abs(current))))
+    tame = off <= max(_OUTLIER * noise, _WILD * float(np.median(np.abs(current))))
     return voltage[tame], current[tame]
 
 

@@ -48,11 +48,11 @@ def test_the_uncertainty_is_of_the_size_of_the_error():
     assert 0.7 < np.std(pulls) < 1.6
 
 
-@given(irradiances, temperatures, st.integers(0, 29), st.floats(-3.0, 3.0))
+@given(irradiances, temperatures, st.integers(0, 30), st.floats(-3.0, 3.0))
 def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
     truth, voltage, current = swept(irradiance, temperature)
     current[place] += wildness * truth.isc_a
-    assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.01)
+    assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.02)
 
 
 @given(irradiances, temperatures, seeds)
