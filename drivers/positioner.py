@@ -26,6 +26,7 @@ _DEVICE = "positioner"
 _FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
 _SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _IDENTITY = (Field.BOARD, Field.VERSION, Field.SERIAL)
+_HOME: dict[Axis, str] = {"a": wire.HOME_A, "b": wire.HOME_B}
 
 _OPEN_S = 5.0
 _HEAR_WITHIN_S = 2.5
@@ -158,7 +159,7 @@ class PozsolPositioner:
         """Start a reference run and wait until it shows, up to 7 s: the unit tells of homing in its slow status."""
         stops = self._stops
         before = self._look()[0]
-        sent_s = await self._send(Field.ACTION, wire.HOME_A if axis == "a" else wire.HOME_B, stops)
+        sent_s = await self._send(Field.ACTION, _HOME[axis], stops)
         status_shows = axis == "a" or self._b_out_bit is not None
         run = HomingRun(axis, before, sent_s, status_shows=status_shows)
         self._homing = run

@@ -1,4 +1,4 @@
-"""A USB serial port that is raw before anything is read from it, and held by one program.
+"""The positioner's USB serial port: raw before anything is read from it, held by one program, closed to other commands.
 
 A tty of Linux starts out with echo: what the instrument sends comes back to it, and the positioner takes its own
 telemetry for commands. So the first thing that is done with the port is to switch echo off and to throw away what was
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConnectError, LinkLostError
+from drivers.pozsol_wire import require_allowed
 from drivers.transcript import Tap, no_tap
 
 _READ_S = 0.2
@@ -69,7 +70,8 @@ class SerialPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes; no longer than half a second."""
+        """Send one command; no longer than half a second. `ValueError` for bytes that are none that may be sent."""
+        require_allowed(data)
         try:
             self._port.write(data)
         except self._gone as error:

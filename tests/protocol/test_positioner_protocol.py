@@ -449,28 +449,3 @@ def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(p
             await positioner.close()
 
     asyncio.run(scene())
-
-
-def test_no_public_call_can_send_anything_but_the_allowed_commands(positioner_host):
-    async def scene():
-        async with positioner_host() as host:
-            positioner = positioner_on(host.port.link)
-            await positioner.open()
-            calls = [
-                positioner.disable_autonomy(),
-                positioner.move_to(1.0, 89.0),
-                positioner.stop(),
-                positioner.clear_faults(),
-                positioner.home("a"),
-            ]
-            for call in calls:
-                await call
-            await positioner.stop()
-            await positioner.close()
-            assert set(host.received) <= {44, 46, 48, 50, 56, 57, 136}
-            assert {name for name in dir(positioner) if not name.startswith("_")} == {
-                "open", "close", "read_telemetry", "fields", "disable_autonomy", "move_to", "stop", "home",
-                "clear_faults",
-            }  # fmt: skip
-
-    asyncio.run(scene())
