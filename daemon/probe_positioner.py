@@ -51,6 +51,7 @@ async def probe_positioner(
     positioner = build_positioner(settings, clock, heard)
     try:
         identity = await positioner.open()
+        say(_modem_lines(settings, positioner))
         say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
         start_s = clock.monotonic()
         heard.counts.clear()
@@ -92,6 +93,13 @@ def _usb_device(path: str) -> str:
             text = f"USB {port.vid:04x}:{port.pid:04x}, {port.manufacturer} {port.product}, serial {port.serial_number}"
             return text if (port.vid, port.pid) == (0x0483, 0x5740) else f"{text} (expected is 0483:5740)"
     return "no USB device that this machine knows of"
+
+
+def _modem_lines(settings: Settings, positioner: PozsolPositioner) -> str:
+    if not positioner.has_lines():
+        return "modem lines: the port has none, so instruments.positioner.dtr and rts have no effect"
+    wanted = settings.instruments.positioner
+    return f"modem lines: DTR {'on' if wanted.dtr else 'off'}, RTS {'on' if wanted.rts else 'off'}"
 
 
 def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:

@@ -31,6 +31,9 @@ class SerialPort:
         Name of the port.
     tap
         Told what is sent and received.
+    dtr, rts
+        Levels of the two modem lines from opening on. Linux raises both for an instant at every open, whatever is
+        wanted here. A port without such lines, a pseudo-terminal say, is used as it is: `has_lines` tells.
 
     Raises
     ------
@@ -38,7 +41,7 @@ class SerialPort:
         The port is not there, held by another program, not permitted, or no serial port.
     """
 
-    def __init__(self, device: str, path: str, tap: Tap = no_tap) -> None:
+    def __init__(self, device: str, path: str, tap: Tap = no_tap, *, dtr: bool = True, rts: bool = True) -> None:
         import serial  # noqa: PLC0415 - loaded only where there is a port; it needs termios or Windows
 
         self._device = device
@@ -48,7 +51,9 @@ class SerialPort:
         # Windows opens every port exclusively and knows no such option.
         exclusive = True if os.name == "posix" else None
         try:
-            self._port: Any = serial.Serial(path, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+            self._port: Any = serial.Serial(None, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+            self._port.port, self._port.dtr, self._port.rts = path, dtr, rts
+            self._port.open()
         except (OSError, ValueError) as error:
             raise cannot_open(device, path, error) from error
         finally:
@@ -89,6 +94,14 @@ class SerialPort:
         except (OSError, TypeError, termios.error) as error:
             raise LinkLostError(self._device, f"{self._path} is gone: {error}") from error
         return bool(local_modes & (termios.ECHO | termios.ICANON))
+
+    def has_lines(self) -> bool:
+        """Tell whether the port has modem lines, so that DTR and RTS are as they were asked for."""
+        try:
+            # Reading the other side's line fails where there are none; pyserial hides that when it sets its own.
+            return isinstance(self._port.dsr, bool)
+        except self._gone:
+            return False
 
     def close(self) -> None:
         """Release the port; a read in another thread ends."""

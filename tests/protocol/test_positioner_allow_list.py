@@ -63,9 +63,10 @@ def public(scope, kind):
 
 def test_these_are_all_the_doors_that_the_tests_below_go_through():
     assert public(PozsolPositioner, inspect.isroutine) == {
-        "open", "close", "read_telemetry", "fields", "disable_autonomy", "move_to", "stop", "home", "clear_faults",
+        "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "home",
+        "clear_faults",
     }  # fmt: skip
-    assert public(SerialPort, inspect.isroutine) == {"read", "write", "echoes", "close"}
+    assert public(SerialPort, inspect.isroutine) == {"read", "write", "echoes", "has_lines", "close"}
     assert public(telemetry.TelemetryReader, inspect.isroutine) == {"get", "snapshot", "stop", "close"}
     assert public(positioner, inspect.isroutine) == set()
     assert public(positioner, inspect.isclass) == {"PozsolPositioner"}

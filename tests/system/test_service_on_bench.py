@@ -62,6 +62,25 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     assert rig.lines(" is down: ") == rig.lines(" is back") == 2, rig.service.log()
 
 
+def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
+    config = brisk(tmp_path)
+    config.write_text(
+        config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"').replace("mm_s = 25.0", "mm_s = 100.0")
+        + '[instruments.positioner]\ndtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
+    )
+    bench = start_bench("--config", config, *HIGH_SUN)
+    bench.ask("boots-at-open", 3)
+    rig = Rig(bench, start_service(bench.config))
+    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", 90, rig.service.log)
+    assert rig.lines(" is down: ") == 0
+    bench.ask("boots-at-open", "never")
+    bench.ask("restart", 0.5)
+    wait_until(lambda: rig.outages("it prints its banner") == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", 90, rig.service.log)
+    rig.settle()
+    assert rig.lines(" is down: ") == rig.lines(" is back") == 1
+
+
 def test_plugs_that_are_pulled_at_the_start_are_survived(start_rig):
     rig = start_rig()
     wait_until(lambda: "real instruments" in rig.service.log(), SETTLES_WITHIN_S, rig.service.log)
