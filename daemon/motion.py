@@ -20,7 +20,7 @@ from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.waiting import wait_at_most
-from drivers.errors import DeviceError, RefusedError
+from drivers.errors import DeviceError, DriverHungError, RefusedError
 from drivers.interfaces import Axis, Positioner, PositionerIdentity, Telemetry
 from solar.frames import Limits
 
@@ -189,12 +189,17 @@ class Motion:
         await self._positioner.stop()
 
     async def run(self) -> None:
-        """Keep the positioner connected and carry out what is asked, until cancelled."""
+        """Keep the positioner connected and carry out what is asked, until cancelled.
+
+        Raises `DriverHungError` when only a new process can connect it.
+        """
         try:
             while True:
                 try:
                     await self._connect()
                     await self._serve()
+                except DriverHungError:
+                    raise
                 except DeviceError as error:
                     await self._lost(error)
                     await asyncio.sleep(self._backoff.next_s())
