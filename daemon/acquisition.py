@@ -42,8 +42,8 @@ class Acquisition:
         Called with events worth telling.
     sun_elevation_deg
         Of UTC [s]; dark offsets are learnt only when the sun is well below the horizon.
-    simulated
-        Marks every scan.
+    simulated, calibration
+        Mark every scan; the identifier is empty where the gains are the settings' own.
     """
 
     def __init__(
@@ -58,6 +58,7 @@ class Acquisition:
         publish: Callable[[Event], None],
         sun_elevation_deg: Callable[[float], float],
         simulated: bool,
+        calibration: str = "",
     ) -> None:
         self._cube = cube
         self._settle_s = settle_s
@@ -67,6 +68,7 @@ class Acquisition:
         self._on_scan = on_scan
         self._publish = publish
         self._simulated = simulated
+        self._calibration = calibration
         self._session = f"{random.getrandbits(64):016x}"
         self._sequence = 0
         self._faces = tuple(getattr(cube, name) for name in FACES)
@@ -152,6 +154,7 @@ class Acquisition:
             west=west,
             zenith=zenith,
             simulated=self._simulated,
+            calibration=self._calibration,
         )
         self._sequence += 1
         return scan

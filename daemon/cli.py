@@ -12,6 +12,7 @@ from rich.console import Console
 from daemon import (
     cli_bench,
     cli_bridge,
+    cli_calibrate,
     cli_config,
     cli_energy,
     cli_export,
@@ -20,7 +21,7 @@ from daemon import (
     cli_probe,
     cli_replay,
 )
-from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, parse_site
+from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -34,6 +35,7 @@ app = typer.Typer(
 app.add_typer(cli_operate.app)
 app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
 app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
+app.add_typer(cli_calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
 app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
 app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
 app.add_typer(cli_export.app)
@@ -190,7 +192,7 @@ def _settings(
     if law is not None:
         changes["law"]["name"] = law.value
     if site is not None:
-        changes["site"] = _site(site)
+        changes["site"] = site_values(site)
     if seed is not None:
         changes["simulation"]["seed"] = seed
     if speed is not None:
@@ -208,11 +210,6 @@ def _refuse_simulation(options: dict[str, object]) -> None:
             f"{', '.join(given)}: this configuration has real instruments (instruments.kind), whose time and sky are"
             " real; leave the option out, or try it on a simulated rig"
         )
-
-
-def _site(text: str) -> dict[str, Any]:
-    latitude, longitude, altitude = parse_site(text)
-    return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """What several commands read from the command line in one way."""
 
 from datetime import UTC, datetime
+from typing import Any
 
 from daemon.errors import UserError
 
@@ -34,3 +35,9 @@ def instant(text: str, option: str) -> datetime:
     except ValueError:
         raise UserError(f"{option}: '{text}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def site_values(text: str) -> dict[str, Any]:
+    """Return the site section's values that LAT,LON or LAT,LON,ALT means; raises `UserError`."""
+    latitude, longitude, altitude = parse_site(text)
+    return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}

@@ -153,6 +153,11 @@ class Cube(Section):
     dark_correction: bool = Field(
         default=True, description="Learn each sensor's voltage in the dark at night and subtract it."
     )
+    calibration_file: FilePath | None = Field(
+        None,
+        examples=["calibration.toml"],
+        description="File of 'heliocube calibrate'; its gains and offsets replace those of the faces below.",
+    )
     self_test_channel: Channel | None = Field(
         None,
         examples=[7],

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from daemon import config_keys, config_rules
 from daemon.api.token import TokenError, load_token
 from daemon.bridge.signing import KeyFileError, load_key
+from daemon.calibration_file import calibration_in_force
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
@@ -24,6 +25,7 @@ _LONGEST_VALUE = 60
 _PATHS = (
     ("bridge", "key_file"),
     ("store", "directory"),
+    ("cube", "calibration_file"),
     ("api", "token_file"),
     ("mqtt", "ca_file"),
     ("mqtt", "certificate_file"),
@@ -83,6 +85,10 @@ def check_file(path: Path) -> Settings:
     """Read a file like `load_settings` and look at the files it names as well; raises `ConfigError`."""
     settings = load_settings(path)
     problems = []
+    try:
+        calibration_in_force(settings.cube)
+    except UserError as error:
+        problems.append(f"cube.calibration_file: {error}")
     if settings.bridge.key_file is not None:
         try:
             load_key(settings.bridge.key_file)

@@ -97,6 +97,7 @@ class _Table:
         self.columns = [Column(column.name, column.name, column.holds) for column in columns]
         self.row = namedtuple(name, [column.name for column in self.columns])  # type: ignore[misc]  # made at run time
         self._floats = [place for place, column in enumerate(own) if column.holds == "float"]
+        self._texts = [place for place, column in enumerate(own) if column.holds == "text"]
         self._truths = [place for place, column in enumerate(own) if column.holds == "bool"]
 
     def copy(
@@ -118,6 +119,8 @@ class _Table:
                 for place in self._floats:
                     if values[place] is None:
                         values[place] = math.nan
+                for place in self._texts:
+                    values[place] = values[place] or ""
                 for place in self._truths:
                     values[place] = bool(values[place])
                 tail = [run] if "simulated" in self._stored else [run, bool(simulated)]

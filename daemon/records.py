@@ -66,6 +66,8 @@ class Scan:
         End of the scan: on the cube's clocks as sent; the receiver replaces the monotonic time by its own.
     simulated
         True when the cube is a simulation.
+    calibration
+        Identifier of the calibration file that the irradiances were made with; empty for the settings' own gains.
     """
 
     source: str
@@ -78,6 +80,7 @@ class Scan:
     west: FaceReading
     zenith: FaceReading
     simulated: bool = False
+    calibration: str = ""
 
     @property
     def faces(self) -> tuple[FaceReading, FaceReading, FaceReading, FaceReading]:

@@ -20,6 +20,7 @@ from daemon.api.state import state
 from daemon.api.token import generate_token, load_token
 from daemon.bridge.signing import generate_key, load_key
 from daemon.bus import Bus
+from daemon.calibration_file import calibration_in_force
 from daemon.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.composition import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
 from daemon.config import Settings
@@ -44,6 +45,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         Something in the settings cannot work here: a weather file, a key, an address.
     """
     key = bridge_key(settings, role)
+    calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
     # Real instruments have real time; what the simulation's table says is not for them.
@@ -66,6 +68,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             key,
             Notifier(os.environ, os.getpid()),
             speed,
+            calibration,
             stow_sources=mqtt.stow_sources() if mqtt else (),
             send_beyond=mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
         )

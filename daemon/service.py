@@ -12,12 +12,13 @@ from daemon.acquisition import Acquisition
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
+from daemon.calibration_file import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
 from daemon.learned import LearnedFile
-from daemon.motion import IDLE_POLL_S, Motion
+from daemon.motion import OFTEN, Motion, Polling
 from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -85,8 +86,10 @@ class Service:
         To the service manager.
     speed
         How many times as fast as the machine's the clock runs, for the watchdog.
-    idle_poll_s
-        How often a tracker at rest is looked at.
+    calibration
+        Of the cube; None for the gains of the settings.
+    polling
+        How often to look at the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator.
     send_beyond
@@ -104,7 +107,8 @@ class Service:
         key: bytes | None,
         notifier: Notifier,
         speed: float = 1.0,
-        idle_poll_s: float = IDLE_POLL_S,
+        calibration: CubeCalibration | None = None,
+        polling: Polling = OFTEN,
         stow_sources: Sequence[StowSource] = (),
         send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
@@ -116,7 +120,9 @@ class Service:
         self._random = random
         self._key = key
         self._notifier = notifier
-        self._idle_poll_s = idle_poll_s
+        self.calibration = calibration
+        self._expiry = ExpiryWatch(calibration, bus.publish)
+        self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site)
@@ -136,7 +142,7 @@ class Service:
         if rig.multiplexer is None or rig.voltmeter is None:
             raise ValueError("the cube's role needs a multiplexer and a voltmeter")
         self.acquisition = Acquisition(
-            settings.cube,
+            calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube,
             settings.instruments.multiplexer.settle_s,
             rig.multiplexer,
             rig.voltmeter,
@@ -146,6 +152,7 @@ class Service:
             self.bus.publish,
             self.sun_elevation_deg,
             rig.simulated,
+            self.calibration.identifier if self.calibration else "",
         )
 
     def _build_tracker(self) -> None:
@@ -165,7 +172,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
-            self._idle_poll_s,
+            self._polling,
         )
         self.control = Control(
             settings,
@@ -249,6 +256,7 @@ class Service:
         await self.sender.open()
 
     def _send(self, scan: Scan) -> None:
+        self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
         if self._send_beyond is not None:

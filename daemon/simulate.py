@@ -9,6 +9,7 @@ from random import Random
 from typing import Literal
 
 from daemon.bus import Bus
+from daemon.calibration_file import calibration_in_force
 from daemon.clock import LoopClock
 from daemon.composition import build_simulated_rig, build_weather, site_of
 from daemon.config import Settings, Store
@@ -73,6 +74,7 @@ def simulate(
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
+    calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
@@ -92,6 +94,7 @@ def simulate(
             bus,
             None,
             Notifier({}, 0),
+            calibration=calibration,
         )
         runner.run(_until_end(service, days * DAY_S, progress))
     return tally.close(end_utc_s, warning)

@@ -46,6 +46,8 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         yield "tracker", _tracker(state["tracker"])
         yield from _target(state)
     yield from _cube(state)
+    if state["calibration"] is not None:
+        yield "calibration", _calibration(state["calibration"])
     if state["bridge"] is not None:
         counts = state["bridge"]
         yield "bridge", Text(f"{counts['accepted']} scans accepted, {counts['lost']} lost, {counts['refused']} refused")
@@ -94,6 +96,14 @@ def _cube(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         good = face["quality"] == "ok"
         value = Text(f"{_number(face['irradiance_w_m2'], '7.1f')} W/m2", style="" if good else "dim")
         yield f"  {name}", value if good else Text.assemble(value, (f"  {face['quality']}", _BAD))
+
+
+def _calibration(calibration: dict[str, Any]) -> Text:
+    when = f"{calibration['identifier']}, until {calibration['expires'][:10]}"
+    if calibration["validity"] == "valid":
+        return Text(when)
+    verb = "EXPIRED" if calibration["validity"] == "expired" else "EXPIRES SOON"
+    return Text.assemble((f"{verb} ", _BAD), f"{when}; calibrate the cube anew")
 
 
 def _store(store: dict[str, Any]) -> Text:

@@ -13,7 +13,7 @@ from daemon.records import Record, Scan
 from daemon.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 2
+VERSION = 3
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63

@@ -7,6 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 from daemon.api.recent import Recent
+from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
 from daemon.control import Control
 from daemon.motion import Motion
@@ -68,6 +69,7 @@ def state(
         "sun_elevation_deg": number(service.sun_elevation_deg(utc_s)),
         "sky": None if service.rig.sky_text is None else service.rig.sky_text(),
         "scan": None if recent.scan is None else _scan(recent.scan, now_s, settings.safety.scan_stale_s),
+        "calibration": None if service.calibration is None else _calibration(service.calibration, utc_s),
         "cube_down_why": acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         "mode": None,
         "irradiances": None,
@@ -106,6 +108,16 @@ def state(
     return found
 
 
+def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
+    return {
+        "identifier": calibration.identifier,
+        "method": calibration.method,
+        "calibrated": iso_utc(calibration.calibrated_utc.timestamp()),
+        "expires": iso_utc(calibration.expires_utc.timestamp()),
+        "validity": calibration.validity(utc_s),
+    }
+
+
 def _learned(control: Control) -> dict[str, Any]:
     """Return what the law has learned and used of its day; nothing for laws that learn nothing."""
     if control.optimal is None:
@@ -126,6 +138,7 @@ def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
         "age_s": number(round(age_s, 3)),
         "stale": stale,
         "simulated": scan.simulated,
+        "calibration": scan.calibration or None,
         "faces": {
             name: {
                 "irradiance_w_m2": number(face.irradiance_w_m2),

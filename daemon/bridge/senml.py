@@ -19,6 +19,7 @@ LARGEST_SEQUENCE = 2**53 - 1  # the largest count that every JSON library reads 
 _SOURCE = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/", re.ASCII)
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,32}", re.ASCII)
 _QUALITY_OF = {f"{face}/quality": face for face in FACES}
+_CALIBRATION = re.compile(r"[0-9]{8}-[0-9a-f]{8}", re.ASCII)
 _COMMON = ("sequence", "session", "monotonic", "simulated")
 _LABELS = {
     **dict.fromkeys(FACES, frozenset({"n", "u", "v", "t"})),
@@ -27,6 +28,7 @@ _LABELS = {
     "session": frozenset({"n", "vs"}),
     "monotonic": frozenset({"n", "u", "v"}),
     "simulated": frozenset({"n", "vb"}),
+    "calibration": frozenset({"n", "vs"}),
 }
 
 _encoder = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
@@ -56,6 +58,8 @@ def encode(scan: Scan) -> bytes:
         {"n": "monotonic", "u": "s", "v": round(scan.time_monotonic_s, 3)},
         {"n": "simulated", "vb": scan.simulated},
     )
+    if scan.calibration:
+        records.append({"n": "calibration", "vs": scan.calibration})
     records[0] = {"bn": f"{scan.source}/", "bt": round(scan.time_utc_s, 3), **records[0]}
     return _encoder.encode(records).encode()
 
@@ -95,8 +99,23 @@ def decode(payload: bytes) -> Scan:
     _unit(named["sequence"], "count")
     _unit(named["monotonic"], "s")
     monotonic_s = _number(named["monotonic"].get("v"), 0.0, LARGEST_MONOTONIC_S, "monotonic")
+    calibration = named["calibration"].get("vs") if "calibration" in named else ""
+    if not isinstance(calibration, str) or ("calibration" in named and _CALIBRATION.fullmatch(calibration) is None):
+        raise _malformed(f"has a calibration that is no identifier of one: {_shown(calibration)}")
     east, south, west, zenith = (_face(name, named, time_utc_s, monotonic_s) for name in FACES)
-    return Scan(source, session, sequence, time_utc_s, monotonic_s, east, south, west, zenith, simulated=simulated)
+    return Scan(
+        source,
+        session,
+        sequence,
+        time_utc_s,
+        monotonic_s,
+        east,
+        south,
+        west,
+        zenith,
+        simulated=simulated,
+        calibration=calibration,
+    )
 
 
 def _records(payload: bytes) -> list[Any]:

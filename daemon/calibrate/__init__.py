@@ -1,0 +1,1 @@
+"""`heliocube calibrate`: request, evaluation, report and figures."""

@@ -1,0 +1,79 @@
+"""How a cube stands that was meant to stand level and square: its yaw and its lean.
+
+The cube is rigid, so three angles say where all its faces look. The rotation is written in the frame of
+:mod:`solar.frames` by components alone, so that it holds in both hemispheres.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solar.frames import Array, azimuth_from_direction
+
+FACE_NORMALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+"""Normals of east, south, west and zenith on a cube that stands as it was meant to, shape (4, 3)."""
+
+
+class Attitude(NamedTuple):
+    """The misalignment of a cube [deg].
+
+    Attributes
+    ----------
+    yaw_deg
+        Turn about the vertical, clockwise seen from above: the east face looks to 90 deg + yaw.
+    lean_equator_deg, lean_east_deg
+        Components of the zenith face's lean: towards the equator (i) and towards the east (j).
+    """
+
+    yaw_deg: float
+    lean_equator_deg: float
+    lean_east_deg: float
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the zenith face's normal and the vertical."""
+        return float(np.hypot(self.lean_equator_deg, self.lean_east_deg))
+
+
+def attitude(yaw_deg: float, tilt_deg: float, tilt_azimuth_deg: float, latitude_deg: float) -> Attitude:
+    """Return the attitude of a cube turned by `yaw_deg` whose zenith face leans by `tilt_deg` towards an azimuth."""
+    azimuth = np.radians(tilt_azimuth_deg)
+    equatorward = -np.cos(azimuth) if latitude_deg >= 0 else np.cos(azimuth)
+    return Attitude(yaw_deg, float(tilt_deg * equatorward), float(tilt_deg * np.sin(azimuth)))
+
+
+def rotation(turned: Attitude, latitude_deg: float) -> Array:
+    """Return the matrix, shape (3, 3), that carries directions in the cube to directions at the site.
+
+    R = R_lean R_yaw. R_lean turns in the plane of the vertical k and the horizontal direction h of the lean, by the
+    tilt t: R_lean = 1 + sin t (h k' - k h') + (cos t - 1)(h h' + k k'), which is Rodrigues' formula in components.
+    """
+    clockwise = np.radians(turned.yaw_deg) * (1.0 if latitude_deg >= 0 else -1.0)
+    cosine, sine = np.cos(clockwise), np.sin(clockwise)
+    yaw = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    tilt = np.radians(turned.tilt_deg)
+    if tilt == 0.0:
+        return yaw
+    h = np.array([turned.lean_equator_deg, turned.lean_east_deg, 0.0]) / turned.tilt_deg
+    k = np.array([0.0, 0.0, 1.0])
+    across = np.outer(h, k) - np.outer(k, h)
+    along = np.outer(h, h) + np.outer(k, k)
+    lean = np.eye(3) + np.sin(tilt) * across + (np.cos(tilt) - 1.0) * along
+    return np.asarray(lean @ yaw, dtype=np.float64)
+
+
+def face_normals(turned: Attitude, latitude_deg: float) -> Array:
+    """Return the faces' unit normals at the site, shape (4, 3): east, south, west, zenith."""
+    return np.asarray(FACE_NORMALS @ rotation(turned, latitude_deg).T, dtype=np.float64)
+
+
+def face_orientations(turned: Attitude, latitude_deg: float) -> tuple[Array, Array]:
+    """Return where each face looks, two arrays of shape (4,): azimuth from North clockwise and tilt [deg]."""
+    azimuth, elevation = azimuth_from_direction(face_normals(turned, latitude_deg), latitude_deg)
+    return azimuth, 90.0 - elevation
+
+
+def to_site(direction: ArrayLike, turned: Attitude, latitude_deg: float) -> Array:
+    """Return direction(s) that the cube sees, shape (..., 3), as they are at the site."""
+    return np.asarray(np.asarray(direction, dtype=np.float64) @ rotation(turned, latitude_deg).T, dtype=np.float64)

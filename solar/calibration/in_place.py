@@ -1,0 +1,214 @@
+"""The calibration of a cube where it stands: what :mod:`.shape` and :mod:`.anchor` tell together, and how surely."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solar.calibration.anchor import clear_sky_anchor
+from solar.calibration.attitude import FACE_NORMALS, Attitude
+from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
+from solar.calibration.shape import COSINE_ERROR, Shape, fit_shape
+from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.frames import Array
+from solar.sky import SkyModel
+
+_BLOCK_S = 900.0
+_ROUNDS = 6
+_SETTLED = 2e-4
+_LEAST_DAYS = 3
+_LEAST_LIT = 8
+_LIT_COSINE = 0.26
+_LEAST_AIR_MASS_SPAN = 0.7
+_LARGEST_RESIDUAL = 0.01
+# Standard errors from which on a number is no answer any more: gains (relative), angles [deg], albedo.
+_TOO_UNSURE = (0.03, 0.5, 0.1)
+# One sigma of the clear-sky model's level: the spread over periods of ten days of a measured year.
+_MODEL_SIGMA = 0.018
+_FACES = ("east", "south", "west")
+_WHEN = {"east": "mornings", "south": "around noon", "west": "afternoons"}
+
+
+class UndeterminedError(ValueError):
+    """The readings cannot support a calibration.
+
+    Parameters
+    ----------
+    missing
+        What is missing, one clause each.
+    """
+
+    def __init__(self, missing: list[str]) -> None:
+        super().__init__("; ".join(missing))
+        self.missing = tuple(missing)
+
+
+class FieldErrors(NamedTuple):
+    """Standard errors (one sigma): of the responses with the clear-sky model's own, of angles [deg], of albedo."""
+
+    response: Array
+    yaw_deg: float
+    lean_equator_deg: float
+    lean_east_deg: float
+    albedo: float
+
+
+@dataclass(frozen=True, slots=True)
+class FieldCalibration:
+    """A cube as its own readings show it.
+
+    Attributes
+    ----------
+    response
+        What each face reads over what falls on it, shape (4,): divide readings by it.
+    attitude, albedo
+        Of the cube and the ground.
+    errors
+        By leaving out one day after the other.
+    shape
+        The fit behind it.
+    days
+        UTC days with clear sky in it.
+    """
+
+    response: Array
+    attitude: Attitude
+    albedo: float
+    errors: FieldErrors
+    shape: Shape
+    days: int
+
+
+def calibrate_in_place(
+    utc_s: Array,
+    faces_w_m2: Array,
+    site: Site,
+    *,
+    model: SkyModel = "perez1990",
+    water_cm: float = CLEAR_WATER_CM,
+    cosine_error: float = COSINE_ERROR,
+    stability: Stability | None = None,
+) -> FieldCalibration:
+    """Return gains, attitude and albedo from a cube's readings over several days.
+
+    Parameters
+    ----------
+    utc_s, faces_w_m2
+        Increasing instants [s], shape (n,), about a minute apart or less, and readings with their offsets taken off,
+        shape (n, 4); NaN is no reading.
+    model, water_cm, cosine_error
+        As :func:`.shape.fit_shape` and :func:`.anchor.clear_sky_anchor` say.
+
+    Raises
+    ------
+    UndeterminedError
+        Naming everything that is missing.
+    """
+    whole = np.isfinite(faces_w_m2).all(axis=-1)
+    utc_s, faces_w_m2 = utc_s[whole], faces_w_m2[whole]
+    clear = clear_and_stable(utc_s, faces_w_m2[:, 3], site, stability)
+    utc_s, faces_w_m2 = block_means(utc_s[clear], faces_w_m2[clear], _BLOCK_S)
+    missing = _missing(utc_s, site)
+    if missing:
+        raise UndeterminedError(missing)
+
+    def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape]:
+        return _estimate(utc_s[kept], faces_w_m2[kept], site, model, water_cm, cosine_error, vertical, rounds)
+
+    everything = np.ones(utc_s.size, dtype=np.bool_)
+    try:
+        values, shape = estimate(everything, 1.0, _ROUNDS)
+        vertical = float(np.exp(np.mean(np.log(values[:3] / values[3]))))
+        day = np.floor(utc_s / DAY_S)
+        each = np.array([estimate(day != one, vertical, 2)[0] for one in np.unique(day)])
+    except ValueError as error:
+        raise UndeterminedError([str(error)]) from None
+    spread = jackknife_error(each)
+    unsure = _unsure(spread, shape.residual)
+    if unsure:
+        raise UndeterminedError(unsure)
+    response_error = values[:4] * np.hypot(spread[:4] / values[:4], _MODEL_SIGMA)
+    yaw, equator, east, albedo = spread[4:].tolist()
+    return FieldCalibration(
+        response=values[:4],
+        attitude=shape.attitude,
+        albedo=shape.albedo,
+        errors=FieldErrors(response_error, yaw, equator, east, albedo),
+        shape=shape,
+        days=int(np.unique(day).size),
+    )
+
+
+def jackknife_error(each: Array) -> Array:
+    """Return standard errors from estimates with one of g groups left out, shape (g, m).
+
+    sqrt((g - 1)/g sum (theta_i - mean)^2), Efron & Tibshirani (1993), equation (11.5). The groups are days: readings
+    minutes apart share their errors, days do not.
+    """
+    groups = each.shape[0]
+    return np.asarray(np.sqrt((groups - 1) / groups * np.sum((each - each.mean(axis=0)) ** 2, axis=0)), np.float64)
+
+
+def _estimate(
+    utc_s: Array,
+    faces_w_m2: Array,
+    site: Site,
+    model: SkyModel,
+    water_cm: float,
+    cosine_error: float,
+    vertical: float,
+    rounds: int,
+) -> tuple[Array, Shape]:
+    """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles."""
+    for _ in range(rounds):
+        shape = fit_shape(utc_s, faces_w_m2, site, vertical=vertical, model=model, cosine_error=cosine_error)
+        sine = sun_direction(shape.utc_s, *site)[:, 2]
+        horizontal = shape.beam_w_m2 * sine + shape.uniform_w_m2
+        anchor = clear_sky_anchor(
+            shape.utc_s, horizontal, vertical * shape.beam_w_m2, site, model=model, water_cm=water_cm
+        )
+        before, vertical = vertical, anchor.vertical / anchor.zenith
+        if abs(vertical - before) < _SETTLED:
+            break
+    return np.array([*(shape.response * anchor.zenith), *shape.attitude, shape.albedo]), shape
+
+
+def _missing(utc_s: Array, site: Site) -> list[str]:
+    days = np.unique(np.floor(utc_s / DAY_S)).size
+    if days < _LEAST_DAYS:
+        return [f"clear and stable sky on {days} days, where at least {_LEAST_DAYS} are needed"]
+    sun = sun_direction(utc_s, *site)
+    lit = np.count_nonzero(sun @ FACE_NORMALS[:3].T > _LIT_COSINE, axis=0)
+    missing = [
+        f"clear sky with the sun on the {name} face ({_WHEN[name]}): {count * _BLOCK_S / 60:.0f} min, "
+        f"where {_LEAST_LIT * _BLOCK_S / 60:.0f} min are needed"
+        for name, count in zip(_FACES, lit, strict=True)
+        if count < _LEAST_LIT
+    ]
+    air_mass = 1.0 / sun[:, 2]
+    if np.ptp(air_mass) < _LEAST_AIR_MASS_SPAN:
+        missing.append(
+            f"clear sky with the sun both high and low: air mass {air_mass.min():.2f} to {air_mass.max():.2f}, "
+            f"where a span of {_LEAST_AIR_MASS_SPAN:g} is needed"
+        )
+    return missing
+
+
+def _unsure(spread: Array, residual: float) -> list[str]:
+    if not residual <= _LARGEST_RESIDUAL:
+        return [
+            (
+                f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is the most (shade on a "
+                "face, a wrong site or clock, or faces exchanged)"
+            )
+        ]
+    names = ("the gains", "yaw and tilt", "the albedo")
+    worst = (float(spread[:4].max()), float(spread[4:7].max()), float(spread[7]))
+    units = ("", " deg", "")
+    return [
+        f"days that agree on {name}: leaving out one day after the other gives a standard error of {error:.2g}{unit}, "
+        f"where {limit:g}{unit} is the most"
+        for name, error, limit, unit in zip(names, worst, _TOO_UNSURE, units, strict=True)
+        if not error <= limit
+    ]

@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_drivers.scene import Scene
+from sim_drivers.weather import GeneratedWeather
+from solar.calibration.agreement import agreement
+from solar.calibration.comparison import fitted_offset, lag_s, series_gain
+from solar.calibration.selection import block_means, clear_and_stable, clear_sky_ghi, night_offset
+from solar.ephemeris import Site
+
+SIRTA = Site(48.717607, 2.209002, 156.0)
+MIDNIGHT = 1_647_302_400.0  # 2022-03-15
+
+
+def clouds(utc_s):
+    return 500.0 + 200.0 * np.sin(utc_s / 97.0) + 100.0 * np.sin(utc_s / 41.0 + 1.0)
+
+
+def test_table_1_by_hand():
+    found = agreement([110.0, 90.0, 205.0], [100.0, 100.0, 200.0])
+    assert found == pytest.approx((5 / 3, 1.25, 25 / 3, 6.25))
+
+
+def test_pairs_without_a_number_do_not_count():
+    assert agreement([np.nan, 90.0, 110.0], [100.0, np.nan, 100.0]).mbe_w_m2 == pytest.approx(10.0)
+    with pytest.raises(ValueError, match="no pair"):
+        agreement([np.nan], [100.0])
+    with pytest.raises(ValueError, match="mean is -1"):
+        agreement([1.0], [-1.0])
+
+
+@given(st.lists(st.tuples(st.floats(0, 1500), st.floats(1, 1500)), min_size=1, max_size=30))
+def test_the_mean_absolute_error_is_never_below_the_bias(pairs):
+    found = agreement(*np.array(pairs).T)
+    assert found.mae_w_m2 >= abs(found.mbe_w_m2) - 1e-9
+
+
+def test_means_are_over_the_readings_that_are_there():
+    utc_s = np.array([0.0, 10.0, 50.0, 60.0, 200.0])
+    middles, means = block_means(
+        utc_s, np.array([[1.0, 2.0], [2.0, np.nan], [3.0, 4.0], [5.0, 6.0], [7.0, np.nan]]), 60.0
+    )
+    assert middles.tolist() == [20.0, 60.0, 200.0]
+    np.testing.assert_array_equal(means, [[2.0, 3.0], [5.0, 6.0], [7.0, np.nan]])
+    middles, means = block_means(np.zeros(0), np.zeros((0, 4)), 60.0)
+    assert (middles.shape, means.shape) == ((0,), (0, 4))
+
+
+def test_a_clear_day_is_clear_whatever_the_gain_and_a_cloudy_one_is_not():
+    utc_s = MIDNIGHT + np.arange(0.0, 86400.0, 60.0)
+    clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
+    high = clear_and_stable(utc_s, clear, SIRTA)
+    assert 400 < np.count_nonzero(high) < 620
+    np.testing.assert_array_equal(clear_and_stable(utc_s, 0.9 * clear, SIRTA), high)
+    assert not clear_and_stable(utc_s, 0.5 * clear, SIRTA).any()
+    assert not clear_and_stable(utc_s, clear * (1.0 + 0.1 * np.sin(utc_s / 200.0)), SIRTA).any()
+    with_hole = clear.copy()
+    with_hole[700:760] = np.nan
+    assert not clear_and_stable(utc_s, with_hole, SIRTA)[700:760].any()
+    assert not clear_and_stable(utc_s[:2], clear[:2], SIRTA).any()
+
+
+def test_the_night_offset_is_the_median_of_the_dark():
+    utc_s = MIDNIGHT + np.arange(0.0, 86400.0, 60.0)
+    readings = np.where(utc_s < MIDNIGHT + 3 * 3600.0, 0.05, 40.0)[:, None] * [1.0, -1.0]
+    readings[0] = 30.0, 30.0
+    evening = utc_s > MIDNIGHT + 12 * 3600.0
+    offset, error, count = night_offset(utc_s[~evening][:180], readings[~evening][:180], SIRTA)
+    np.testing.assert_allclose(offset, [0.05, -0.05])
+    np.testing.assert_allclose(error, 0.0)
+    assert count == 180
+    by_day = slice(600, 700)
+    offset, _, count = night_offset(utc_s[by_day], readings[by_day], SIRTA)
+    assert np.isnan(offset).all()
+    assert count == 0
+
+
+@pytest.mark.parametrize("ahead_s", [-90.0, -7.5, 0.0, 37.0, 200.0])
+def test_clouds_tell_how_far_a_clock_is_ahead(ahead_s):
+    reference, sensor = np.arange(0.0, 7200.0, 10.0), np.arange(3.0, 7200.0, 5.0)
+    found = lag_s(reference, clouds(reference), sensor + ahead_s, 0.1 * clouds(sensor))
+    assert found == pytest.approx(ahead_s, abs=1.0)
+
+
+@pytest.mark.parametrize("step_s", [10.0, 60.0])
+def test_slow_readings_do_not_draw_the_lag_to_whole_steps(step_s):
+    sky = Scene(SIRTA, GeneratedWeather("variable", SIRTA, 1))
+    utc_s = MIDNIGHT + np.arange(0.0, 86400.0, step_s)
+    ghi = np.array([sky.irradiances(now).zenith_w_m2 for now in utc_s.tolist()])
+    assert lag_s(utc_s, ghi, utc_s + 37.0, 0.1 * ghi) == pytest.approx(37.0, abs=0.05 * step_s)
+
+
+def test_a_steady_sky_tells_no_lag():
+    utc_s = np.arange(0.0, 7200.0, 10.0)
+    noise = np.random.default_rng(1).standard_normal((2, utc_s.size))
+    assert np.isnan(lag_s(utc_s, 500.0 + noise[0], utc_s, 50.0 + noise[1]))
+    assert np.isnan(lag_s(utc_s, np.full(utc_s.size, 500.0), utc_s, np.full(utc_s.size, 50.0)))
+    assert np.isnan(lag_s(utc_s[:5], clouds(utc_s[:5]), utc_s[:5], clouds(utc_s[:5])))
+
+
+def series(ratios, per_series=10):
+    utc_s = np.arange(len(ratios) * per_series) * 120.0
+    voltage = np.full(utc_s.size, 50.0)
+    return utc_s, np.repeat(ratios, per_series) * voltage, voltage
+
+
+def test_the_gain_is_the_mean_of_the_series_with_students_interval():
+    found = series_gain(*series([10.0, 10.1, 9.9]))
+    assert found.gain_w_m2_per_mv.value == pytest.approx(10.0)
+    assert found.gain_w_m2_per_mv.half_width == pytest.approx(4.302653 * 0.1 / np.sqrt(3.0), rel=1e-6)
+
+
+def test_a_series_that_strays_is_dropped():
+    found = series_gain(*series([10.0, 10.1, 9.9, 10.0, 12.0]))
+    assert found.kept.tolist() == [True] * 4 + [False]
+    assert found.gain_w_m2_per_mv.value == pytest.approx(10.0)
+    with pytest.raises(ValueError, match="fewer than 3 are left"):
+        series_gain(*series([10.0, 12.0, 14.0]))
+    with pytest.raises(ValueError, match="only 2 series"):
+        series_gain(*series([10.0, 10.0]))
+
+
+def test_days_count_and_not_series_where_there_are_three():
+    utc_s = np.concatenate([day * 86400.0 + np.arange(120) * 60.0 for day in range(3)])
+    reference = np.repeat([495.0, 500.0, 505.0], 120)
+    found = series_gain(utc_s, reference, np.full(utc_s.size, 50.0))
+    assert found.series_gains.size == 18
+    assert found.gain_w_m2_per_mv.half_width == pytest.approx(4.302653 * 0.1 / np.sqrt(3.0), rel=1e-6)
+
+
+def test_a_line_tells_the_offset_where_no_night_was_recorded():
+    irradiance = np.array([200.0, 400.0, 600.0, 800.0])
+    found = fitted_offset(irradiance, 0.1 * irradiance + 0.05)
+    assert found.value == pytest.approx(0.05)
+    assert found.half_width == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(ValueError, match="2 readings"):
+        fitted_offset(irradiance[:2], irradiance[:2])

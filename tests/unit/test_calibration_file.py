@@ -1,0 +1,185 @@
+import csv
+import logging
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daemon.bridge.refusals import RefusedError
+from daemon.bridge.senml import decode, encode
+from daemon.calibrate.readings import read_store
+from daemon.calibration_file import (
+    ExpiryWatch,
+    calibrated_cube,
+    new_calibration,
+    read_calibration,
+    write_calibration,
+)
+from daemon.config import Cube
+from daemon.config_file import ConfigError, check_file, load_settings
+from daemon.errors import UserError
+from daemon.export import export
+from daemon.records import FaceReading, Quality, Scan
+from daemon.store_schema import FILE_NAME, VERSION, Rows, open_for_writing
+
+MADE = datetime(2022, 3, 20, 15, 0, tzinfo=UTC)
+EXPIRES = datetime(2024, 3, 20, 15, 0, tzinfo=UTC)
+
+
+def face(gain=10.2, offset_mv=0.05):
+    return {
+        "serial": 'RG "7"',
+        "gain_w_m2_per_mv": gain,
+        "gain_uncertainty_percent": 1.6,
+        "offset_mv": offset_mv,
+        "offset_uncertainty_mv": 0.01,
+    }
+
+
+def calibration(**changes):
+    values = {
+        "method": "beside a reference",
+        "calibrated_utc": MADE,
+        "expires_utc": EXPIRES,
+        "cube": "cube",
+        "reference": "CMP22 1234",
+        "east": face(10.1),
+        "south": face(10.2),
+        "west": face(10.3),
+        "zenith": face(10.4, -0.02),
+    }
+    return new_calibration(values | changes)
+
+
+def scan(identifier, sequence=0):
+    reading = FaceReading(100.0, Quality.OK, 1.6e9, 50.0)
+    return Scan("cube", "session", sequence, 1.6e9, 50.0, reading, reading, reading, reading, calibration=identifier)
+
+
+def written(tmp_path, made=None):
+    path = tmp_path / "calibration.toml"
+    write_calibration(made or calibration(), path, ["MBE 0.3", "", "two\nlines"])
+    return path
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    assert read_calibration(written(tmp_path)) == calibration()
+
+
+@given(st.floats(0.001, 1000), st.floats(-100, 100))
+def test_the_identifier_is_made_of_the_day_and_the_contents(gain, offset_mv):
+    made = calibration(east=face(gain, offset_mv))
+    assert made.identifier == calibration(east=face(gain, offset_mv)).identifier
+    assert made.identifier.startswith("20220320-")
+    assert (made.identifier == calibration().identifier) == (gain == 10.1 and offset_mv == 0.05)
+
+
+def test_a_calibration_is_not_overwritten(tmp_path):
+    path = written(tmp_path)
+    with pytest.raises(UserError, match="is there already"):
+        write_calibration(calibration(), path, [])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("10.4", "10.5"), "has been edited"),
+        (("10.4", "nan"), r"zenith.gain_w_m2_per_mv: Input should be a finite number; calibrate anew"),
+        (("[zenith]", "[zenit]"), "zenith: Field required"),
+        (("[zenith]", "[zenith"), "cannot be read"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, change, message):
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(UserError, match=message):
+        read_calibration(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(UserError, match="there is no calibration file at"):
+        read_calibration(tmp_path / "none.toml")
+
+
+def test_its_gains_and_offsets_replace_those_of_the_faces_and_nothing_else():
+    cube = calibrated_cube(Cube(), calibration())
+    assert (cube.zenith.gain_w_m2_per_mv, cube.zenith.offset_mv) == (10.4, -0.02)
+    assert cube.east.gain_w_m2_per_mv == 10.1
+    assert (cube.zenith.channel, cube.zenith.tilt_deg) == (3, 0.0)
+
+
+def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
+    told = []
+    watch = ExpiryWatch(calibration(), told.append)
+    with caplog.at_level(logging.WARNING, "heliocube.calibration"):
+        for days in (-400, -31, -29, -1, 1, 2):
+            watch.look((EXPIRES + timedelta(days=days)).timestamp(), 0.0)
+    texts = [event.text for event in told]
+    assert [text.split(" ", 3)[3] for text in texts] == [
+        "expires on 2024-03-20; calibrate the cube anew",
+        "expired on 2024-03-20; calibrate the cube anew",
+    ]
+    assert [record.getMessage() for record in caplog.records] == texts
+
+
+def test_the_file_is_found_beside_the_configuration_and_looked_at(tmp_path):
+    written(tmp_path)
+    config = tmp_path / "heliocube.toml"
+    config.write_text('[cube]\ncalibration_file = "calibration.toml"\n')
+    assert load_settings(config).cube.calibration_file == tmp_path / "calibration.toml"
+    check_file(config)
+    (tmp_path / "calibration.toml").unlink()
+    with pytest.raises(ConfigError, match=r"cube\.calibration_file: there is no calibration file"):
+        check_file(config)
+
+
+def test_the_identifier_crosses_the_bridge_and_its_absence_does_too():
+    identifier = calibration().identifier
+    assert decode(encode(scan(identifier))).calibration == identifier
+    assert decode(encode(scan(""))).calibration == ""
+    assert b"calibration" not in encode(scan(""))
+
+
+@pytest.mark.parametrize("text", ["", "2022-3-20", "20220320-ABCDEF01", "20220320-abcdef012"])
+def test_an_identifier_that_is_none_is_refused(text):
+    good = calibration().identifier.encode()
+    with pytest.raises(RefusedError, match="calibration"):
+        decode(encode(scan(good.decode())).replace(good, text.encode()))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_store_of_a_version_before_is_read_and_brought_forward(tmp_path, version):
+    path = tmp_path / FILE_NAME
+    with closing(open_for_writing(path)) as store:
+        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156)")
+        store.execute(Rows(Scan).insert, Rows(Scan).row(1, 0, scan("")))
+        store.execute("ALTER TABLE scans DROP COLUMN calibration")
+        if version == 1:
+            for name in ("dni_est", "dhi_est", "albedo_est"):
+                store.execute(f"ALTER TABLE decisions DROP COLUMN {name}")
+        store.execute(f"PRAGMA user_version = {version}")
+    assert export(tmp_path, tmp_path / "old", "csv", None, None, ["scans"]) == {"scans": 1}
+    with closing(open_for_writing(path)) as store:
+        assert store.execute("PRAGMA user_version").fetchone()[0] == VERSION
+        identifier = calibration().identifier
+        store.execute(Rows(Scan).insert, Rows(Scan).row(1, 1, scan(identifier, 1)))
+    export(tmp_path, tmp_path / "new", "csv", None, None, ["scans"])
+    assert [row["calibration"] for row in exported(tmp_path / "old")] == [""]
+    assert [row["calibration"] for row in exported(tmp_path / "new")] == ["", identifier]
+    assert exported(tmp_path / "new")[:1] == exported(tmp_path / "old")
+    assert read_store(tmp_path, None, None).calibrations == {"", identifier}
+
+
+def exported(folder):
+    with (folder / "scans.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_fresh_store_is_of_the_newest_version(tmp_path):
+    with closing(open_for_writing(tmp_path / FILE_NAME)):
+        pass
+    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as store:
+        assert store.execute("PRAGMA user_version").fetchone()[0] == VERSION
