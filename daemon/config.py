@@ -219,8 +219,8 @@ class Windows(Section):
         0.25,
         gt=0,
         le=1,
-        description="Share of the span that good readings must cover for a decision. A cube that was away for 70 s steers"
-        " again with its first scan; what is left of the window is younger than its span.",
+        description="Share of the span that good readings must cover for a decision. With a quarter, a cube that was"
+        " away for 70 s steers again with its first scan.",
     )
 
 
