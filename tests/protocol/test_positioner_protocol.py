@@ -1,4 +1,5 @@
 import asyncio
+import contextlib
 import fcntl
 import os
 import socket
@@ -523,5 +524,32 @@ def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(position
             await positioner.clear_faults()
             assert not (await positioner.read_telemetry()).was_reset
             await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_unit_that_takes_no_data_any_more_is_a_lost_link_within_the_deadline(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link, stale_s=60.0)
+            await positioner.open()
+            host.freeze()
+            filler = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                # The kernel makes room by itself a few times before the port is truly full.
+                for _ in range(20):
+                    for size in (4096, 1):
+                        with contextlib.suppress(BlockingIOError):
+                            while True:
+                                os.write(filler, b"x" * size)
+                    await asyncio.sleep(0.02)
+                async with asyncio.timeout(10.0):
+                    with pytest.raises(LinkLostError, match="takes no data"):
+                        await positioner.stop()
+                    with pytest.raises(LinkLostError, match="takes no data"):
+                        await positioner.move_to(1.0, 80.0)
+            finally:
+                os.close(filler)
+                await positioner.close()
 
     asyncio.run(scene())

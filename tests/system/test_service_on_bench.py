@@ -141,6 +141,50 @@ def test_wrong_and_silent_instruments_are_told_in_one_sentence_and_waited_for(tm
     assert rig.lines("is down") == rig.lines("is back") == 2
 
 
+HANGS = """
+import os, time
+from nidaqmx.stream_writers import DigitalSingleChannelWriter
+from nidaqmx.task import Task
+
+def hanging(function):
+    def call(*arguments, **options):
+        while os.path.exists({mark!r}):
+            time.sleep(0.05)
+        return function(*arguments, **options)
+    return call
+
+DigitalSingleChannelWriter.write_one_sample_port_uint32 = hanging(
+    DigitalSingleChannelWriter.write_one_sample_port_uint32
+)
+Task.__init__ = hanging(Task.__init__)
+"""
+
+
+def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_keep_the_service_from_ending(
+    tmp_path, start_bench, start_service, monkeypatch
+):
+    mark = tmp_path / "hang"
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(HANGS.format(mark=str(mark)))
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    rig = Rig(bench, start_service(bench.config))
+    rig.settle()
+    mark.touch()
+    told = "the cube is down: multiplexer: a call of its driver did not return within"
+    wait_until(lambda: rig.lines(told) == 1, SETTLES_WITHIN_S, rig.service.log)
+    # Hung again while it is being opened.
+    assert rig.load(12.0) < 0.2
+    assert rig.lines("is back") == 0
+    mark.unlink()
+    wait_until(lambda: rig.lines("the cube is back") == 1, BACK_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, rig.service.log)
+    mark.touch()
+    wait_until(lambda: rig.lines(told) == 2, SETTLES_WITHIN_S, rig.service.log)
+    rig.service.ask_to_stop()
+    assert rig.service.wait(5.0) == 0
+
+
 def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(
     tmp_path, start_bench, start_service
 ):
