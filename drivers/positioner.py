@@ -19,6 +19,7 @@ from drivers.executor import DeviceThread
 from drivers.geometry import AxisSetup
 from drivers.homing import HomingRun
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
+from drivers.own_moves import OWN_MOVES, own_moves
 from drivers.pozsol_wire import Field, Status, encode_command, parse_number, parse_status
 from drivers.telemetry import Port, TelemetryReader, Value
 
@@ -319,6 +320,7 @@ class PozsolPositioner:
             homing=homing,
             autonomous=status.autonomous,
             mode_text=_text(known[Field.MODE]),
+            own_moves=own_moves({code: _text(known[code]) for code in known.keys() & OWN_MOVES}),
         )
 
     def _note_jump(self, homing: bool) -> None:

@@ -440,6 +440,27 @@ def test_own_tracking_is_switched_off_and_a_refusal_names_its_likely_cause(posit
     asyncio.run(scene())
 
 
+def test_settings_that_may_move_the_axes_some_day_are_named(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link)
+            await positioner.open()
+            await asyncio.sleep(3.5)
+            assert (await positioner.read_telemetry()).own_moves == ()
+            host.core.parameters.update({108: "-50.0", 117: "7"})
+
+            async def named():
+                return len((await positioner.read_telemetry()).own_moves) == 2
+
+            await until(named)
+            night, reference = (await positioner.read_telemetry()).own_moves
+            assert night == "a night position (108=-50.0, 109=off)"
+            assert reference.startswith("a reference run every few days (117=7")
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
 def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(positioner_host):
     async def scene():
         async with positioner_host() as host:

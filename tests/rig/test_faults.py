@@ -4,6 +4,7 @@ import asyncio
 import itertools
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,23 @@ def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_r
             await asyncio.sleep(130)
 
     run_rig(scenario)
+
+
+def test_settings_of_the_unit_that_may_move_it_are_told_once(run_rig, caplog):
+    async def scenario(bench):
+        read = bench.positioner.read_telemetry
+
+        async def with_setting():
+            return replace(await read(), own_moves=("a night position (108=-50.0, 109=off)",))
+
+        bench.positioner.read_telemetry = with_setting
+        await tracking(bench)
+        await asyncio.sleep(600)
+
+    bench = run_rig(scenario)
+    told = "the positioner may move by itself: a night position (108=-50.0, 109=off)"
+    assert [event.text for event in bench.of(Event)].count(told) == 1
+    assert [record.getMessage() for record in caplog.records].count(told) == 1
 
 
 @pytest.mark.parametrize(("stuck_at_v", "quality"), [(9.9, "over-range"), (0.4, "implausible")])
