@@ -16,6 +16,7 @@ from daemon.calibration_file import calibration_in_force
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
+from daemon.mqtt.unusable import unusable
 
 if TYPE_CHECKING:
     from daemon.config_section import Section
@@ -73,6 +74,8 @@ class _Problem(NamedTuple):
 def load_settings(path: Path) -> Settings:
     """Read the settings from a TOML file; relative paths in it are meant from the file's folder.
 
+    Topics and JSON paths may be such that they cannot be used: see `daemon.mqtt.unusable`.
+
     Raises
     ------
     ConfigError
@@ -82,8 +85,8 @@ def load_settings(path: Path) -> Settings:
 
 
 def check_file(path: Path) -> Settings:
-    """Read a file like `load_settings` and look at the files it names as well; raises `ConfigError`."""
-    settings = load_settings(path)
+    """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
+    settings = _resolved(_settings(_read(path), str(path), topics=True), path.parent)
     problems = []
     try:
         calibration_in_force(settings.cube)
@@ -174,7 +177,7 @@ def _syntax_problem(message: str, text: str) -> str:
     return f"line {line}, column {column}: {reason} in: {_shortened(_printable(lines[line - 1].strip()))}{hint}"
 
 
-def _settings(raw: dict[str, Any], source: str) -> Settings:
+def _settings(raw: dict[str, Any], source: str, *, topics: bool = False) -> Settings:
     problems = [_unknown("", name, value) for name, value in raw.items() if name not in Settings.model_fields]
     sections: dict[str, Any] = {}
     for name, field in Settings.model_fields.items():
@@ -188,6 +191,8 @@ def _settings(raw: dict[str, Any], source: str) -> Settings:
             # The rules between keys are still worth checking for all that is right.
             sections[name] = kind.model_validate(_without(given, name, found.keys()))
     settings = Settings.model_construct(**sections)
+    if topics:
+        problems += [_Problem(key, _wrong(key, _value_of(settings, key))) for key in unusable(settings)]
     wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in config_rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):

@@ -11,14 +11,14 @@ import numpy as np
 from daemon.clock import Clock
 from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
-from daemon.modes import Data, Situation, next_mode
+from daemon.modes import Situation, next_mode
 from daemon.motion import Motion
-from daemon.optimal import DECIDE_EVERY_S, FACES_NEEDED, OptimalPointing
+from daemon.optimal import DECIDE_EVERY_S, OptimalPointing
 from daemon.pointing import Pointing
-from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Quality, Record, Scan, Target
+from daemon.readings import Readings
+from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
 from daemon.stow import OperatorStow, StowSource
 from daemon.waiting import wait_at_most
-from daemon.window import Window
 from daemon.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from solar.frames import normal_from_angles, separation_deg
@@ -102,18 +102,14 @@ class Control:
     ) -> None:
         self._settings = settings
         self.optimal = optimal
-        self._faces_needed = 4 if optimal is None else FACES_NEEDED
         self._clock = clock
         self._motion = motion
         self._pointing = pointing
-        self._sun_elevation_deg = sun_elevation_deg
         self._clock_watch = ClockWatch(clock)
         self._operator = OperatorStow()
         self._stow_sources = (self._operator, *stow_sources)
         self._publish = publish
-        self._window = Window(
-            settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
-        )
+        self._readings = Readings(settings, clock, sun_elevation_deg, optimal)
         self._wake = asyncio.Event()
         self._wish_file = wish_file
         before = wish_file.load()
@@ -125,10 +121,6 @@ class Control:
         self.mode = Mode.STARTING
         self.why = "starting"
         self._since_utc_s = clock.utc()
-        self._started_s = clock.monotonic()
-        self._scan: Scan | None = None
-        self._good_s = -math.inf
-        self._night = False
         self._due_s = -math.inf
         self._parked_s = -math.inf
         self._decision: Decision | None = None
@@ -139,10 +131,7 @@ class Control:
 
     def receive(self, scan: Scan) -> None:
         """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
-        self._scan = scan
-        self._window.add(scan)
-        if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
-            self._good_s = scan.time_monotonic_s
+        self._readings.add(scan)
         if self.optimal is not None and self._clock_watch.trusted:
             self.optimal.receive(scan, self._clock.utc())
         self._publish(scan)
@@ -224,9 +213,9 @@ class Control:
             self.mode,
             self.why,
             self._since_utc_s,
-            self._scan,
-            now_s - self._good_s,
-            self._window.mean(now_s, self._faces_needed),
+            self._readings.newest,
+            now_s - self._readings.good_s,
+            self._readings.mean(now_s),
             self._decision,
             max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
@@ -253,7 +242,7 @@ class Control:
         self._watch_clock()
         if self.optimal is not None and self._clock_watch.trusted:
             self.optimal.turn(self._clock.utc())
-        mean = self._window.mean(now_s, self._faces_needed)
+        mean = self._readings.mean(now_s)
         mode, why = next_mode(self.mode, self._situation(now_s, mean))
         if mode is not self.mode:
             self._enter(mode, why, now_s)
@@ -269,10 +258,7 @@ class Control:
             self._tell(text)
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
-        data, data_why = self._judge_data(now_s, mean)
-        night_why = self._judge_night(data, mean)
-        if night_why is None and data is Data.FRESH and mean is not None and self._too_dark(mean):
-            data, data_why = Data.BAD, f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2 in daylight"
+        data, data_why, night_why = self._readings.judge(now_s, mean)
         return Situation(
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
@@ -285,48 +271,6 @@ class Control:
             data=data,
             data_why=data_why,
         )
-
-    def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
-        age_s = now_s - self._good_s
-        covered = mean is not None and mean.coverage >= self._settings.windows.minimum_coverage
-        if age_s <= self._settings.safety.scan_stale_s and covered:
-            return Data.FRESH, "the cube's readings are good"
-        since_s = now_s - max(self._good_s, self._started_s)
-        if since_s > self._settings.safety.fallback_after_s:
-            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}"
-        return Data.WAITING, "waiting for the cube's readings"
-
-    def _bad_faces(self) -> str:
-        if self._scan is None or self._scan.ok:
-            return ""
-        names = ("east", "south", "west", "zenith")
-        bad = [f"{n} {f.quality}" for n, f in zip(names, self._scan.faces, strict=True) if f.quality != "ok"]
-        return f" ({', '.join(bad)})"
-
-    def _too_dark(self, mean: Irradiances) -> bool:
-        return self._sees_zenith(mean) and not (mean.zenith_w_m2 >= self._settings.safety.night_below_w_m2)
-
-    def _sees_zenith(self, mean: Irradiances) -> bool:
-        """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
-        zenith = mean.zenith_w_m2
-        if self.optimal is None or zenith >= self._settings.safety.night_above_w_m2:
-            return True
-        if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
-            return True
-        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
-        return self.optimal.believes_zenith(faces, self._clock.utc())
-
-    def _judge_night(self, data: Data, mean: Irradiances | None) -> str | None:
-        safety = self._settings.safety
-        sun_deg = self._sun_elevation_deg(self._clock.utc())
-        if data is Data.FRESH and mean is not None and self._sees_zenith(mean):
-            threshold = safety.night_above_w_m2 if self._night else safety.night_below_w_m2
-            self._night = mean.zenith_w_m2 < threshold and sun_deg <= safety.night_highest_sun_deg
-            why = f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2"
-        else:
-            self._night = sun_deg < (0.5 if self._night else 0.0)
-            why = f"the sun stands at {sun_deg:.1f} deg"
-        return why if self._night else None
 
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()

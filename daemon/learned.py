@@ -1,13 +1,12 @@
 """What the law `optimal` has learned of its site and used of its day, kept over a restart."""
 
-import contextlib
 import logging
-import os
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from daemon.replace_file import replace_file
 from solar.optimal_site import ALBEDO_RANGE, GAIN_RANGE, Learned
 
 log = logging.getLogger("heliocube.optimal")
@@ -65,15 +64,7 @@ class LearnedFile:
         """Replace the file as a whole; a disk that fails is told and does not hinder tracking."""
         if self._path is None:
             return
-        part = self._path.with_suffix(".part")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("w") as file:
-                file.write(kept.model_dump_json())
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self._path)
+            replace_file(self._path, kept.model_dump_json())
         except OSError as error:
             log.warning("%s cannot be written (%s): a restart would forget what was learned", self._path, error)
-            with contextlib.suppress(OSError):
-                part.unlink()

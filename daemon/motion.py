@@ -10,6 +10,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from random import Random
 
 from daemon.backoff import Backoff
@@ -26,11 +27,21 @@ from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
 
-IDLE_POLL_S = 5.0
-_MOVING_POLL_S = 0.5
 _HOMING_POLL_S = 1.0
+_STOPPING_POLL_S = 0.5
 _BETWEEN_ATTEMPTS_S = 1.0
 _AXES: tuple[Axis, Axis] = ("a", "b")
+
+
+@dataclass(frozen=True, slots=True)
+class Polling:
+    """How often the positioner is looked at, at rest and on its way."""
+
+    idle_s: float = 5.0
+    moving_s: float = 0.5
+
+
+OFTEN = Polling()
 
 
 class Motion:
@@ -50,8 +61,8 @@ class Motion:
         Called with moves, poses and events.
     changed
         Called when readiness changes or a move or homing run begins or ends, so that control looks again at once.
-    idle_poll_s
-        How often a tracker at rest is looked at.
+    polling
+        How often to look at the positioner.
     """
 
     def __init__(
@@ -64,7 +75,7 @@ class Motion:
         random: Random,
         publish: Callable[[Record], None],
         changed: Callable[[], None],
-        idle_poll_s: float = IDLE_POLL_S,
+        polling: Polling = OFTEN,
     ) -> None:
         self._positioner = positioner
         self._limits = limits
@@ -73,7 +84,7 @@ class Motion:
         self._clock = clock
         self._publish = publish
         self._changed = changed
-        self._idle_poll_s = idle_poll_s
+        self._polling = polling
         self._backoff = Backoff(random)
         self._wake = asyncio.Event()
         self._wanted: Target | None = None
@@ -259,7 +270,7 @@ class Motion:
                 target, self._wanted = self._wanted, None
                 await self._move(target)
                 continue
-            await wait_at_most(self._wake, self._idle_poll_s)
+            await wait_at_most(self._wake, self._polling.idle_s)
 
     def _must_rehome(self) -> bool:
         return self._settings.rehome == "automatic" and self._doubt is not None and self.blocked is None
@@ -368,7 +379,7 @@ class Motion:
             if progress is not Progress.GOING:
                 await self._come_to_rest()
                 return MoveOutcome(progress.value), why
-            await wait_at_most(self._wake, _MOVING_POLL_S)
+            await wait_at_most(self._wake, self._polling.moving_s)
 
     async def _come_to_rest(self) -> None:
         """Send stop until two looks agree that nothing moves."""
@@ -376,7 +387,7 @@ class Motion:
         before = await self._look(moving=True)
         while self._clock.monotonic() < deadline_s:
             await self._positioner.stop()
-            await asyncio.sleep(_MOVING_POLL_S)
+            await asyncio.sleep(_STOPPING_POLL_S)
             after = await self._look(moving=True)
             if (before.position_a, before.position_b) == (after.position_a, after.position_b):
                 return

@@ -11,6 +11,7 @@ from solar.ephemeris import SunPosition, sun_position
 from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
 
 _SUN_EVERY_S = 60.0
+_SUN_AT_ONCE = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Aim:
 
 
 class SunElevation:
-    """The sun's apparent elevation [deg] for decisions by the minute, computed once a minute.
+    """The sun's apparent elevation [deg] for decisions by the minute, computed for an hour at once.
 
     Parameters
     ----------
@@ -50,18 +51,20 @@ class SunElevation:
 
     def __init__(self, site: Site) -> None:
         self._site = site
-        self._asked_utc_s = -np.inf
-        self._elevation_deg = np.nan
+        self._first_minute = 0
+        self._elevation_deg: list[float] = []
 
     def __call__(self, utc_s: float) -> float:
-        """Return the elevation at this UTC [s], not older than a minute (0.25 deg of the sun's path)."""
-        if not (abs(utc_s - self._asked_utc_s) < _SUN_EVERY_S):
-            self._asked_utc_s = utc_s
+        """Return the elevation at the beginning of the minute that this UTC [s] lies in (0.25 deg of its path)."""
+        minute = int(utc_s // _SUN_EVERY_S)
+        at = minute - self._first_minute
+        if not (0 <= at < len(self._elevation_deg)):
+            self._first_minute, at = minute, 0
             site = self._site
-            self._elevation_deg = sun_position(
-                utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m
-            ).elevation_deg
-        return self._elevation_deg
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE, dtype=np.float64)
+            sun = sun_position(instants, site.latitude_deg, site.longitude_deg, site.altitude_m)
+            self._elevation_deg = sun.elevation_deg.tolist()
+        return self._elevation_deg[at]
 
 
 class Pointing:

@@ -2,6 +2,7 @@
 
 import asyncio
 import csv
+import gc
 import gzip
 import math
 import sqlite3
@@ -22,7 +23,7 @@ from daemon.config import Cube, Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.control import Control
 from daemon.errors import UserError
-from daemon.motion import Motion
+from daemon.motion import Motion, Polling
 from daemon.records import FACES, FaceReading, Mode, Quality, Scan
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
@@ -38,8 +39,8 @@ COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_es
 # The service starts so long before the first row, to be connected when it comes.
 _WARM_UP_S = 10.0
 _SLOWEST_S, _QUICKEST_S = 60.0, 0.5
-# Nothing breaks here that a look at a resting tracker would show.
-_IDLE_POLL_S = 300.0
+# Nothing breaks here that a look at a resting tracker would show, and nothing in half a second of a move.
+_POLLING = Polling(idle_s=300.0, moving_s=1.0)
 _STALE_AFTER_ROWS = 2.5
 # What a gap in the night is skipped by, how near to its end, and how deep below the horizon the sun must be.
 _SKIP_S = 600.0
@@ -137,6 +138,8 @@ def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
 
 def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], None]) -> _Log:
     log = _Log()
+    # The readings stay until the end: the collector need not look at them again and again.
+    gc.freeze()
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
@@ -150,7 +153,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
             Bus(),
             None,
             Notifier({}, 0),
-            idle_poll_s=_IDLE_POLL_S,
+            polling=_POLLING,
         )
         runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
@@ -219,7 +222,7 @@ class _Feeder:
 
     async def _wait(self, duration_s: float) -> None:
         """Let time pass; while the tracker is at rest there is nobody else who would use it, but for a look at rest."""
-        if self._motion.resting and self._loop.time() - self._woken_s < _IDLE_POLL_S:
+        if self._motion.resting and self._loop.time() - self._woken_s < _POLLING.idle_s:
             self._loop.skip(max(duration_s, 0.0))
         else:
             # A short move may begin and end in here.
@@ -292,7 +295,9 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
         some = rows[first : first + _ROWS_AT_ONCE]
         utc_s = np.array([row.time_utc_s for row in some])
         faces = np.array([row.irradiances_w_m2 for row in some])
-        estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
+        estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
+        if log.learned:
+            estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
         for at, row in enumerate(some):
             mode = log.modes[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
@@ -302,9 +307,6 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
 
 def _estimates(faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Learned]]) -> list[tuple[str, ...]]:
     """Return beam, diffuse and albedo for each row, by its own readings and by what was known of the site then."""
-    nothing = ("", "", "")
-    if not learned:
-        return [nothing] * len(faces)
     found: list[tuple[str, ...]] = []
     ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
     for (begin, known), end in zip(learned, ends, strict=True):

@@ -18,7 +18,7 @@ from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
 from daemon.learned import LearnedFile
-from daemon.motion import IDLE_POLL_S, Motion
+from daemon.motion import OFTEN, Motion, Polling
 from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -88,8 +88,8 @@ class Service:
         How many times as fast as the machine's the clock runs, for the watchdog.
     calibration
         Of the cube; None for the gains of the settings.
-    idle_poll_s
-        How often a tracker at rest is looked at.
+    polling
+        How often to look at the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator.
     send_beyond
@@ -108,7 +108,7 @@ class Service:
         notifier: Notifier,
         speed: float = 1.0,
         calibration: CubeCalibration | None = None,
-        idle_poll_s: float = IDLE_POLL_S,
+        polling: Polling = OFTEN,
         stow_sources: Sequence[StowSource] = (),
         send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
@@ -122,7 +122,7 @@ class Service:
         self._notifier = notifier
         self.calibration = calibration
         self._expiry = ExpiryWatch(calibration, bus.publish)
-        self._idle_poll_s = idle_poll_s
+        self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site)
@@ -172,7 +172,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
-            self._idle_poll_s,
+            self._polling,
         )
         self.control = Control(
             settings,

@@ -53,6 +53,8 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         yield "bridge", Text(f"{counts['accepted']} scans accepted, {counts['lost']} lost, {counts['refused']} refused")
     if state["store"] is not None:
         yield "store", _store(state["store"])
+    if state["mqtt"] is not None:
+        yield from _mqtt(state["mqtt"], time)
 
 
 def _tracker(tracker: dict[str, Any]) -> Text:
@@ -113,6 +115,31 @@ def _store(store: dict[str, Any]) -> Text:
     if store["down_why"]:
         return Text.assemble(("cannot write: ", _BAD), (store["down_why"], _BAD), f"; {counts}")
     return Text(counts)
+
+
+def _mqtt(link: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
+    since = _since(link["since"], now)
+    if link["connected"]:
+        text = Text(f"{link['broker']} {since}, {link['sent']} messages sent, {link['received']} received")
+    else:
+        text = Text.assemble((f"not connected {since}: {link['down_why']}", _BAD))
+        text.append(f"; {link['waiting']} messages waiting")
+    if link["dropped"]:
+        text.append(f", {link['dropped']} dropped {_since(link['dropped_since'], now)}", style=_BAD)
+    yield "mqtt", text
+    for item in link["inputs"]:
+        heard = Text("nothing heard yet") if item["age_s"] is None else Text(f"heard {_age(item['age_s'])} ago")
+        heard.append(f" on {item['topic']}")
+        if item["stowing"]:
+            heard.append("  STOW", style="bold magenta")
+        yield f"  {item['name']}", heard
+    for sentence in link["troubles"]:
+        yield "", Text(sentence, style=_BAD)
+
+
+def _since(time: str, now: str) -> str:
+    day = "" if time[:10] == now[:10] else f"{time[:10]} "
+    return f"since {day}{_clock(time)}"
 
 
 def _clock(time: str) -> str:

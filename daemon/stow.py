@@ -54,6 +54,11 @@ class WindStow:
         self._stowed = False
         self._why = ""
 
+    @property
+    def stowing(self) -> bool:
+        """Whether it asked for stow when it was last looked at."""
+        return self._stowed
+
     def reason(self, now_s: float) -> str | None:
         """Return the wind's reason to stow, or None."""
         safety = self._safety

@@ -4,7 +4,6 @@ import csv
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -255,18 +254,6 @@ def _part(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
-@lru_cache(maxsize=256)
-def _minute(minutes: int) -> str:
-    return iso_utc(minutes * 60.0)[:-7]
-
-
-def _time(utc_s: float) -> str:
-    """Return what `iso_utc` does, in a third of its time: five to a scan, they were most of the cost of a row."""
-    whole_s = math.floor(utc_s)
-    minutes, milliseconds = divmod(whole_s * 1000 + round((utc_s - whole_s) * 1e6) // 1000, 60_000)
-    return f"{_minute(minutes)}{milliseconds // 1000:02d}.{milliseconds % 1000:03d}Z"
-
-
 def _number(value: float) -> float | str:
     return "" if value != value else value
 
@@ -276,7 +263,7 @@ def _truth(value: bool) -> str:
 
 
 _TEXT: dict[str, Callable[[Any], object]] = {
-    "time": _time,
+    "time": iso_utc,
     "float": _number,
     "int": str,
     "bool": _truth,

@@ -66,7 +66,8 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
-        self.now_ns = 0
+        self._now_ns = 0
+        self.now_s = 0.0
         self.jobs = 0
         self._rounds = 0
 
@@ -86,8 +87,13 @@ class _VirtualSelector(_DelegatingSelector):
                     "the program waits for something that virtual time cannot bring"
                 )
             return events
-        self.now_ns += ceil(timeout * 1e9)
+        self.skip(timeout)
         return events
+
+    def skip(self, duration_s: float) -> None:
+        # Counted in whole nanoseconds, so that nothing is lost to rounding in a year.
+        self._now_ns += ceil(duration_s * 1e9)
+        self.now_s = self._now_ns / 1e9
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
@@ -99,11 +105,11 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         """Virtual seconds since construction."""
-        return self._virtual.now_ns / 1e9
+        return self._virtual.now_s
 
     def skip(self, duration_s: float) -> None:
         """Let time jump although timers are set: those that come due meanwhile run once, late, and see the new time."""
-        self._virtual.now_ns += ceil(duration_s * 1e9)
+        self._virtual.skip(duration_s)
 
     def run_in_executor(
         self,

@@ -73,24 +73,21 @@ class _FaceWindow:
         self._covered_s += length_s
         self._total += length_s * irradiance
         self.newest_s = end_s
-        self._forget(end_s)
-
-    def _forget(self, now_s: float) -> None:
-        start_s = now_s - self._mean_s
-        while self._readings and self._readings[0][0] <= start_s:
-            _, length_s, irradiance = self._readings.popleft()
-            self._covered_s -= length_s
-            self._total -= length_s * irradiance
-        if not self._readings:
-            self._covered_s = self._total = 0.0
 
     def mean(self, now_s: float) -> tuple[float, float]:
-        """Return the mean and how much of the window it stands for [s]."""
-        self._forget(now_s)
-        if not self._readings:
+        """Return the mean and how much of the window it stands for [s]; what is older is forgotten."""
+        readings, start_s = self._readings, now_s - self._mean_s
+        while readings and readings[0][0] <= start_s:
+            _, length_s, irradiance = readings.popleft()
+            self._covered_s -= length_s
+            self._total -= length_s * irradiance
+        if not readings:
+            self._covered_s = self._total = 0.0
             return math.nan, 0.0
-        end_s, length_s, irradiance = self._readings[0]
+        end_s, length_s, irradiance = readings[0]
         # Only the oldest reading can reach beyond the window's start.
-        outside_s = max(length_s - (end_s - (now_s - self._mean_s)), 0.0)
+        outside_s = length_s - (end_s - start_s)
+        if outside_s <= 0.0:
+            return self._total / self._covered_s, self._covered_s
         covered_s = self._covered_s - outside_s
         return (self._total - outside_s * irradiance) / covered_s, covered_s

@@ -3,12 +3,12 @@
 A service that is killed in a storm or under repair and comes back must not go to work by itself.
 """
 
-import contextlib
 import logging
-import os
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
+
+from daemon.replace_file import replace_file
 
 log = logging.getLogger("heliocube.control")
 
@@ -53,15 +53,7 @@ class WishFile:
         """Replace the file as a whole; a disk that fails is told and does not hinder the command."""
         if self._path is None:
             return
-        part = self._path.with_suffix(".part")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("w") as file:
-                file.write(wishes.model_dump_json())
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self._path)
+            replace_file(self._path, wishes.model_dump_json())
         except OSError as error:
             log.warning("%s cannot be written (%s): a restart would forget what was asked", self._path, error)
-            with contextlib.suppress(OSError):
-                part.unlink()

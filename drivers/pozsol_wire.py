@@ -8,6 +8,7 @@ import math
 import re
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 SEPARATOR = 0x24
 TERMINATOR = b"\r"
@@ -69,7 +70,9 @@ DECIMALS = {
 }
 """How many decimals the unit prints. Fewer or more means that bytes were lost."""
 
-_NUMBER = {decimals: re.compile(rb"-?\d{1,7}\.\d{%d}" % decimals) for decimals in set(DECIMALS.values())}
+_NUMBER: dict[int, re.Pattern[bytes]] = {
+    field: re.compile(rb"-?\d{1,7}\.\d{%d}" % decimals) for field, decimals in DECIMALS.items()
+}
 _INTEGER = re.compile(r" *-?[0-9]{1,10} *")
 _LETTERS = {Field.MODE: ("N",), Field.ACTION: ("s", "5", "6"), Field.STATUS: ("0",)}
 _ANGLES = (Field.A_ANGLE, Field.B_ANGLE)
@@ -147,8 +150,8 @@ class TokenStream:
 
 def parse_number(field: int, value: bytes) -> float:
     """Return the number of a fixed-decimals field; `ValueError` if it does not have exactly those decimals."""
-    decimals = DECIMALS[Field(field)]
-    if not _NUMBER[decimals].fullmatch(value):
+    if not _NUMBER[field].fullmatch(value):
+        decimals = DECIMALS[Field(field)]
         raise ValueError(f"positioner field {field} should be a number with {decimals} decimals, not {value!r}")
     return float(value)
 
@@ -219,6 +222,7 @@ B_HIGH_BIT_STM = 22
 _MEMORY_BITS = (14, 30)
 
 
+@lru_cache(maxsize=64)
 def parse_status(text: str, b_out_bit: int | None = None) -> Status:
     """Read the status word from its text, a signed decimal number of 32 bits.
 

@@ -277,13 +277,13 @@ class PositionerUnit:
 
     def _status(self, now: float) -> int:
         a, b = self.axes.values()
-        bits = [wire.FAULT_BITS[f"{name}_{fault}"] for name, axis in self.axes.items() for fault in axis.faults]
+        word = sum(1 << wire.FAULT_BITS[f"{name}_{fault}"] for name, axis in self.axes.items() for fault in axis.faults)
         for axis, out_bit in ((a, wire.A_OUT_BIT), (b, wire.B_OUT_BIT_STM)):
             velocity = axis.velocity_mm_s(now)
             if velocity:
-                bits.append(out_bit if velocity > 0 else out_bit + 1)
+                word |= 1 << (out_bit if velocity > 0 else out_bit + 1)
             if axis.homing:
-                bits.append(out_bit + 2)
+                word |= 1 << out_bit + 2
         marks = (
             (self._was_reset, wire.RESET_BIT),
             (self._button, wire.BUTTON_BIT),
@@ -295,5 +295,7 @@ class PositionerUnit:
             (self._own_tracking and self._snow.active, wire.SNOW_BIT),
             (self._own_tracking and self._wind.active, wire.WIND_BIT),
         )
-        bits += [bit for on, bit in marks if on]
-        return sum(1 << bit for bit in bits)
+        for on, bit in marks:
+            if on:
+                word |= 1 << bit
+        return word

@@ -18,7 +18,7 @@ from daemon.api.commands import Answer, CommandError, Operator
 from daemon.api.metrics import Metrics
 from daemon.api.recent import Recent
 from daemon.api.state import kind_of, number, record_json, state
-from daemon.mqtt.link import LinkStatus
+from daemon.mqtt.status import LinkStatus
 from daemon.records import Record
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -66,7 +66,7 @@ class Api:
         self._store = store
         self._mqtt = mqtt
         self._operator = Operator(service, speed)
-        self._metrics = Metrics(service, recent, store)
+        self._metrics = Metrics(service, recent, store, mqtt)
         self._closing = asyncio.Event()
         plain = {
             name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear", "relearn")

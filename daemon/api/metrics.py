@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 from daemon.api.recent import Recent
 from daemon.control import Control
 from daemon.motion import Motion
+from daemon.mqtt.status import LinkStatus
 from daemon.records import FACES, Mode, MoveOutcome, Quality
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -39,12 +40,21 @@ class Metrics(Collector):
         What is read.
     store
         Returns how the store is, or None where there is none.
+    mqtt
+        Returns how the link to the broker is, or None where there is none.
     """
 
-    def __init__(self, service: Service, recent: Recent, store: Callable[[], StoreStatus | None]) -> None:
+    def __init__(
+        self,
+        service: Service,
+        recent: Recent,
+        store: Callable[[], StoreStatus | None],
+        mqtt: Callable[[], LinkStatus | None],
+    ) -> None:
         self._service = service
         self._recent = recent
         self._store = store
+        self._mqtt = mqtt
         self._registry = CollectorRegistry()
         self._registry.register(self)
 
@@ -70,6 +80,10 @@ class Metrics(Collector):
             yield _one("store_waiting", "Records that wait to be written.", float(status.waiting))
             yield _count("store_written", "Records written.", status.written)
             yield _count("store_lost", "Records lost for want of room.", status.lost)
+
+        link = self._mqtt()
+        if link is not None:
+            yield from _link(link)
 
     def _cube(self) -> Iterator[Metric]:
         now_s, scan = self._service.clock.monotonic(), self._recent.scan
@@ -129,6 +143,24 @@ class Metrics(Collector):
         for reason in _REFUSALS:
             refused.add_metric([reason], attrgetter(reason)(counts))
         yield refused
+
+
+def _link(link: LinkStatus) -> Iterator[Metric]:
+    yield _one("mqtt_up", "1 while there is a connection to the broker.", float(link.connected))
+    yield _count("mqtt_connections", "Connections made; every one but the first is a reconnection.", link.connections)
+    yield _one("mqtt_waiting", "Messages that wait to be sent.", link.waiting)
+    yield _count("mqtt_sent", "Messages handed over to the broker.", link.sent)
+    yield _count("mqtt_received", "Messages heard from the broker.", link.received)
+    yield _count("mqtt_dropped", "Messages lost for want of room.", link.dropped)
+    yield _one("mqtt_troubles", "What does not work although the link may, such as a topic.", len(link.troubles))
+    stowing = _gauge("mqtt_input_stowing", "1 while a safety input keeps the tracker stowed.", "input")
+    ages = _gauge("mqtt_input_age_seconds", "Time since a safety input was last heard.", "input")
+    for item in link.inputs:
+        stowing.add_metric([item.name], float(item.stowing))
+        if item.age_s is not None:
+            ages.add_metric([item.name], item.age_s)
+    yield stowing
+    yield ages
 
 
 def _gauge(name: str, about: str, *labels: str) -> GaugeMetricFamily:

@@ -13,7 +13,7 @@ from daemon.api.app import Api
 from daemon.api.recent import Recent
 from daemon.bridge.addresses import parse_address
 from daemon.config import Api as ApiSettings
-from daemon.mqtt.link import LinkStatus
+from daemon.mqtt.status import LinkStatus
 from daemon.outage import Outage
 from daemon.records import Event
 from daemon.service import Service

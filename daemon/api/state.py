@@ -11,7 +11,7 @@ from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
 from daemon.control import Control
 from daemon.motion import Motion
-from daemon.mqtt.link import LinkStatus
+from daemon.mqtt.status import LinkStatus
 from daemon.records import FACES, Pose, Quality, Record, Scan
 from daemon.service import Service
 from daemon.store import StoreStatus
@@ -79,7 +79,7 @@ def state(
         "tracker": None,
         "bridge": None,
         "store": None if store is None else _store(store),
-        "mqtt": None if mqtt is None else asdict(mqtt),
+        "mqtt": None if mqtt is None else _mqtt(mqtt),
         "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in recent.news],
     }
     if control is not None and service.motion is not None:
@@ -179,6 +179,16 @@ def _pose(pose: Pose, now_s: float, *, connected: bool) -> dict[str, Any]:
         "age_s": number(round(age_s, 3)),
         "stale": not (connected and age_s <= POSE_STALE_S),
     }
+
+
+def _mqtt(status: LinkStatus) -> dict[str, Any]:
+    found = asdict(status)
+    since, lost_since = found.pop("since_utc_s"), found.pop("dropped_since_utc_s")
+    found["since"] = iso_utc(since)
+    found["dropped_since"] = None if lost_since is None else iso_utc(lost_since)
+    for item in found["inputs"]:
+        item["age_s"] = None if item["age_s"] is None else round(item["age_s"], 3)
+    return found
 
 
 def _store(status: StoreStatus) -> dict[str, Any]:

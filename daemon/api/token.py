@@ -3,10 +3,10 @@
 import base64
 import os
 import re
-import stat
 from pathlib import Path
 
 from daemon.errors import UserError
+from daemon.secret_file import read_secret, write_secret
 
 _BYTES = 32
 _SHORTEST, _LONGEST = 32, 512
@@ -24,16 +24,7 @@ def generate_token() -> str:
 
 def write_token(path: Path, token: str) -> None:
     """Write `token` to a new file that only its owner can read; never overwrites. Raises `TokenError`."""
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.write(token + "\n")
-    except FileExistsError:
-        raise TokenError(
-            f"the token file {path} exists and is not overwritten: move it away to make a new one"
-        ) from None
-    except OSError as error:
-        raise TokenError(f"the token file {path} cannot be written: {error.strerror}") from None
+    write_secret(path, f"{token}\n".encode("ascii"), f"the token file {path}", TokenError)
 
 
 def load_token(path: Path) -> str:
@@ -45,19 +36,10 @@ def load_token(path: Path) -> str:
         One sentence with the file and the remedy. Windows has no such file modes; there they are not looked at.
     """
     remedy = "write a new one with 'heliocube config init'"
-    try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            content = file.read(_LONGEST + 2)
-    except FileNotFoundError:
-        raise TokenError(f"the token file {path} does not exist: {remedy}") from None
-    except OSError as error:
-        raise TokenError(f"the token file {path} cannot be read: {error.strerror}") from None
-    if os.name == "posix" and stat.S_IMODE(mode) & 0o027:
-        raise TokenError(
-            f"the token file {path} is open to others than its owner and its group's readers: run chmod 640 {path}"
-        )
-    return check_token(content.decode("latin-1").strip(), f"the token file {path}", remedy)
+    called = f"the token file {path}"
+    missing = f"{called} does not exist: {remedy}"
+    content = read_secret(path, _LONGEST + 2, called, missing, TokenError, group_may_read=True)
+    return check_token(content.decode("latin-1").strip(), called, remedy)
 
 
 def check_token(text: str, where: str, remedy: str = "copy the whole token") -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import inf
 
 from daemon.bridge.refusals import Refusal, RefusedError
-from daemon.records import Scan
+from daemon.records import FaceReading, Scan
 
 SOURCE_HELD_S = 60.0
 DELAY_WINDOW_S = 300.0
@@ -111,8 +111,10 @@ class Follower:
         self._latest_scan_s = time_s
         self._accepted_at_s = arrival_monotonic_s
         self._accepted_utc_s = scan.time_utc_s
-        faces = (replace(face, time_monotonic_s=face.time_monotonic_s + offset_s) for face in scan.faces)
-        east, south, west, zenith = faces
+        east, south, west, zenith = (
+            FaceReading(face.irradiance_w_m2, face.quality, face.time_utc_s, face.time_monotonic_s + offset_s)
+            for face in scan.faces
+        )
         return replace(scan, time_monotonic_s=time_s, east=east, south=south, west=west, zenith=zenith)
 
 

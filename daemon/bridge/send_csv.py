@@ -142,39 +142,43 @@ def _rows(path: Path, file: TextIO) -> Iterator[Row]:
         for cells in reader:
             if not cells:
                 continue
-            where = f"{path}, line {reader.line_num}"
-            if len(cells) != len(header):
-                raise BridgeError(f"{where}: there are {len(cells)} cells where the header has {len(header)}")
-            stamp, *values = (cells[place].strip() for place in places)
-            time_utc_s = _utc(where, stamp)
-            if not (time_utc_s > before_s):
-                raise BridgeError(f"{where}: the time {stamp} is not later than that of the line before")
-            before_s = time_utc_s
-            east, south, west, zenith = (
-                _irradiance(where, name, value) for name, value in zip(FACES, values, strict=True)
-            )
-            yield Row(time_utc_s, (east, south, west, zenith))
+            row = _row(cells, len(header), places, before_s)
+            before_s = row.time_utc_s
+            yield row
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        raise BridgeError(f"{path}, line {reader.line_num}: {error}") from None
     except csv.Error as error:
         raise BridgeError(f"{path}, line {reader.line_num}: not CSV ({error})") from None
 
 
-def _utc(where: str, text: str) -> float:
+def _row(cells: list[str], width: int, places: list[int], before_s: float) -> Row:
+    if len(cells) != width:
+        raise ValueError(f"there are {len(cells)} cells where the header has {width}")
+    stamp, *values = [cells[place].strip() for place in places]
+    time_utc_s = _utc(stamp)
+    if not (time_utc_s > before_s):
+        raise ValueError(f"the time {stamp} is not later than that of the line before")
+    east, south, west, zenith = map(_irradiance, FACES, values)
+    return Row(time_utc_s, (east, south, west, zenith))
+
+
+def _utc(text: str) -> float:
     try:
         instant = datetime.fromisoformat(text)
         return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
-        raise BridgeError(f"{where}: the time {text!r} is not ISO 8601, such as 2022-10-14T10:20:05Z") from None
+        raise ValueError(f"the time {text!r} is not ISO 8601, such as 2022-10-14T10:20:05Z") from None
 
 
-def _irradiance(where: str, name: str, text: str) -> float:
-    if text.lower() in {"", "nan"}:
-        return math.nan
+def _irradiance(name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = math.nan
-    if not (abs(value) <= senml.LARGEST_W_M2):
-        raise BridgeError(
-            f"{where}: {name} is {text!r}, not a number of W/m2 from {-senml.LARGEST_W_M2:g} to {senml.LARGEST_W_M2:g}"
+        value = math.inf if text else math.nan
+    if not (abs(value) <= senml.LARGEST_W_M2) and not math.isnan(value):
+        raise ValueError(
+            f"{name} is {text!r}, not a number of W/m2 from {-senml.LARGEST_W_M2:g} to {senml.LARGEST_W_M2:g}"
         )
     return value

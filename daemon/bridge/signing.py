@@ -2,16 +2,15 @@
 
 import base64
 import json
-import os
 import re
 import secrets
-import stat
 from pathlib import Path
 
 import jwt
 
 from daemon.bridge.addresses import BridgeError
 from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.secret_file import read_secret, write_secret
 
 KEY_BYTES = 32
 EXAMPLE_KEY = bytes(range(KEY_BYTES))  # printed in docs/bridge.md, hence no secret
@@ -84,16 +83,7 @@ def generate_key() -> bytes:
 def write_key(path: Path, key: bytes) -> None:
     """Write `key` to a new file that only its owner can read; never overwrites. Raises `KeyFileError`."""
     line = base64.urlsafe_b64encode(key).rstrip(b"=") + b"\n"
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(line)
-    except FileExistsError:
-        raise KeyFileError(
-            f"the key file {path} exists and is not overwritten: move it away to make a new one"
-        ) from None
-    except OSError as error:
-        raise KeyFileError(f"the key file {path} cannot be written: {error.strerror}") from None
+    write_secret(path, line, f"the key file {path}", KeyFileError)
 
 
 def load_key(path: Path) -> bytes:
@@ -105,21 +95,14 @@ def load_key(path: Path) -> bytes:
         One sentence with the file and the remedy. Windows has no such file modes; there they are not looked at.
     """
     remedy = "write a new one with 'heliocube config init', or copy that of the cube"
-    try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            content = file.read(_LONGEST_KEY_FILE + 1)
-    except FileNotFoundError:
-        raise KeyFileError(f"the key file {path} does not exist: {remedy}") from None
-    except OSError as error:
-        raise KeyFileError(f"the key file {path} cannot be read: {error.strerror}") from None
-    if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
-        raise KeyFileError(f"the key file {path} can be read by others than its owner: run chmod 600 {path}")
+    called = f"the key file {path}"
+    missing = f"{called} does not exist: {remedy}"
+    content = read_secret(path, _LONGEST_KEY_FILE + 1, called, missing, KeyFileError, group_may_read=False)
     line = content.strip()
     if not line:
-        raise KeyFileError(f"the key file {path} is empty: {remedy}")
+        raise KeyFileError(f"{called} is empty: {remedy}")
     if len(content) > _LONGEST_KEY_FILE or _KEY_LINE.fullmatch(line) is None or len(line.rstrip(b"=")) % 4 == 1:
-        raise KeyFileError(f"the key file {path} is not one line of base64url: {remedy}")
+        raise KeyFileError(f"{called} is not one line of base64url: {remedy}")
     text = line.rstrip(b"=")
     key = base64.urlsafe_b64decode(text + b"=" * (-len(text) % 4))
     if len(key) < KEY_BYTES:

@@ -1,12 +1,11 @@
 """User, password and certificates, read anew at each connection, so that a corrected file needs no restart."""
 
-import os
 import ssl
-import stat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daemon.errors import UserError
+from daemon.secret_file import read_secret
 
 if TYPE_CHECKING:
     from daemon.config import Mqtt
@@ -27,27 +26,15 @@ def load_user(path: Path) -> tuple[str, str]:
         The file is missing, has another form, or is open to others than its owner and its group's readers. Windows
         has no such file modes; there they are not looked at.
     """
-    try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            content = file.read(_LONGEST + 1)
-    except FileNotFoundError:
-        raise CredentialsError(
-            f"mqtt.credentials_file: there is no file {path}: write user:password into it, mode 0600"
-        ) from None
-    except OSError as error:
-        raise CredentialsError(f"mqtt.credentials_file: {path} cannot be read: {error.strerror}") from None
-    if os.name == "posix" and stat.S_IMODE(mode) & 0o027:
-        raise CredentialsError(
-            f"mqtt.credentials_file: {path} is open to others than its owner and its group's readers:"
-            f" run chmod 640 {path}"
-        )
+    called = f"mqtt.credentials_file: {path}"
+    missing = f"mqtt.credentials_file: there is no file {path}: write user:password into it, mode 0600"
+    content = read_secret(path, _LONGEST + 1, called, missing, CredentialsError, group_may_read=True)
     try:
         user, colon, password = content.decode().rstrip("\r\n").partition(":")
     except UnicodeDecodeError:
         user = colon = password = ""
     if not (user and colon and password) or len(content) > _LONGEST or "\n" in password:
-        raise CredentialsError(f"mqtt.credentials_file: {path} is not one line with user:password")
+        raise CredentialsError(f"{called} is not one line with user:password")
     return user, password
 
 
@@ -55,6 +42,8 @@ def tls_context(settings: "Mqtt") -> ssl.SSLContext:
     """Return how the broker is recognised, and how this client is; raises `CredentialsError`."""
     try:
         context = ssl.create_default_context(cafile=settings.ca_file)
+    except FileNotFoundError:
+        raise CredentialsError(f"mqtt.ca_file: there is no file {settings.ca_file}") from None
     except OSError as error:
         raise CredentialsError(
             f"mqtt.ca_file: {settings.ca_file} has no certificates in PEM form ({_said(error)})"

@@ -46,7 +46,8 @@ def discovery(
     components: dict[str, dict[str, Any]] = {}
     for key, found in known.items():
         if key in offered:
-            components[key] = {**found, "unique_id": f"{node}_{key}"}
+            # Some versions of Home Assistant do not hand the document's own quality of service down to its components.
+            components[key] = {**found, "unique_id": f"{node}_{key}", "qos": 1}
         else:
             components[key] = {"platform": found["platform"]}
     note = " (SIMULATED)" if simulated else ""
@@ -63,7 +64,6 @@ def discovery(
         "payload_available": ONLINE.decode(),
         "payload_not_available": OFFLINE.decode(),
         "state_topic": topics.state,
-        "qos": 1,
         "components": components,
     }
     return [Message(topic, encoded(payload), 1, retain=True)]

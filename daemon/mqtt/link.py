@@ -5,7 +5,6 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 
 from daemon.backoff import Backoff
@@ -14,6 +13,7 @@ from daemon.config import Mqtt
 from daemon.errors import UserError
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
 from daemon.mqtt.outbox import Message, Outbox
+from daemon.mqtt.status import LinkStatus
 from daemon.mqtt.topics import Topics
 from daemon.outage import Outage
 from daemon.records import Event, Record
@@ -33,33 +33,6 @@ _TELL_AGAIN_S = 3600.0
 _LEAVE_WITHIN_S = 1.5
 
 Handler = Callable[[Incoming], None]
-
-
-@dataclass(frozen=True, slots=True)
-class LinkStatus:
-    """How the link is.
-
-    Attributes
-    ----------
-    broker
-        Host and port.
-    connected
-        Whether there is a connection now.
-    down_why
-        Why not, or None.
-    waiting, sent, dropped
-        Messages in the queue, handed over, and lost for want of room.
-    troubles
-        One sentence each for what does not work although the link may.
-    """
-
-    broker: str
-    connected: bool
-    down_why: str | None
-    waiting: int
-    sent: int
-    dropped: int
-    troubles: tuple[str, ...]
 
 
 class Link:
@@ -95,7 +68,7 @@ class Link:
         self._backoff = Backoff(random, _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)
         self._outbox = Outbox(settings.queue_messages)
         self._outage = Outage(log, "the MQTT broker")
-        self._handlers: dict[str, Handler] = {topics.status: self._hear_status}
+        self._handlers: dict[str, list[Handler]] = {topics.status: [self._hear_status]}
         self._births: list[Callable[[], list[Message]]] = []
         self._troubles: dict[str, str] = {}
         self._told_s: dict[str, float] = {}
@@ -103,8 +76,11 @@ class Link:
         self._down_why: str | None = "not connected yet"
         self._told_back_s = -math.inf
         self._unsteady = False
+        self._renounced = False
         self._told_dropped = 0
-        self._sent = 0
+        self._since_utc_s = clock.utc()
+        self._dropped_since_utc_s: float | None = None
+        self._connections = self._sent = self._received = 0
 
     @property
     def connected(self) -> bool:
@@ -117,16 +93,20 @@ class Link:
         return LinkStatus(
             f"{self._settings.host}:{self._settings.port}",
             self._connected,
+            self._since_utc_s,
             None if self._connected else self._down_why,
+            self._connections,
             self._outbox.waiting,
             self._sent,
+            self._received,
             self._outbox.dropped,
+            self._dropped_since_utc_s,
             tuple(self._troubles.values()),
         )
 
     def listen(self, topic: str, handler: Handler) -> None:
-        """Give each message on `topic` to `handler`, which must neither block nor raise."""
-        self._handlers[topic] = handler
+        """Give each message on `topic` to `handler`, beside others; it must neither block nor raise."""
+        self._handlers.setdefault(topic, []).append(handler)
 
     def at_birth(self, messages: Callable[[], list[Message]]) -> None:
         """Send what `messages` returns after each connection, before anything that waits."""
@@ -135,6 +115,7 @@ class Link:
     def send(self, message: Message) -> None:
         """Queue a message; without a connection it waits."""
         self._outbox.put(message)
+        self._date_the_first_loss()
 
     def send_now(self, message: Message) -> None:
         """Send a message before all that wait; without a connection it is not sent at all."""
@@ -154,8 +135,17 @@ class Link:
                 self._tell(sentence)
             self._troubles[subject] = sentence
 
+    def renounce(self, sentence: str) -> None:
+        """Never connect, and show why; to be called before `run`."""
+        self._renounced = True
+        self._down_why = sentence
+        log.warning("%s", sentence)
+        self._tell(sentence)
+
     async def run(self) -> None:
         """Keep the link until cancelled; then take leave on the availability topic."""
+        if self._renounced:
+            await asyncio.Event().wait()
         while True:
             try:
                 await self._connect_and_serve()
@@ -184,7 +174,8 @@ class Link:
         finally:
             for timer in timers:
                 timer.cancel()
-            self._connected = False
+            if self._connected:
+                self._connected, self._since_utc_s = False, self._clock.utc()
             self._outbox.forget_urgent()
             await connection.close()
 
@@ -208,7 +199,8 @@ class Link:
         for messages in self._births:
             for message in messages():
                 await connection.publish(message)
-        self._connected = True
+        self._connected, self._since_utc_s = True, self._clock.utc()
+        self._connections += 1
         self._down_why = None
 
     def _watch(self) -> list[asyncio.TimerHandle]:
@@ -229,13 +221,14 @@ class Link:
             except ConnectionLostError:
                 if message.qos:
                     self._outbox.put_back(message)
+                    self._date_the_first_loss()
                 raise
             self._sent += 1
 
     async def _hear_all(self, connection: Connection) -> None:
         async for message in connection.incoming():
-            handler = self._handlers.get(message.topic)
-            if handler is not None:
+            self._received += 1
+            for handler in self._handlers.get(message.topic, ()):
                 handler(message)
 
     def _hear_status(self, message: Incoming) -> None:
@@ -273,6 +266,10 @@ class Link:
         self._unsteady = self._unsteady or now_s - self._told_back_s < _STEADY_S * self._speed
         if self._outage.down(now_s, why):
             self._tell(f"the broker is down: {why}")
+
+    def _date_the_first_loss(self) -> None:
+        if self._outbox.dropped and self._dropped_since_utc_s is None:
+            self._dropped_since_utc_s = self._clock.utc()
 
     def _tell(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "mqtt", text))

@@ -26,14 +26,25 @@ class WindReadings:
         The topic, where in its messages the speed is, and in which unit.
     threshold_m_s
         A retained message counts only from here: it proves wind, but no living sensor.
+    clock_s
+        Returns the monotonic time.
     strong
         Called when a reading reaches the threshold, so that nobody waits for the next look.
     trouble
         Told of what cannot be read.
     """
 
-    def __init__(self, settings: WindInput, threshold_m_s: float, strong: Callable[[], None], trouble: Trouble) -> None:
+    def __init__(
+        self,
+        settings: WindInput,
+        threshold_m_s: float,
+        clock_s: Callable[[], float],
+        strong: Callable[[], None],
+        trouble: Trouble,
+    ) -> None:
+        self.heard_s: float | None = None
         self._settings = settings
+        self._clock_s = clock_s
         self._threshold_m_s = threshold_m_s
         self._strong = strong
         self._trouble = trouble
@@ -48,6 +59,8 @@ class WindReadings:
             self._trouble(subject, f"{subject} cannot be used: {error}")
             return
         self._trouble(subject, None)
+        if not message.retained:
+            self.heard_s = self._clock_s()
         if message.retained and not speed_m_s >= self._threshold_m_s:
             return
         self._strongest_m_s = max(speed_m_s, self._strongest_m_s or 0.0)
@@ -78,14 +91,20 @@ class SafeStow:
     ----------
     settings
         The topic, its words, and its times.
+    clock_s
+        Returns the monotonic time.
     unsafe
         Called when the word is unsafe, so that nobody waits for the next look.
     trouble
         Told of what cannot be read.
     """
 
-    def __init__(self, settings: SafeInput, unsafe: Callable[[], None], trouble: Trouble) -> None:
+    def __init__(
+        self, settings: SafeInput, clock_s: Callable[[], float], unsafe: Callable[[], None], trouble: Trouble
+    ) -> None:
+        self.heard_s: float | None = None
         self._settings = settings
+        self._clock_s = clock_s
         self._unsafe = unsafe
         self._trouble = trouble
         self._heard_safe = False
@@ -93,6 +112,11 @@ class SafeStow:
         self._safe_s: float | None = None
         self._unsafe_s = -math.inf
         self._why: str | None = None
+
+    @property
+    def stowing(self) -> bool:
+        """Whether it asked for stow when it was last looked at."""
+        return self._why is not None
 
     def take(self, message: Incoming) -> None:
         """Take in one message."""
@@ -104,6 +128,8 @@ class SafeStow:
             self._trouble(subject, f"{subject} cannot be used: {error}")
             return
         self._trouble(subject, None)
+        if not message.retained:
+            self.heard_s = self._clock_s()
         if word == settings.unsafe:
             self._last_unsafe = True
             self._heard_safe = False

@@ -22,6 +22,13 @@ def check_topic(text: str) -> str:
     return text
 
 
+def check_level(text: str) -> str:
+    """Return `text` if it is one level of a topic; raises `ValueError` in one sentence."""
+    if "/" in check_topic(text):
+        raise ValueError(f"{text!r} is more than one level of a topic")
+    return text
+
+
 @dataclass(frozen=True, slots=True)
 class Topics:
     """The topics of one process.

@@ -2,6 +2,8 @@
 
 import asyncio
 from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
 from drivers import pozsol_wire as wire
 from drivers.errors import IdentityError, ProtocolError, RefusedError
@@ -16,6 +18,15 @@ from solar.frames import Limits
 
 _CONFIRM_S = 0.5
 _LOOK_EVERY_S = 0.04
+_NUMBERS = (
+    Field.A_ANGLE,
+    Field.B_ANGLE,
+    Field.A_POSITION,
+    Field.B_POSITION,
+    Field.A_DESTINATION,
+    Field.B_DESTINATION,
+    Field.SUPPLY,
+)
 
 
 class InMemoryPositioner(Cabled):
@@ -136,27 +147,27 @@ class InMemoryPositioner(Cabled):
     def _look(self) -> Telemetry:
         self._require_open()
         now = self._now()
-        values = dict(TokenStream().feed(self._core.live_screens(now) + b"$"))
-        try:
-            status = parse_status(values[Field.STATUS].decode("latin-1"), wire.B_OUT_BIT_STM)
-            return Telemetry(
-                time_monotonic_s=now,
-                a_deg=parse_number(Field.A_ANGLE, values[Field.A_ANGLE]),
-                b_deg=parse_number(Field.B_ANGLE, values[Field.B_ANGLE]),
-                position_a=parse_number(Field.A_POSITION, values[Field.A_POSITION]),
-                position_b=parse_number(Field.B_POSITION, values[Field.B_POSITION]),
-                destination_a=parse_number(Field.A_DESTINATION, values[Field.A_DESTINATION]),
-                destination_b=parse_number(Field.B_DESTINATION, values[Field.B_DESTINATION]),
-                supply_v=parse_number(Field.SUPPLY, values[Field.SUPPLY]),
-                faults=status.faults,
-                was_reset=status.was_reset,
-                button_pressed=status.button_pressed,
-                homing=status.homing,
-                autonomous=status.autonomous,
-                mode_text=values[Field.MODE].decode("latin-1"),
-            )
-        except (KeyError, ValueError) as error:
-            raise ProtocolError("positioner", f"sent telemetry that cannot be read: {error}") from error
+        return Telemetry(now, *_read(self._core.live_screens(now)))
+
+
+# A unit at rest says the same every time.
+@lru_cache(maxsize=8)
+def _read(screens: bytes) -> tuple[Any, ...]:
+    """Return what the screens say, in the order of `Telemetry` after the time."""
+    values = dict(TokenStream().feed(screens + b"$"))
+    try:
+        status = parse_status(values[Field.STATUS].decode("latin-1"), wire.B_OUT_BIT_STM)
+        return (
+            *(parse_number(field, values[field]) for field in _NUMBERS),
+            status.faults,
+            status.was_reset,
+            status.button_pressed,
+            status.homing,
+            status.autonomous,
+            values[Field.MODE].decode("latin-1"),
+        )
+    except (KeyError, ValueError) as error:
+        raise ProtocolError("positioner", f"sent telemetry that cannot be read: {error}") from error
 
 
 def _whole_units(actuator: Actuator, angle_deg: float) -> int:

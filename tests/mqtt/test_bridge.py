@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.config_file import ConfigError, load_settings
+from daemon.config_file import ConfigError, check_file
 from daemon.records import Mode, Quality, Scan
 from daemon.service import Role
 
@@ -93,6 +93,6 @@ def test_a_setting_that_cannot_work_is_one_sentence_with_the_remedy(tmp_path, te
     path = tmp_path / "heliocube.toml"
     path.write_text(text)
     with pytest.raises(ConfigError) as caught:
-        load_settings(path)
+        check_file(path)
     (problem,) = caught.value.problems
     assert part in problem

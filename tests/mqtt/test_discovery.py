@@ -10,29 +10,11 @@ from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
 from daemon.records import Mode
 
+from . import home_assistant
 from .conftest import SPEED, MqttBench, observer, serving, settings_for
 
 TOPICS = Topics("lab/rig", "roof tracker")
 TOPIC = "homeassistant/device/lab_rig_roof_tracker/config"
-
-# From Home Assistant's documentation of its MQTT integration: the keys of each platform, required ones first.
-COMMON = {"name", "unique_id", "entity_category", "icon", "qos", "enabled_by_default", "device_class"}
-KEYS = {
-    "sensor": (
-        {"value_template"},
-        COMMON | {"state_topic", "state_class", "unit_of_measurement", "options", "suggested_display_precision"},
-    ),
-    "binary_sensor": ({"value_template"}, COMMON | {"state_topic", "payload_on", "payload_off"}),
-    "select": ({"command_topic", "options"}, COMMON | {"value_template", "state_topic", "command_template"}),
-    "button": ({"command_topic"}, COMMON | {"payload_press", "command_template"}),
-}
-UNITS = {"irradiance": {"W/m²", "BTU/(h⋅ft²)"}, "voltage": {"V", "mV", "µV", "kV", "MV"}, "enum": {None}}
-BINARY_CLASSES = {"problem", "connectivity", "moving", "safety", "running", "power"}
-DEVICE = {"identifiers", "name", "manufacturer", "model", "sw_version"}
-DOCUMENT = {
-    "device", "origin", "components", "availability_topic", "payload_available", "payload_not_available", "state_topic",
-    "qos",
-}  # fmt: skip
 
 
 def document(**what):
@@ -42,37 +24,57 @@ def document(**what):
     return json.loads(message.payload)
 
 
-def check_component(key, found):
-    platform = found["platform"]
-    required, optional = KEYS[platform]
-    keys = set(found) - {"platform"}
-    assert keys >= required | {"unique_id", "name"}, key
-    assert keys <= required | optional, key
-    device_class, unit = found.get("device_class"), found.get("unit_of_measurement")
-    if platform == "sensor":
-        if device_class is not None:
-            assert unit in UNITS[device_class], key
-        assert ("options" in found) == (device_class == "enum"), key
-        assert ("state_class" in found) == (unit is not None), key
-    elif platform == "binary_sensor" and device_class is not None:
-        assert device_class in BINARY_CLASSES
-    assert found.get("entity_category") in (None, "diagnostic", "config")
-    assert not re.search(r"[+#]", found.get("command_topic", ""))
+@pytest.mark.parametrize("what", [{}, {"commands": False}, {"tracker": False}, {"simulated": False}])
+def test_the_document_is_of_the_form_that_home_assistant_documents(what):
+    assert home_assistant.faults(TOPIC, document(**what)) == []
 
 
-def test_the_document_is_of_the_form_that_home_assistant_asks_for():
-    found = document()
-    assert re.fullmatch(r"homeassistant/device/[A-Za-z0-9_-]+/config", TOPIC)
-    assert set(found) == DOCUMENT
-    assert set(found["device"]) == DEVICE
-    assert found["origin"]["name"]
-    for key, component in found["components"].items():
-        check_component(key, component)
-    names = [component["unique_id"] for component in found["components"].values()]
+def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
+    components = document()["components"]
+    names = [component["unique_id"] for component in components.values()]
     assert len(set(names)) == len(names)
-    platforms = {component["platform"] for component in found["components"].values()}
-    assert platforms == {"sensor", "binary_sensor", "select", "button"}
-    assert found["components"]["mode"]["options"] == [mode.value for mode in Mode]
+    assert {component["platform"] for component in components.values()} == {
+        "sensor",
+        "binary_sensor",
+        "select",
+        "button",
+    }
+    assert components["mode"]["options"] == [mode.value for mode in Mode]
+    assert components["command"]["options"] == ["auto", "hold", "stow"]
+    for name in ("stow", "stop", "hold", "auto"):
+        button = components[f"press_{name}"]
+        assert button["command_topic"] == TOPICS.command(name)
+        assert json.loads(button["payload_press"]).keys() == {"why"}
+    assert {key for key, component in components.items() if component.get("entity_category") == "diagnostic"} == {
+        "simulated",
+        "dropped",
+        "why",
+        "supply",
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda d: d.pop("origin"), "origin is missing"),
+        (lambda d: d.update(colour="red"), "colour is not documented"),
+        (lambda d: d["device"].pop("identifiers"), "device has neither identifiers nor connections"),
+        (lambda d: d["components"]["dropped"].pop("unique_id"), "dropped.unique_id is missing"),
+        (lambda d: d["components"]["supply"].update(unit_of_measurement="A"), "supply.unit_of_measurement"),
+        (lambda d: d["components"]["supply"].update(entity_category="config"), "supply.entity_category"),
+        (lambda d: d["components"]["supply"].update(device_class="tension"), "supply.device_class"),
+        (lambda d: d["components"]["mode"].update(state_class="measurement"), "mode.options"),
+        (lambda d: d["components"]["command"].pop("command_topic"), "command.command_topic is missing"),
+        (lambda d: d["components"]["command"].update(retain=True), "command.retain"),
+        (lambda d: d["components"]["press_stow"].update(command_topic="a/#"), "press_stow.command_topic"),
+        (lambda d: d["components"]["fault"].update(platform="lamp"), "fault.platform"),
+        (lambda d: d.pop("state_topic"), "dropped.state_topic is missing"),
+    ],
+)
+def test_the_check_of_the_form_finds_what_home_assistant_would_refuse(change, part):
+    found = document()
+    change(found)
+    assert part in "\n".join(home_assistant.faults(TOPIC, found))
 
 
 @pytest.mark.parametrize("simulated", [True, False])

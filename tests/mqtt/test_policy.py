@@ -125,7 +125,7 @@ def test_the_delay_is_short_again_only_after_30_s_of_health(lifetime_s, short):
     assert last_s >= (0.8 if short else 25.0)
 
 
-def test_a_day_without_a_broker_costs_no_memory_few_lines_and_no_control(caplog):
+def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
     caplog.set_level(logging.INFO, "heliocube")
     bound = bound_socket()
     port = bound.getsockname()[1]
@@ -159,19 +159,22 @@ def test_a_day_without_a_broker_costs_no_memory_few_lines_and_no_control(caplog)
     assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
 
 
-def test_control_decides_in_the_same_rhythm_with_and_without_a_broker():
+def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_broker(caplog):
+    caplog.set_level(logging.INFO, "heliocube.mqtt")
     bound = bound_socket()
     port = bound.getsockname()[1]
     bound.close()
+    # Fewer scans make a day short.
+    settings = settings_for(port, cube={"scan_every_s": 30}, safety={"scan_stale_s": 90})
 
     def decisions(enabled):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
 
             async def scenario():
-                rig = MqttBench(asyncio.get_running_loop(), settings_for(port), 1.0)
+                rig = MqttBench(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
                 serving = asyncio.create_task(rig.serve(stop) if enabled else rig.service.run(stop))
-                await asyncio.sleep(1800)
+                await asyncio.sleep(86400)
                 stop.set()
                 await serving
                 return [record.time_monotonic_s for record in rig.of(Decision)]
@@ -179,8 +182,9 @@ def test_control_decides_in_the_same_rhythm_with_and_without_a_broker():
             return runner.run(scenario())
 
     without, with_a_dead_one = decisions(enabled=False), decisions(enabled=True)
-    assert len(without) >= 6
+    assert len(without) >= 80
     assert with_a_dead_one == pytest.approx(without, abs=0.1)
+    assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 20
 
 
 def test_a_link_that_comes_and_goes_is_told_as_few_outages(caplog):

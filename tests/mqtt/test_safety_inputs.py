@@ -27,7 +27,7 @@ class Told:
 def wind(**settings):
     told, woken = Told(), []
     readings = WindReadings(
-        WindInput(topic="lab/wind", **settings), Safety().stow_wind_m_s, lambda: woken.append(1), told
+        WindInput(topic="lab/wind", **settings), Safety().stow_wind_m_s, lambda: 0.0, lambda: woken.append(1), told
     )
     return readings, WindStow(Safety(), readings.since_last_asked), told, woken
 
@@ -127,7 +127,7 @@ def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows():
 
 def safe(**settings):
     told, woken = Told(), []
-    return SafeStow(SafeInput(topic="lab/safe", **settings), lambda: woken.append(1), told), told, woken
+    return SafeStow(SafeInput(topic="lab/safe", **settings), lambda: 0.0, lambda: woken.append(1), told), told, woken
 
 
 def test_unsafe_stows_at_once_and_safe_releases_after_the_minimum_stay():

@@ -168,7 +168,6 @@ def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
     scaled(scenario)
 
 
-@needs_mosquitto
 def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
     async def scenario():
         rig = bench(broker.port)
@@ -191,7 +190,26 @@ def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
     scaled(scenario)
 
 
-@needs_mosquitto
+def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(broker, scaled):
+    async def scenario():
+        rig = bench(broker.port)
+        link = asyncio.create_task(rig.mqtt.link.run())
+        try:
+            await until(lambda: rig.mqtt.status.connected, "the link")
+            await asyncio.sleep(2 * SPEED)
+            broker.hang()
+            try:
+                await until(lambda: not rig.mqtt.status.connected, "the silence")
+                assert rig.mqtt.status.down_why == f"127.0.0.1:{broker.port} does not answer any more"
+            finally:
+                broker.go_on()
+        finally:
+            link.cancel()
+            await asyncio.gather(link, return_exceptions=True)
+
+    scaled(scenario)
+
+
 def test_the_service_stops_in_time_although_the_broker_hangs(broker, scaled):
     async def scenario():
         rig = bench(broker.port)

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.clock import iso_utc
 from daemon.records import (
     Decision,
     Event,
@@ -211,7 +210,8 @@ def test_no_field_of_any_record_is_forgotten():
 
 @settings(max_examples=25)
 @given(times_s=st.lists(st.floats(0, 4e9), min_size=1, max_size=50))
-def test_times_are_written_as_everywhere_else(times_s, tmp_path_factory):
+def test_times_are_iso_8601_to_the_millisecond(times_s, tmp_path_factory):
     events = [Event(time_s, 0.0, "clock", "") for time_s in times_s]
     out = write(tmp_path_factory.mktemp("times") / "out", records=events)
-    assert [row["time"] for row in rows(out, "events")] == [iso_utc(time_s) for time_s in times_s]
+    stamps = [datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds") for time_s in times_s]
+    assert [row["time"] for row in rows(out, "events")] == [stamp.replace("+00:00", "Z") for stamp in stamps]
