@@ -68,6 +68,8 @@ def clear_sky_anchor(
 ) -> Anchor:
     """Return the responses that a clear-sky model explains best.
 
+    Least squares of the two equations of this module, with the model of Ineichen (2008), Solar Energy 82, 758.
+
     Parameters
     ----------
     utc_s

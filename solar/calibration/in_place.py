@@ -99,6 +99,8 @@ def calibrate_in_place(
 ) -> FieldCalibration:
     """Return gains, attitude and albedo from a cube's readings over several days.
 
+    The equations are those of :mod:`.shape` and :mod:`.anchor`, solved in turn.
+
     Parameters
     ----------
     utc_s, faces_w_m2

@@ -85,7 +85,7 @@ def fit_shape(
     model: SkyModel = "perez1990",
     cosine_error: float = COSINE_ERROR,
 ) -> Shape:
-    """Fit relative gains, attitude and albedo to clear-sky readings.
+    """Fit relative gains, attitude and albedo to clear-sky readings by the equation of this module.
 
     Parameters
     ----------
