@@ -138,7 +138,8 @@ def fitted_offset(reference_w_m2: Array, voltage_mv: Array) -> Interval:
     """Return the voltage [mV] at which a straight line through the readings reaches zero irradiance.
 
     V = V_0 + E / gain, for sensors whose nights were not recorded: the intercept V_0 of the least-squares line of
-    voltage on irradiance, with its 95 % interval. Readings of shape (n,) without NaN; raises `ValueError` for fewer than 3.
+    voltage on irradiance, with its 95 % interval. Readings of shape (n,) without NaN; raises `ValueError` for fewer
+    than 3.
     """
     if reference_w_m2.size < 3:
         raise ValueError(f"a line through {reference_w_m2.size} readings tells no offset")
