@@ -130,6 +130,19 @@ def test_overcast_days_are_refused():
     assert missing(utc_s[:0], faces[:0]) == ("clear and stable sky on 0 days, where at least 3 are needed",)
 
 
+def test_haze_from_which_the_level_cannot_be_told_is_refused():
+    (clause,) = missing(*readings(SIRTA, ClearSky(SIRTA, (0.3,)), MAY, 4))
+    assert clause.startswith("clear sky that tells the level of the gains: it is known to ")
+
+
+def test_more_days_are_surer_but_never_surer_than_a_percent():
+    few = calibrate_in_place(*clear(SIRTA, days=3), SIRTA)
+    more = calibrate_in_place(*clear(SIRTA, days=8), SIRTA)
+    assert (more.errors.response > 0.01).all()
+    assert (more.errors.response < few.errors.response).all()
+    assert more.errors.albedo < few.errors.albedo
+
+
 def test_two_days_are_refused():
     utc_s, faces = clear(SIRTA)
     early = utc_s < MAY + 2 * DAY_S
