@@ -32,7 +32,7 @@ Channel = Annotated[int, Field(ge=0, le=15)]
 Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
-WeatherName = Literal["clear", "overcast", "variable"]
+WeatherName = Literal["clear", "overcast", "variable", "broken"]
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -391,7 +391,8 @@ class Mqtt(Section):
     name: TopicLevel | None = Field(
         None,
         examples=["roof"],
-        description="Level of this tracker below the prefix, or of this cube. Left out: tracker, or cube.",
+        description="Level of this tracker below the prefix, or of this cube; the store bears the name too. Left out:"
+        " tracker, or cube.",
     )
     state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
     queue_messages: int = Field(
