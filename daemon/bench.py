@@ -80,8 +80,11 @@ def _served(settings: Settings, directory: Path, port: int, start: datetime, anc
     instruments["multiplexer"] |= {"server": f"127.0.0.1:{port}", "digital_port": DIGITAL_PORT}
     instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
     instruments["positioner"] |= {"port": str(directory / "positioner")}
+    load = settings.load.model_dump() | {"resource": f"ASRL{directory / 'load'}::INSTR", "visa": "py"}
+    if load["driver"] != "agilent6063b":
+        load["driver"] = "chroma63600"
     clock = {"start_utc": start, "anchor_utc": anchor, "speed": 1.0}
-    return override(settings, {"instruments": instruments, "simulation": clock})
+    return override(settings, {"instruments": instruments, "load": load, "simulation": clock})
 
 
 def _values(settings: Settings) -> dict[str, Any]:

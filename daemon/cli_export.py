@@ -21,6 +21,7 @@ class KindChoice(StrEnum):
     poses = "poses"
     modes = "modes"
     events = "events"
+    curves = "curves"
 
 
 class FormatChoice(StrEnum):
@@ -40,7 +41,9 @@ def export(
     table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of tables.")] = FormatChoice.csv,
     kind: Annotated[
         list[KindChoice] | None,
-        typer.Option(metavar="KIND", help="Only scans, decisions, moves, poses, modes or events. May be repeated."),
+        typer.Option(
+            metavar="KIND", help="Only scans, decisions, moves, poses, modes, events or curves. May be repeated."
+        ),
     ] = None,
     store: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the store, without a configuration.")

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +78,36 @@ def multiplexer(
     settings = _settings(config, "multiplexer", {"server": server})
     with _tap(record) as tap:
         _run(probe_multiplexer(settings, tap, _say(), write=write))
+
+
+class LoadChoice(StrEnum):
+    """Makes of electronic loads."""
+
+    chroma63600 = "chroma63600"
+    agilent6063b = "agilent6063b"
+
+
+@app.command()
+def load(
+    resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
+    driver: Annotated[LoadChoice | None, typer.Option(help="Its make, instead of the configuration's.")] = None,
+    config: ConfigOption = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Also trace one curve; the module is in open circuit afterwards.")
+    ] = False,
+    record: RecordOption = None,
+) -> None:
+    """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
+    from daemon.clock import SystemClock
+    from daemon.config import Settings
+    from daemon.config_file import load_settings, override
+    from daemon.probe_load import probe_load
+
+    settings = load_settings(config) if config is not None else Settings()
+    given = {"resource": resource, "driver": None if driver is None else driver.value}
+    settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
+    with _tap(record) as tap:
+        _run(probe_load(settings, SystemClock().monotonic, tap, _say(), write=write))
 
 
 def _settings(config: Path | None, instrument: str, given: dict[str, str | None]) -> "Settings":

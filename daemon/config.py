@@ -22,7 +22,7 @@ from pydantic import (
 from daemon import config_rules
 from daemon.api.address import DEFAULT_LISTEN
 from daemon.bridge.addresses import parse_address
-from daemon.config_instruments import Instruments
+from daemon.config_instruments import Instruments, Load
 from daemon.config_section import Positive, Section, text_of, with_defaults
 from solar.frames import Limits
 
@@ -32,7 +32,7 @@ Channel = Annotated[int, Field(ge=0, le=15)]
 Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
-WeatherName = Literal["clear", "overcast", "variable"]
+WeatherName = Literal["clear", "overcast", "variable", "broken"]
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -395,7 +395,8 @@ class Mqtt(Section):
     name: TopicLevel | None = Field(
         None,
         examples=["roof"],
-        description="Level of this tracker below the prefix, or of this cube. Left out: tracker, or cube.",
+        description="Level of this tracker below the prefix, or of this cube; the store bears the name too. Left out:"
+        " tracker, or cube.",
     )
     state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
     queue_messages: int = Field(
@@ -445,6 +446,7 @@ class Settings(Section):
     site: Site = Site()
     cube: Cube = Cube()
     instruments: Instruments = Instruments()
+    load: Load = Load()
     law: Law = Law()
     windows: Windows = Windows()
     limits: LimitSettings = LimitSettings()

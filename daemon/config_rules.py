@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 _OVER_RANGE = 1.2
 _AUTOZERO = 2
 _BRIGHT_SUN_W_M2 = 1000.0
+# What an electronic load takes for one exchange, and a sweep for its beginning and end.
+_LOAD_EXCHANGE_S = 0.02
+_SWEEP_ENDS_S = 0.2
 
 
 class Conflict(NamedTuple):
@@ -229,6 +232,22 @@ def the_two_words_differ(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
 
 
+def a_curve_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+    """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
+    load = settings.load
+    needed_s = load.points * (load.settle_s + _LOAD_EXCHANGE_S) + _SWEEP_ENDS_S
+    if load.driver != "none" and needed_s > load.period_s:
+        reason = f"is too short for {load.points} points of {load.settle_s:g} s to settle: they take {needed_s:.3g} s"
+        yield Conflict("load.period_s", reason, ("load.points", "load.settle_s"))
+
+
+def a_real_rig_has_no_simulated_load(settings: "Settings") -> Iterator[Conflict]:
+    """`load.driver = "simulated"` stands only with simulated instruments."""
+    if settings.load.driver == "simulated" and settings.instruments.kind == "real":
+        reason = 'cannot be on a real rig; name the load, or set "none"'
+        yield Conflict("load.driver", reason, ("instruments.kind",))
+
+
 RULES = (
     each_face_has_its_channel,
     each_channel_has_an_address,
@@ -246,4 +265,6 @@ RULES = (
     what_needs_a_broker_has_one,
     the_broker_is_known_as_asked,
     the_two_words_differ,
+    a_curve_fits_its_period,
+    a_real_rig_has_no_simulated_load,
 )

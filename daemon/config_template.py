@@ -26,6 +26,7 @@ _NOT_READ = {
         "instruments.positioner",
         "instruments.positioner.a_axis",
         "instruments.positioner.b_axis",
+        "load",
         "law",
         "windows",
         "limits",

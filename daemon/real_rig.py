@@ -8,7 +8,11 @@ from daemon.config import Settings
 from daemon.config_instruments import AxisGeometry, PositionerSettings
 from daemon.errors import UserError
 from drivers import pozsol_wire
+from drivers.agilent6063b import Agilent6063B
+from drivers.chroma63600 import Chroma63600
+from drivers.electronic_load import SweepSettings
 from drivers.geometry import AxisSetup, Geometry, Proportional, Triangle
+from drivers.interfaces import ElectronicLoad
 from drivers.keithley2000 import Keithley2000
 from drivers.multiplexer import NiMultiplexer
 from drivers.positioner import PozsolPositioner
@@ -16,6 +20,8 @@ from drivers.serial_port import SerialPort
 from drivers.transcript import Tap, no_tap
 from drivers.visa_line import VisaLine, VisaSettings
 
+MARGIN_OF_LEAST_V = 0.9
+"""The lowest voltage of a sweep may be read this much lower without ending it."""
 _B_OUT_BIT = {"unknown": None, "stm": pozsol_wire.B_OUT_BIT_STM, "lpc": pozsol_wire.B_OUT_BIT_LPC}
 
 
@@ -71,6 +77,26 @@ def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> Poz
         boot_s=positioner.boot_s,
         banner=positioner.boot_banner,
     )
+
+
+def load_line(settings: Settings, tap: Tap = no_tap) -> Callable[[], VisaLine]:
+    """Return how to open the electronic load's line; `UserError` if the settings do not say where it is."""
+    load = settings.load
+    if load.resource is None:
+        raise UserError('load.resource is missing: a real load needs its VISA name, such as "GPIB0::5::INSTR"')
+    where = VisaSettings(load.resource, load.visa, load.prologix_port, device="load", section="load")
+    return partial(VisaLine, where, tap)
+
+
+def build_load(settings: Settings, tap: Tap = no_tap) -> ElectronicLoad | None:
+    """Return the electronic load, not yet connected, or None if there is none; `UserError` if it cannot be found."""
+    load = settings.load
+    if load.driver in ("none", "simulated"):
+        return None
+    sweep = SweepSettings(load.settle_s, MARGIN_OF_LEAST_V * load.minimum_voltage_v, load.deadline_s)
+    if load.driver == "chroma63600":
+        return Chroma63600(load_line(settings, tap), load.channel, sweep)
+    return Agilent6063B(load_line(settings, tap), sweep)
 
 
 def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:

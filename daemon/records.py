@@ -213,6 +213,58 @@ class Pose:
     moving: bool
 
 
+class CurveQuality(StrEnum):
+    """How far the maximum power of a curve can be trusted."""
+
+    OK = "ok"
+    STOPPED = "stopped"
+    NO_MAXIMUM = "no-maximum"
+    DARK = "dark"
+
+
+@dataclass(frozen=True, slots=True)
+class IvCurve:
+    """One I-V curve of the module on the tracker, and what it says; NaN where it says nothing.
+
+    Attributes
+    ----------
+    time_utc_s, time_monotonic_s
+        Start of the sweep.
+    pmpp_w, vmpp_v, impp_a
+        Maximum power point by a local fit around the knee.
+    pmpp_sigma_w
+        Standard uncertainty of `pmpp_w` by the scatter of the points; calibration and drift are not in it.
+    voc_v
+        Read in open circuit before the sweep.
+    isc_a
+        By a straight line through the points at low voltage.
+    zenith_start_w_m2, zenith_end_w_m2
+        What the cube's zenith face read last before the sweep and before its end.
+    points
+        How many were measured.
+    quality, why
+        ``ok``: the whole curve was measured and has a maximum; what is wrong otherwise.
+    curve
+        The points, voltages and then currents, as base64 of little-endian 32-bit floats; empty unless kept.
+    """
+
+    time_utc_s: float
+    time_monotonic_s: float
+    duration_s: float
+    pmpp_w: float
+    pmpp_sigma_w: float
+    vmpp_v: float
+    impp_a: float
+    voc_v: float
+    isc_a: float
+    zenith_start_w_m2: float
+    zenith_end_w_m2: float
+    points: int
+    quality: CurveQuality
+    why: str
+    curve: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class ModeChange:
     """A transition of the state machine and its reason."""
@@ -234,4 +286,4 @@ class Event:
     text: str
 
 
-Record = Scan | Decision | Move | Pose | ModeChange | Event
+Record = Scan | Decision | Move | Pose | IvCurve | ModeChange | Event

@@ -17,6 +17,7 @@ from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
+from daemon.iv_acquisition import IvAcquisition
 from daemon.learned import LearnedFile
 from daemon.motion import OFTEN, Motion, Polling
 from daemon.optimal import OptimalPointing
@@ -27,7 +28,7 @@ from daemon.stow import StowSource, WindStow
 from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
 from drivers.errors import DeviceError, DriverHungError
-from drivers.interfaces import Multiplexer, Positioner, Voltmeter
+from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
@@ -57,6 +58,8 @@ class Rig:
         True if any of it is a simulation.
     sky_text
         One line about the simulated sky for displays, or None.
+    load
+        None where there is none on the tracker's module.
     """
 
     multiplexer: Multiplexer | None
@@ -65,6 +68,7 @@ class Rig:
     wind_speed_m_s: Callable[[], float | None] | None
     simulated: bool
     sky_text: Callable[[], str] | None = None
+    load: ElectronicLoad | None = None
 
 
 class Service:
@@ -131,6 +135,7 @@ class Service:
         self.acquisition: Acquisition | None = None
         self.motion: Motion | None = None
         self.control: Control | None = None
+        self.curves: IvAcquisition | None = None
         if role is not Role.CUBE:
             self._build_tracker()
         if role is not Role.TRACKER:
@@ -186,6 +191,12 @@ class Service:
             self._optimal(limits),
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
+        if rig.load is not None:
+            stale_s = settings.safety.scan_stale_s
+            self.curves = IvAcquisition(
+                settings.load, rig.load, self.clock, self._random, self.bus.publish, self.sun_elevation_deg, stale_s
+            )
+            self.bus.subscribe(self.curves.note)
 
     def _optimal(self, limits: Limits) -> OptimalPointing | None:
         settings = self.settings
@@ -270,6 +281,8 @@ class Service:
             work += [("motion", self.motion.run()), ("control", self.control.run())]
         if self.acquisition is not None:
             work.append(("acquisition", self.acquisition.run()))
+        if self.curves is not None:
+            work.append(("load", self.curves.run()))
         work += [(getattr(companion, "__name__", "companion"), companion) for companion in companions]
         return work
 

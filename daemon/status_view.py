@@ -45,6 +45,8 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
     if state["tracker"] is not None:
         yield "tracker", _tracker(state["tracker"])
         yield from _target(state)
+    if state["load"] is not None:
+        yield "module", _module(state["load"])
     yield from _cube(state)
     if state["calibration"] is not None:
         yield "calibration", _calibration(state["calibration"])
@@ -72,6 +74,20 @@ def _tracker(tracker: dict[str, Any]) -> Text:
         if why:
             text.append(f"  {why}", style=_BAD)
             break
+    return text
+
+
+def _module(load: dict[str, Any]) -> Text:
+    if load["down_why"]:
+        return Text(load["down_why"], style=_BAD)
+    curve = load["curve"]
+    if curve is None:
+        return Text("no curve yet")
+    text = Text(
+        f"{_number(curve['pmpp_w'], '.1f')} W at {_number(curve['vmpp_v'], '.2f')} V, {_age(curve['age_s'])} old"
+    )
+    if curve["quality"] != "ok":
+        text.append(f"  {curve['quality']}: {curve['why']}", style="yellow")
     return text
 
 

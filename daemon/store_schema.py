@@ -13,7 +13,7 @@ from daemon.records import Record, Scan
 from daemon.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 3
+VERSION = 5
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -30,7 +30,8 @@ _RUNS = """CREATE TABLE runs (
   site TEXT NOT NULL,
   latitude_deg REAL NOT NULL,
   longitude_deg REAL NOT NULL,
-  altitude_m REAL NOT NULL
+  altitude_m REAL NOT NULL,
+  tracker TEXT NOT NULL DEFAULT ''
 )"""
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
@@ -46,17 +47,21 @@ def schema() -> list[str]:
     number that is missing is a record that was lost. A scan is known by its cube's own count as well, so that one that
     arrives twice is kept once.
     """
-    statements = [_RUNS, _DAYS]
-    for kind, (name, columns) in COLUMNS.items():
-        lines = ["run INTEGER NOT NULL", "number INTEGER NOT NULL"]
-        lines += [f"{column.name} {_TYPES[column.holds]}" for column in columns]
-        lines.append("PRIMARY KEY (run, number)")
-        if kind is Scan:
-            lines.append("UNIQUE (source, session, sequence)")
-        body = ",\n  ".join(lines)
-        statements.append(f"CREATE TABLE {name} (\n  {body}\n) WITHOUT ROWID")
-        statements.append(f"CREATE INDEX {name}_time ON {name} (time)")
-    return statements
+    return [_RUNS, _DAYS, *[statement for kind in COLUMNS for statement in _table(kind)]]
+
+
+def _table(kind: type[Row]) -> list[str]:
+    name, columns = COLUMNS[kind]
+    lines = ["run INTEGER NOT NULL", "number INTEGER NOT NULL"]
+    lines += [f"{column.name} {_TYPES[column.holds]}" for column in columns]
+    lines.append("PRIMARY KEY (run, number)")
+    if kind is Scan:
+        lines.append("UNIQUE (source, session, sequence)")
+    body = ",\n  ".join(lines)
+    return [
+        f"CREATE TABLE {name} (\n  {body}\n) WITHOUT ROWID",
+        f"CREATE INDEX {name}_time ON {name} (time)",
+    ]
 
 
 def open_for_writing(path: Path) -> sqlite3.Connection:
@@ -159,17 +164,23 @@ def _is_empty(connection: sqlite3.Connection) -> bool:
 
 
 def _bring_up_to_date(connection: sqlite3.Connection) -> None:
-    """Give a store of an older version the columns it lacks; they are new at the end of their tables."""
-    for name, columns in COLUMNS.values():
+    """Give a store of an older version the tables and columns it lacks; these are new at the end of their tables."""
+    for kind, (name, columns) in COLUMNS.items():
         there = columns_of(connection, name)
+        if not there:
+            for statement in _table(kind):
+                connection.execute(statement)
+            continue
         for column in columns:
             if column.name not in there:
                 connection.execute(f"ALTER TABLE {name} ADD COLUMN {column.name} {_TYPES[column.holds]}")
+    if "tracker" not in columns_of(connection, "runs"):
+        connection.execute("ALTER TABLE runs ADD COLUMN tracker TEXT NOT NULL DEFAULT ''")
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def columns_of(connection: sqlite3.Connection, table: str) -> set[str]:
-    """Return the names of a table's columns, which in a store of an older version are fewer."""
+    """Return the names of a table's columns, which in a store of an older version are fewer; none without the table."""
     return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
 
 

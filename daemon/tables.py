@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self
 
 from daemon.clock import iso_utc
 from daemon.errors import UserError
-from daemon.records import FACES, Decision, Event, Irradiances, ModeChange, Move, Pose, Record, Scan
+from daemon.records import FACES, Decision, Event, Irradiances, IvCurve, ModeChange, Move, Pose, Record, Scan
 
 Format = Literal["csv", "parquet"]
 # A record, or a named tuple with the columns' values.
@@ -91,6 +91,16 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
     Pose: ("poses", [*_TIMES, *_same("float", "a_deg", "b_deg"), Column("moving", "moving", "bool")]),
     ModeChange: ("modes", [*_TIMES, *_same("text", "before", "after", "why")]),
     Event: ("events", [*_TIMES, *_same("text", "subject", "text")]),
+    IvCurve: (
+        "curves",
+        [
+            *_TIMES,
+            *_same("float", "duration_s", "pmpp_w", "pmpp_sigma_w", "vmpp_v", "impp_a", "voc_v", "isc_a"),
+            *_same("float", "zenith_start_w_m2", "zenith_end_w_m2"),
+            Column("points", "points", "int"),
+            *_same("text", "quality", "why", "curve"),
+        ],
+    ),
 }
 
 
@@ -104,9 +114,9 @@ def with_irradiances(record: Row) -> Row:
 class TableWriter:
     """Takes records as they come and writes each kind to a table of its own.
 
-    ``scans``, ``decisions``, ``moves``, ``poses``, ``modes`` and ``events``, in CSV with ISO 8601 times and empty cells
-    for what is not a number, or in Parquet with timestamps and nulls. Until `close` the files bear the ending
-    ``.part``; leaving the ``with`` block by an exception removes them.
+    ``scans``, ``decisions``, ``moves``, ``poses``, ``modes``, ``events`` and ``curves``, in CSV with ISO 8601 times
+    and empty cells for what is not a number, or in Parquet with timestamps and nulls. Until `close` the files bear the
+    ending ``.part``; leaving the ``with`` block by an exception removes them.
 
     Parameters
     ----------

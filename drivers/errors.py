@@ -7,7 +7,7 @@ class DeviceError(Exception):
     Parameters
     ----------
     device
-        Role of the instrument in the rig: ``multiplexer``, ``voltmeter``, ``positioner``.
+        Role of the instrument in the rig: ``multiplexer``, ``voltmeter``, ``positioner``, ``load``.
     message
         One sentence for the log and the operator.
     """

@@ -4,6 +4,7 @@ Every method may raise a child of :class:`drivers.errors.DeviceError` and nothin
 after ``close``; it always identifies and configures the instrument anew. Times are on the service's monotonic clock.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -131,3 +132,48 @@ class Positioner(Protocol):
 
     async def clear_faults(self) -> None:
         """Clear latched faults and the reset mark."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweptCurve:
+    """One sweep of an electronic load over a photovoltaic module.
+
+    Attributes
+    ----------
+    open_circuit_v
+        Read with the input off, before the first step; NaN if it was beyond the load's range.
+    voltage_v, current_a
+        What was measured at each step, in the order of the steps; a step beyond the load's range has no point.
+    stopped_why
+        Why the sweep ended before its last step; empty if it did not.
+    """
+
+    open_circuit_v: float
+    voltage_v: tuple[float, ...]
+    current_a: tuple[float, ...]
+    stopped_why: str = ""
+
+
+SweepPlan = Callable[[float], Sequence[float]]
+"""Returns the voltages [V] to step through, highest first, for an open-circuit voltage [V]; none of them: no sweep."""
+
+
+class ElectronicLoad(Protocol):
+    """Holds a module at one voltage after another and measures; leaves it in open circuit otherwise."""
+
+    async def open(self) -> str:
+        """Connect, identify, switch the input off and configure; return the instrument's identity."""
+
+    async def close(self) -> None:
+        """Switch the input off as far as that is possible, and release the instrument. Never raises."""
+
+    async def sweep(self, plan: SweepPlan, stop_why: Callable[[], str | None]) -> SweptCurve:
+        """Measure one curve; the input is off again when this ends, however it ends.
+
+        Parameters
+        ----------
+        plan
+            Asked once, with the open-circuit voltage.
+        stop_why
+            Asked before each step; a sentence ends the sweep.
+        """

@@ -1,4 +1,4 @@
-"""A VISA session as the voltmeter's line: RS-232, GPIB, or GPIB behind a Prologix adapter.
+"""A VISA session as an instrument's line: RS-232, GPIB, or GPIB behind a Prologix adapter.
 
 Through PyVISA-py, or through NI-VISA where that is installed. Not checked on hardware: NI-VISA, and what device clear
 does over each kind of GPIB adapter; where clear is not supported the line is drained instead.
@@ -13,7 +13,6 @@ from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissi
 from drivers.serial_port import cannot_open, terminal_errors
 from drivers.transcript import Tap, no_tap
 
-_DEVICE = "voltmeter"
 _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
 _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
@@ -22,7 +21,7 @@ _BITS_PER_BYTE = 10
 
 @dataclass(frozen=True, slots=True)
 class VisaSettings:
-    """How the meter is connected.
+    """How an instrument is connected.
 
     Attributes
     ----------
@@ -34,6 +33,8 @@ class VisaSettings:
         Serial port of a Prologix adapter that the GPIB address is behind.
     baud_rate, terminator, flow_control
         Of RS-232, as set at the meter: 300 to 19200, LF, CR or LFCR, none or xon-xoff.
+    device, section
+        Its role in the rig and the section of the configuration that it stands in, for messages.
     """
 
     resource: str
@@ -42,21 +43,23 @@ class VisaSettings:
     baud_rate: int = 19200
     terminator: Literal["LF", "CR", "LFCR"] = "LF"
     flow_control: Literal["none", "xon-xoff"] = "none"
+    device: str = "voltmeter"
+    section: str = "instruments.voltmeter"
 
 
 class VisaLine:
-    """The line to the meter; blocking, for use in one thread.
+    """The line to the instrument; blocking, for use in one thread.
 
     Parameters
     ----------
     settings
-        Where the meter is.
+        Where the instrument is.
     tap
         Told what is sent and received.
     """
 
     def __init__(self, settings: VisaSettings, tap: Tap = no_tap) -> None:
-        import pyvisa  # noqa: PLC0415 - loaded by whoever has a meter, a quarter of a second
+        import pyvisa  # noqa: PLC0415 - loaded by whoever has such an instrument, a quarter of a second
 
         self._pyvisa = pyvisa
         self._settings = settings
@@ -102,8 +105,8 @@ class VisaLine:
                 self._read(quiet_s + self._transfer_s / 10)
 
     def close(self) -> None:
-        """Release the session and its manager."""
-        for part in (self._resource, self._adapter, self._manager):
+        """Release the session. PyVISA has one manager for all instruments, and closing it would end their sessions."""
+        for part in (self._resource, self._adapter):
             if part is not None:
                 with contextlib.suppress(*self._gone, ValueError, AttributeError):
                     part.close()
@@ -115,8 +118,8 @@ class VisaLine:
         try:
             self._manager = self._pyvisa.ResourceManager(library)
         except (OSError, ValueError) as error:
-            message = "NI-VISA is not installed on this PC; install it, or set instruments.voltmeter.visa to py"
-            raise DriverMissingError(_DEVICE, message) from error
+            message = f"NI-VISA is not installed on this PC; install it, or set {settings.section}.visa to py"
+            raise DriverMissingError(settings.device, message) from error
         if settings.prologix_port is not None:
             self._adapter = self._manager.open_resource(f"PRLGX-ASRL::{settings.prologix_port}::INTFC")
             self._hold(self._adapter)
@@ -168,20 +171,22 @@ class VisaLine:
             yield
         except self._pyvisa.VisaIOError as error:
             if error.error_code == self._pyvisa.constants.StatusCode.error_timeout:
-                raise DeadlineError(_DEVICE, "no line came in time") from error
-            raise LinkLostError(_DEVICE, f"{self._settings.resource}: {error}") from error
+                raise DeadlineError(self._settings.device, "no line came in time") from error
+            raise LinkLostError(self._settings.device, f"{self._settings.resource}: {error}") from error
         except self._gone as error:
-            raise LinkLostError(_DEVICE, f"{self._settings.resource} is gone; has it been unplugged?") from error
+            raise LinkLostError(
+                self._settings.device, f"{self._settings.resource} is gone; has it been unplugged?"
+            ) from error
 
     def _refuse_open(self, error: BaseException) -> NoReturn:
         settings = self._settings
         port = settings.prologix_port or settings.resource
         if isinstance(error, OSError):
-            raise cannot_open(_DEVICE, port.removeprefix("ASRL").partition("::")[0], error) from error
+            raise cannot_open(settings.device, port.removeprefix("ASRL").partition("::")[0], error) from error
         if isinstance(error, ValueError) and not self._serial:
             message = (
                 f"{settings.resource} cannot be opened with PyVISA-py: it needs linux-gpib, or"
-                ' instruments.voltmeter.prologix_port for a Prologix adapter, or instruments.voltmeter.visa = "ni"'
+                f' {settings.section}.prologix_port for a Prologix adapter, or {settings.section}.visa = "ni"'
             )
-            raise DriverMissingError(_DEVICE, message) from error
-        raise ConnectError(_DEVICE, f"{settings.resource} cannot be opened: {error}") from error
+            raise DriverMissingError(settings.device, message) from error
+        raise ConnectError(settings.device, f"{settings.resource} cannot be opened: {error}") from error

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,20 @@ import numpy as np
 
 from drivers import pozsol_wire as wire
 from drivers.pozsol_wire import Field, TokenStream
+from sim_drivers.hosts.line_host import LineHost
 from sim_drivers.hosts.ni_server import NiServer
 from sim_drivers.hosts.positioner_host import PositionerHost
 from sim_drivers.hosts.voltmeter_host import VoltmeterHost
+from sim_drivers.load_core import LoadCore
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.pv_source import PvSource
 from sim_drivers.scene import Scene
 from sim_drivers.voltmeter_core import VoltmeterCore
 
 _DISTURBANCE_SEED = 7
+# GPIB, which the load's port stands for, is limited by the instruments: some kilobytes a second.
+_LOAD_BYTE_S = 2e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +36,18 @@ class BenchClock:
 
 
 class Bench:
-    """Three instruments and their surroundings.
+    """Four instruments and their surroundings.
 
     Parameters
     ----------
     directory
-        Where the ports ``positioner`` and ``voltmeter`` appear.
+        Where the ports ``positioner``, ``voltmeter`` and ``load`` appear.
     scene
         Sun, sky and cube.
     switch, meter, unit
         The cores of multiplexer, voltmeter and positioner.
+    load, source
+        The core of the electronic load, and the module that feeds it.
     clock
         Time.
     baud_rate
@@ -54,6 +61,8 @@ class Bench:
         switch: MultiplexerCore,
         meter: VoltmeterCore,
         unit: PositionerCore,
+        load: LoadCore,
+        source: PvSource,
         clock: BenchClock,
         baud_rate: int,
     ) -> None:
@@ -64,22 +73,25 @@ class Bench:
         self.positioner = PositionerHost(unit, directory / "positioner", clock.now, random)
         self.voltmeter = VoltmeterHost(meter, directory / "voltmeter", clock.now, baud_rate)
         self.multiplexer = NiServer(switch, clock.now)
+        self.load = LineHost(load, directory / "load", clock.now, _LOAD_BYTE_S)
+        self._source = source
 
     async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:
         """Plug everything in, call `ready`, and serve until `stop` is set."""
         await self.multiplexer.start()
-        self.positioner.port.plug()
-        self.voltmeter.port.plug()
+        ports = [host.port for host in (self.positioner, self.voltmeter, self.load)]
+        for port in ports:
+            port.plug()
         try:
             async with asyncio.TaskGroup() as group:
-                hosts = [group.create_task(self.positioner.run()), group.create_task(self.voltmeter.run())]
+                hosts = [group.create_task(host.run()) for host in (self.positioner, self.voltmeter, self.load)]
                 ready()
                 await stop.wait()
                 for host in hosts:
                     host.cancel()
         finally:
-            self.positioner.port.unplug()
-            self.voltmeter.port.unplug()
+            for port in ports:
+                port.unplug()
             await self.multiplexer.stop()
 
     def state(self) -> dict[str, Any]:
@@ -105,6 +117,21 @@ class Bench:
                 "selected": self.multiplexer.core.selected(now),
                 "writes": self.multiplexer.writes,
             },
+            "load": self._load_state(now),
+        }
+
+    def _load_state(self, now: float) -> dict[str, Any]:
+        core, light = self.load.core, self._source.light(now)
+        return {
+            "plugged": self.load.port.plugged,
+            "in_use": self.load.port.in_use,
+            "make": core.make,
+            "input_on": core.on,
+            "sweeps": core.sweeps,
+            "level_v": core.level_v,
+            "latched": sorted(core.latched),
+            "cell_temperature_c": float(light.cell_c),
+            "truth": {name: float(value) for name, value in asdict(self._source.maximum(light)).items()},
         }
 
     def _positioner_state(self, now: float) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import socket
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sim_drivers.load_core import TRIPS
 from sim_drivers.positioner_core import FAULTS
 
 SOCKET_NAME = "control"
-DEVICES = ("positioner", "voltmeter", "multiplexer", "server")
+DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load")
 """What has a plug; the server is the NI gRPC server and not the device behind it."""
 _TIMEOUT_S = 10.0
 
@@ -34,8 +35,8 @@ VERBS = {
     "replug": Verb("DEVICE", "plug it in again"),
     "freeze": Verb("DEVICE", "let a device hang; a hanging positioner is also one in its bootloader"),
     "thaw": Verb("DEVICE", "let it go on"),
-    "delay": Verb("DEVICE SECONDS", "replies of voltmeter or multiplexer come this much later; 0 ends it"),
-    "drop": Verb("DEVICE [COUNT]", "lose the next replies of the voltmeter, screens of the positioner"),
+    "delay": Verb("DEVICE SECONDS", "replies of voltmeter, load or multiplexer come this much later; 0 ends it"),
+    "drop": Verb("DEVICE [COUNT]", "lose the next replies of voltmeter or load, screens of the positioner"),
     "corrupt": Verb("DEVICE [COUNT]", "garble one byte of each of the next ones"),
     "fail": Verb("CODE [COUNT]", "the next writes to the multiplexer fail with this NI error"),
     "overcurrent": Verb("AXIS", "latch an overcurrent of axis a or b"),
@@ -49,7 +50,8 @@ VERBS = {
     "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),
     "restart": Verb("SECONDS", "restart the positioner, its USB stays: silent for this long, then its banner"),
     "boots-at-open": Verb("SECONDS|never", "let the positioner restart so long whenever its port is opened"),
-    "identity": Verb("DEVICE TEXT", "let voltmeter or positioner say that it is something else"),
+    "trip": Verb("PROTECTION", f"latch a protection of the load: {', '.join(TRIPS)}"),
+    "identity": Verb("DEVICE TEXT", "let voltmeter, load or positioner say that it is something else"),
 }
 """All commands; each is a method of `sim_drivers.bench_control.BenchControl`."""
 

@@ -6,12 +6,15 @@ import json
 import socket
 from collections.abc import Awaitable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from drivers.pozsol_wire import Field
 from sim_drivers.bench import Bench
 from sim_drivers.bench_client import DEVICES, SOCKET_NAME, VERBS, BenchError
+from sim_drivers.load_core import TRIPS
 from sim_drivers.positioner_core import FAULTS
+
+Name = TypeVar("Name", bound=str)
 
 FACES = ("east", "south", "west", "zenith")
 _REENUMERATION_S = 1.0
@@ -110,7 +113,7 @@ class BenchControl:
         elif name == "multiplexer":
             bench.multiplexer.unplug()
         else:
-            (bench.positioner if name == "positioner" else bench.voltmeter).port.unplug()
+            self._host(name).port.unplug()
         if length_s is not None:
             task = asyncio.create_task(self._replug_after(name, length_s))
             self._later.add(task)
@@ -125,7 +128,7 @@ class BenchControl:
         elif name == "multiplexer":
             bench.multiplexer.plug()
         else:
-            (bench.positioner if name == "positioner" else bench.voltmeter).port.plug()
+            self._host(name).port.plug()
 
     def freeze(self, device: str) -> None:
         """Let a device hang."""
@@ -138,22 +141,15 @@ class BenchControl:
     def delay(self, device: str, seconds: str) -> None:
         """Let every reply come later."""
         delay_s = _number(seconds, 0, 3600)
-        if _one_of(device, ("voltmeter", "multiplexer")) == "voltmeter":
-            self._bench.voltmeter.delay_s = delay_s
-        else:
-            self._bench.multiplexer.delay_s = delay_s
+        self._host(_one_of(device, ("voltmeter", "load", "multiplexer"))).delay_s = delay_s
 
     def drop(self, device: str, number: str = "1") -> None:
         """Lose the next replies or screens."""
-        bench = self._bench
-        name = _one_of(device, ("positioner", "voltmeter"))
-        (bench.positioner if name == "positioner" else bench.voltmeter.core).drop_next(_count(number))
+        self._talker(device).drop_next(_count(number))
 
     def corrupt(self, device: str, number: str = "1") -> None:
         """Garble the next replies or screens."""
-        bench = self._bench
-        name = _one_of(device, ("positioner", "voltmeter"))
-        (bench.positioner if name == "positioner" else bench.voltmeter.core).corrupt_next(_count(number))
+        self._talker(device).corrupt_next(_count(number))
 
     def fail(self, code: str, number: str = "1") -> None:
         """Let the next writes to the multiplexer fail."""
@@ -204,9 +200,9 @@ class BenchControl:
     async def power_cycle(self, device: str, position: str = "kept") -> None:
         """Switch a device off and on; the positioner's port is gone for a second."""
         bench = self._bench
-        name = _one_of(device, ("positioner", "voltmeter", "multiplexer"))
-        if name == "voltmeter":
-            bench.voltmeter.power_cycle()
+        name = _one_of(device, ("positioner", "voltmeter", "load", "multiplexer"))
+        if name in ("voltmeter", "load"):
+            self._host(name).power_cycle()
         elif name == "multiplexer":
             bench.multiplexer.reset()
         else:
@@ -224,13 +220,22 @@ class BenchControl:
 
     def identity(self, device: str, text: str) -> None:
         """Let a device say that it is something else."""
-        if _one_of(device, ("positioner", "voltmeter")) == "voltmeter":
-            self._bench.voltmeter.core.identity = text
-        else:
+        if _one_of(device, ("positioner", "voltmeter", "load")) == "positioner":
             self._bench.positioner.core.parameters[Field.BOARD] = text
+        else:
+            self._host(device).core.identity = text
+
+    def trip(self, protection: str) -> None:
+        """Latch a protection of the load."""
+        self._bench.load.core.trip(_one_of(protection, TRIPS))
 
     def _host(self, device: str) -> Any:
-        return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "multiplexer")))
+        return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "load", "multiplexer")))
+
+    def _talker(self, device: str) -> Any:
+        """Return what loses and garbles a device's words: its host, or the core of one that answers questions."""
+        host = self._host(_one_of(device, ("positioner", "voltmeter", "load")))
+        return host if device == "positioner" else host.core
 
     def _condition(self, fault: str, present: bool) -> None:
         core, now = self._bench.positioner.core, self._bench.clock.now()
@@ -252,10 +257,11 @@ def _is_alive(path: Path) -> bool:
     return False
 
 
-def _one_of(text: str, choices: tuple[str, ...]) -> str:
-    if text not in choices:
-        raise ValueError(f"'{text}' is not one of {', '.join(choices)}")
-    return text
+def _one_of(text: str, choices: tuple[Name, ...]) -> Name:
+    for choice in choices:
+        if text == choice:
+            return choice
+    raise ValueError(f"'{text}' is not one of {', '.join(choices)}")
 
 
 def _number(text: str, low: float, high: float) -> float:

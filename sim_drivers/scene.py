@@ -93,6 +93,7 @@ class _Chunk:
     faces_w_m2: list[list[float]]
     sensed_w_m2: list[list[float]]
     wind_m_s: list[float]
+    air_c: list[float]
 
 
 class Scene:
@@ -185,9 +186,12 @@ class Scene:
     def wind_speed(self, utc_s: float) -> float | None:
         """Return the wind speed [m/s], or None where the weather does not tell."""
         chunk, index, share = self._locate(utc_s)
-        before, after = chunk.wind_m_s[index : index + 2]
-        speed = before + (after - before) * share
-        return None if isnan(speed) else speed
+        return _between(chunk.wind_m_s, index, share)
+
+    def air_temperature(self, utc_s: float) -> float | None:
+        """Return the temperature of the air [degC], or None where the weather does not tell."""
+        chunk, index, share = self._locate(utc_s)
+        return _between(chunk.air_c, index, share)
 
     def shade(self, face: int, factor: float) -> None:
         """Let only `factor` (0..1) of the light reach a face from now on; 1 takes the shade away."""
@@ -233,11 +237,11 @@ class Scene:
 
     def _compute(self, utc_s: Array) -> _Chunk:
         covered = self._weather.covers(utc_s)
-        dni, dhi, wind = np.full((3, utc_s.size), np.nan)
+        dni, dhi, wind, air = np.full((4, utc_s.size), np.nan)
         if covered.any():
             conditions = self._weather.at(utc_s[covered])
             dni[covered], dhi[covered] = conditions.dni_w_m2, conditions.dhi_w_m2
-            wind[covered] = conditions.wind_speed_m_s
+            wind[covered], air[covered] = conditions.wind_speed_m_s, conditions.temp_air_degc
         overhead = sky(self._sky_model, sun_direction(utc_s, *self._site), dni, dhi, extraterrestrial_dni(utc_s))
         normals = self._normals[:, None, :]
         falling = overhead.irradiance_on(normals, self._albedo)
@@ -248,7 +252,14 @@ class Scene:
             faces_w_m2=falling.tolist(),
             sensed_w_m2=sensed.tolist(),
             wind_m_s=wind.tolist(),
+            air_c=air.tolist(),
         )
+
+
+def _between(values: list[float], index: int, share: float) -> float | None:
+    before, after = values[index : index + 2]
+    value = before + (after - before) * share
+    return None if isnan(value) else value
 
 
 def default_faces(latitude_deg: float) -> tuple[FaceGeometry, FaceGeometry, FaceGeometry, FaceGeometry]:

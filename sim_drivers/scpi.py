@@ -20,7 +20,7 @@ MESSAGES: Mapping[int, str] = {
     -350: "Queue overflow",
     -363: "Input buffer over-run",
 }
-_NODE = re.compile(r"(\[?):?([A-Z*]+)([a-z]*)((?:\[1\])?)(\]?)")
+_NODE = re.compile(r"(\[?):?([A-Z*][A-Z0-9*]*)([a-z]*)((?:\[1\])?)(\]?)")
 _UNIT = re.compile(r"\s*([:*]?[A-Za-z*][A-Za-z0-9:]*)(\??)(?:\s+(.*\S))?\s*")
 _OUTSIDE_QUOTES = r"(?=(?:[^\"']|\"[^\"]*\"|'[^']*')*$)"
 _SEMICOLON = re.compile(";" + _OUTSIDE_QUOTES)

@@ -1,7 +1,7 @@
 """The state of the service as JSON: every value with its age and what it is worth."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from operator import attrgetter
 from typing import Any
@@ -10,6 +10,7 @@ from daemon.api.recent import Recent
 from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
 from daemon.control import Control
+from daemon.iv_acquisition import IvAcquisition
 from daemon.motion import Motion
 from daemon.mqtt.status import LinkStatus
 from daemon.records import FACES, Pose, Quality, Record, Scan
@@ -24,7 +25,7 @@ _NAMES = {kind: name.removesuffix("s") for kind, (name, _) in COLUMNS.items()}
 
 
 def kind_of(record: Record) -> str:
-    """Return the name of a record's kind: ``scan``, ``decision``, ``move``, ``pose``, ``mode`` or ``event``."""
+    """Return the name of a record's kind: that of its table without the plural, such as ``scan``."""
     return _NAMES[type(record)]
 
 
@@ -77,6 +78,7 @@ def state(
         "law": None,
         "next_decision_s": None,
         "tracker": None,
+        "load": None,
         "bridge": None,
         "store": None if store is None else _store(store),
         "mqtt": None if mqtt is None else _mqtt(mqtt),
@@ -102,6 +104,8 @@ def state(
             "b_min_deg": limits.b_min_deg,
             "b_max_deg": limits.b_max_deg,
         }
+    if service.curves is not None:
+        found["load"] = _load(service.curves, now_s)
     if service.receiver is not None:
         counts = service.receiver.statistics
         found["bridge"] = {"accepted": counts.accepted, "lost": counts.lost, "refused": counts.refused}
@@ -147,6 +151,18 @@ def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
             }
             for name, face in zip(FACES, scan.faces, strict=True)
         },
+    }
+
+
+def _load(curves: IvAcquisition, now_s: float) -> dict[str, Any]:
+    last = curves.last
+    return {
+        "connected": curves.identity is not None,
+        "down_why": curves.outage.reason if curves.outage.is_down else None,
+        "identity": curves.identity,
+        "curve": None
+        if last is None
+        else record_json(replace(last, curve="")) | {"age_s": number(round(now_s - last.time_monotonic_s, 3))},
     }
 
 

@@ -20,6 +20,7 @@ _MANNERS = {
     "mode": (1, True),
     "move": (1, False),
     "event": (1, False),
+    "curve": (0, False),
 }
 
 

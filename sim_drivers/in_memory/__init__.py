@@ -5,6 +5,7 @@ event loop's time, whatever that is.
 """
 
 from sim_drivers.in_memory.cube import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.in_memory.load import InMemoryLoad
 from sim_drivers.in_memory.positioner import InMemoryPositioner
 
-__all__ = ["InMemoryMultiplexer", "InMemoryPositioner", "InMemoryVoltmeter"]
+__all__ = ["InMemoryLoad", "InMemoryMultiplexer", "InMemoryPositioner", "InMemoryVoltmeter"]

@@ -30,39 +30,9 @@ def meter_on(link, *, terminator="LF", **options):
     return Keithley2000(partial(VisaLine, settings), deadline_s=options.pop("deadline_s", 0.5), **options)
 
 
-class Player(threading.Thread):
-    """Plays the instrument's part of a transcript on a port, and notes what it was sent instead of what it expects."""
-
-    def __init__(self, pieces, link):
-        super().__init__(daemon=True)
-        self._pieces = pieces
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        link.symlink_to(os.ttyname(self._slave))
-        self.received = []
-        self.start()
-
-    def run(self):
-        for piece in self._pieces:
-            if piece.direction == "<":
-                os.write(self._master, piece.data)
-                continue
-            data = b""
-            while len(data) < len(piece.data):
-                data += os.read(self._master, len(piece.data) - len(data))
-            self.received.append(data)
-            if data != piece.data:
-                return
-
-    def end(self):
-        self.join(5.0)
-        os.close(self._slave)
-        os.close(self._master)
-
-
-def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, tmp_path):
+def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path):
     pieces = transcript("voltmeter")
-    player = Player(pieces, tmp_path / "voltmeter")
+    player = play(pieces, tmp_path / "voltmeter")
 
     async def scene():
         meter = meter_on(tmp_path / "voltmeter", deadline_s=5.0)

@@ -13,13 +13,16 @@ from daemon.config import Settings
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.in_memory import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.load_core import LoadCore
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.pv_source import PvSource
 from sim_drivers.scene import Scene, SensorModel
 from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import Conditions
 from solar.ephemeris import Site
+from solar.pv_module import Q_PEAK_G4_1_305
 
 SITE = Site(48.717607, 2.209002, 156.0)
 SENSORS = SensorModel(gain_error=0.0, noise_mv=0.02, cosine_error=0.0)
@@ -63,13 +66,23 @@ class Bench:
         self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
         self.voltmeter = InMemoryVoltmeter(self.meter, loop.time)
         self.positioner = InMemoryPositioner(self.unit, loop.time, settings.limits.limits())
+        self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)
+        self.load_core = LoadCore(self.source, np.random.default_rng(2))
+        self.load = InMemoryLoad(self.load_core, loop.time, settle_s=settings.load.settle_s, least_v=2.7)
         self.bus = Bus()
         self.records = []
         self.bus.subscribe(self.records.append)
         self.service = Service(
             settings,
             role,
-            Rig(self.multiplexer, self.voltmeter, self.positioner, lambda: self.wind_m_s, simulated=True),
+            Rig(
+                self.multiplexer,
+                self.voltmeter,
+                self.positioner,
+                lambda: self.wind_m_s,
+                simulated=True,
+                load=None if settings.load.driver == "none" else self.load,
+            ),
             self.clock,
             Random(1),
             self.bus,

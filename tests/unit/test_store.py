@@ -29,7 +29,7 @@ from daemon.store_schema import FILE_NAME, VERSION, open_for_reading, schema
 from daemon.tables import TableWriter
 from solar.frames import angles_from_direction, direction_from_azimuth
 
-from .test_tables import ALL, T0, decision, scan
+from .test_tables import ALL, CURVE, T0, decision, scan
 
 ORIGIN = Origin(T0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -66,7 +66,7 @@ def test_an_export_is_what_the_tables_of_the_same_records_are_and_more(keep, tmp
         for record in ALL:
             tables.write(record)
     written = export(keep(*ALL), tmp_path / "out", "csv", None, None, ())
-    assert written == {"scans": 2, "decisions": 2, "moves": 1, "poses": 1, "modes": 1, "events": 1}
+    assert written == {"scans": 2, "decisions": 2, "moves": 1, "poses": 1, "modes": 1, "events": 1, "curves": 1}
     for name in written:
         exported, direct = rows(tmp_path / "out" / f"{name}.csv"), rows(tmp_path / "tables" / f"{name}.csv")
         assert [{key: row[key] for key in direct[0]} for row in exported] == direct
@@ -152,12 +152,12 @@ def test_a_clock_set_far_ahead_costs_one_day_and_not_all(keep):
 def test_the_file_of_this_version_is_what_it_was():
     """Whoever changes a column makes a new version of the store, with a way from the old one."""
     text = ";".join(re.sub(r"\s+", " ", statement) for statement in schema())
-    assert text.count("CREATE TABLE") == 8
+    assert text.count("CREATE TABLE") == 9
     assert (
         "CREATE TABLE poses ( run INTEGER NOT NULL, number INTEGER NOT NULL, time REAL, time_monotonic_s REAL,"
         " a_deg REAL, b_deg REAL, moving INTEGER, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
     )
-    assert sha256(text.encode()).hexdigest()[:12] == "236e92fc946c"
+    assert sha256(text.encode()).hexdigest()[:12] == "8dad75601452"
 
 
 def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_service(keep, tmp_path):
@@ -174,6 +174,32 @@ def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_ser
         ("", ""),
         ("800.0", "0.25"),
     ]
+
+
+def test_a_store_that_has_no_curves_yet_is_read_as_it_is_and_given_their_table_by_the_service(keep, tmp_path):
+    folder = keep(decision())
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        connection.execute("DROP TABLE curves")
+        connection.execute("PRAGMA user_version = 3")
+    assert export(folder, tmp_path / "old", "csv", None, None, ())["curves"] == 0
+    assert rows(tmp_path / "old" / "curves.csv") == []
+    keep(CURVE)
+    assert export(folder, tmp_path / "new", "csv", None, None, ["curves"]) == {"curves": 1}
+    assert rows(tmp_path / "new" / "curves.csv")[0]["pmpp_w"] == "274.25"
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        assert "curves_time" in {row[1] for row in connection.execute("PRAGMA index_list(curves)")}
+
+
+def test_a_store_whose_runs_do_not_name_their_tracker_is_read_as_it_is_and_can_name_it_from_then_on(keep, tmp_path):
+    folder = keep(decision())
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        connection.execute("ALTER TABLE runs DROP COLUMN tracker")
+        connection.execute("PRAGMA user_version = 4")
+    export(folder, tmp_path / "old", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
+    keep(replace(decision(), time_utc_s=T0 + 60), origin=replace(ORIGIN, tracker="roof"))
+    export(folder, tmp_path / "new", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "new" / "decisions.csv")] == ["", "roof"]
 
 
 # What cannot be used

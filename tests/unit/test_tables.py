@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.records import (
+    CurveQuality,
     Decision,
     Event,
     FaceReading,
     Irradiances,
+    IvCurve,
     Mode,
     ModeChange,
     Move,
@@ -25,7 +27,7 @@ from daemon.records import (
 from daemon.tables import COLUMNS, TableError, TableWriter
 
 T0 = datetime(2022, 10, 14, 6, 0, tzinfo=UTC).timestamp()
-KINDS = ["decisions", "events", "modes", "moves", "poses", "scans"]
+KINDS = ["curves", "decisions", "events", "modes", "moves", "poses", "scans"]
 
 
 def face(value, quality=Quality.OK, at_s=0.0):
@@ -68,7 +70,24 @@ MOVE = Move(T0, 1.0, 12.5, 0.0, 90.0, -3.5, 60.0, -3.4, 60.1, MoveOutcome.ARRIVE
 POSE = Pose(T0 + 0.0004, 2.0, -3.4, 60.1, False)
 CHANGE = ModeChange(T0, 1.0, Mode.STARTING, Mode.TRACKING, "first readings")
 EVENT = Event(T0, 1.0, "positioner", 'said "no",\nthen nothing')
-ALL = [scan(0), scan(1), decision(), decision(Irradiances(1.0, 2.0, 3.0, 4.0, 0.9)), MOVE, POSE, CHANGE, EVENT]
+CURVE = IvCurve(
+    T0,
+    1.0,
+    1.6,
+    274.25,
+    0.125,
+    31.5,
+    8.7,
+    38.25,
+    math.nan,
+    640.5,
+    math.nan,
+    29,
+    CurveQuality.STOPPED,
+    "tripped",
+    "AAAA",
+)
+ALL = [scan(0), scan(1), decision(), decision(Irradiances(1.0, 2.0, 3.0, 4.0, 0.9)), MOVE, POSE, CHANGE, EVENT, CURVE]
 
 
 def write(directory, form="csv", records=ALL):

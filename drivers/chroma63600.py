@@ -1,0 +1,56 @@
+"""The Chroma 63600 electronic load: one channel of its mainframe, in the high voltage range.
+
+From the maker's manual: the commands, the answer to ``*IDN?`` (``CHROMA,63600-5,...``), the status bits, and that
+channels of modules with one input are numbered 1, 3, 5 and so on. Seen in a public driver: ``CHAN n`` before channel
+commands, ``CHAN:ID?``, replies to ``LOAD?`` as ON, OFF or a number. Inferred, not tried on an instrument: that several
+questions in one line are answered in one line with semicolons (where they are not, they are asked one by one), that
+``MODE?`` answers in the short form, and how long a new voltage takes. Errors are read from ``*ESR?``, which the manual
+has; an error queue is not used.
+"""
+
+from collections.abc import Callable
+
+from drivers.electronic_load import ScpiLoad, SweepSettings
+from drivers.load_session import Dialect, Line
+
+PROTECTIONS = {
+    1: "over-temperature",
+    2: "over-voltage",
+    4: "over-current",
+    8: "over-power",
+    16: "reverse voltage",
+    32: "synchronisation",
+    64: "limit",
+    128: "fan",
+    256: "remote inhibit",
+}
+
+
+def dialect(channel: int) -> Dialect:
+    """Return how one channel is spoken to."""
+    return Dialect(
+        maker="CHROMA",
+        models=("63600", "636"),
+        select=f"CHAN {channel}",
+        select_proof=("CHAN?", str(channel)),
+        identify_channel="CHAN:ID?",
+        on="LOAD ON",
+        off="LOAD OFF",
+        is_on="LOAD?",
+        mode="MODE CVH",
+        mode_proof=("MODE?", "CVH"),
+        settings=("CONF:VOLT:RANG HIGH", "VOLT:STAT:ILIM MAX"),
+        level="VOLT:STAT:L1 {:.3f}",
+        measure="MEAS:VOLT?;CURR?;:LOAD:PROT?",
+        measure_one_by_one=("MEAS:VOLT?", "MEAS:CURR?", "LOAD:PROT?"),
+        protection="LOAD:PROT?",
+        clear_protection="LOAD:PROT:CLE",
+        protections=PROTECTIONS,
+    )
+
+
+class Chroma63600(ScpiLoad):
+    """The load at one channel; parameters as those of `drivers.electronic_load.ScpiLoad`."""
+
+    def __init__(self, connect: Callable[[], Line], channel: int, settings: SweepSettings) -> None:
+        super().__init__(connect, dialect(channel), settings)

@@ -1,0 +1,193 @@
+import asyncio
+import base64
+import math
+
+import numpy as np
+import pytest
+
+from daemon.records import CurveQuality, Event, IvCurve, Mode, Move
+from drivers.errors import LinkLostError
+from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
+
+SIMULATED = {"driver": "simulated"}
+
+
+def test_every_curve_says_what_the_module_truly_gives(run_rig):
+    async def scenario(rig):
+        errors = []
+        await rig.until_mode(Mode.TRACKING, 300)
+        while len(errors) < 100:
+            seen = len(rig.of(IvCurve))
+            await rig.until(lambda count=seen: len(rig.of(IvCurve)) > count, 10, "the next curve")
+            truth = rig.source.maximum(rig.source.light(rig.clock.monotonic()))
+            last = rig.of(Move)[-1:]
+            if rig.motion.moving or any(rig.clock.monotonic() - move.time_monotonic_s < 60 for move in last):
+                continue
+            curve = rig.of(IvCurve)[-1]
+            assert curve.quality is CurveQuality.OK
+            assert curve.voc_v == pytest.approx(float(truth.voc_v), abs=0.05)
+            errors.append(curve.pmpp_w / float(truth.pmpp_w) - 1.0)
+        assert np.abs(errors).max() < 0.005
+        assert abs(np.mean(errors)) < 0.001
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_a_curve_comes_every_period_and_the_input_is_off_in_between(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 12, 90, "12 curves")
+        starts = np.array([curve.time_monotonic_s for curve in rig.of(IvCurve)])
+        assert np.diff(starts) == pytest.approx(7.0)
+        assert not rig.load_core.on
+        assert all(curve.points == 20 for curve in rig.of(IvCurve))
+
+    run_rig(scenario, load=SIMULATED | {"period_s": 7.0, "points": 20})
+
+
+def test_a_curve_bears_what_the_zenith_face_read(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 5, 60, "5 curves")
+        first, last = rig.of(IvCurve)[0], rig.of(IvCurve)[-1]
+        assert math.isnan(first.zenith_start_w_m2)
+        ghi = rig.scene.sky_state(rig.clock.utc()).ghi_w_m2
+        assert last.zenith_start_w_m2 == pytest.approx(ghi, rel=0.02)
+        assert last.zenith_end_w_m2 == pytest.approx(ghi, rel=0.02)
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_a_change_of_light_in_the_middle_of_a_curve_stops_it(run_rig):
+    async def scenario(rig):
+        # Curves last for almost all of their time, so that scans fall into them.
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 5, 60, "5 curves")
+        rig.scene.shade(3, 0.5)
+        await rig.until(lambda: rig.of(IvCurve)[-1].quality is CurveQuality.STOPPED, 30, "a curve that was stopped")
+        assert "the zenith irradiance went from" in rig.of(IvCurve)[-1].why
+        await rig.until(lambda: rig.of(IvCurve)[-1].quality is CurveQuality.OK, 30, "a whole curve again")
+
+    run_rig(scenario, load=SIMULATED | {"settle_s": 0.13})
+
+
+def test_the_points_are_kept_if_they_are_asked_for(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
+        curve = rig.of(IvCurve)[0]
+        voltage_v, current_a = np.frombuffer(base64.b64decode(curve.curve), "<f4").reshape(2, -1)
+        assert voltage_v.size == curve.points == 30
+        assert (np.diff(voltage_v) < 0).all()
+        assert (voltage_v * current_a).max() == pytest.approx(curve.pmpp_w, rel=0.01)
+
+    run_rig(scenario, load=SIMULATED | {"keep_curves": True})
+
+
+def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig):
+    def scenario(unplug):
+        async def run(rig):
+            await rig.until_mode(Mode.TRACKING, 300)
+            if unplug:
+                rig.load.link_up = False
+            await asyncio.sleep(1800)
+            rig.load.link_up = True
+            await asyncio.sleep(60)
+
+        return run
+
+    disturbed, calm = (run_rig(scenario(unplug), load=SIMULATED) for unplug in (True, False))
+    texts = [event.text for event in disturbed.of(Event) if event.subject == "load"]
+    assert len(texts) == 2
+    assert texts[0].startswith("lost: load:")
+    assert texts[1] == "back"
+    assert disturbed.of(IvCurve)[-1].quality is CurveQuality.OK
+    assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(360, abs=5)
+
+    def moves(rig):
+        return np.array([(move.time_utc_s, move.target_a_deg, move.target_b_deg) for move in rig.of(Move)])
+
+    assert moves(disturbed) == pytest.approx(moves(calm), abs=1e-6)
+    assert len(moves(calm)) > 3
+    # The service had ended when this was looked at.
+    assert not disturbed.load_core.on
+    assert not calm.load_core.on
+
+
+def test_a_load_that_fails_in_the_middle_of_a_curve_has_its_input_off(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 2, 60, "two curves")
+        trace = rig.load_core.trace
+
+        def fail(*_):
+            assert rig.load_core.on
+            rig.load_core.trace = trace
+            raise LinkLostError("load", "went away")
+
+        rig.load_core.trace = fail
+        await rig.until(lambda: rig.service.curves.outage.is_down, 30, "the outage")
+        assert not rig.load_core.on
+        await rig.until(lambda: not rig.service.curves.outage.is_down, 30, "its end")
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_the_service_ends_in_the_middle_of_a_curve_with_the_input_off(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: rig.load_core.on, 60, "a curve")
+
+    assert not run_rig(scenario, load=SIMULATED).load_core.on
+
+
+def test_a_protection_that_trips_is_said_with_the_curve(run_rig):
+    async def scenario(rig):
+        await rig.until(lambda: rig.load_core.on, 60, "a curve")
+        rig.load_core.trip("over-temperature")
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "the curve")
+        assert rig.of(IvCurve)[-1].quality is CurveQuality.STOPPED
+        assert rig.of(IvCurve)[-1].why == "protection tripped: over-temperature"
+        await rig.until(lambda: rig.of(IvCurve)[-1].quality is CurveQuality.OK, 60, "the next curve")
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_nothing_is_measured_at_night_and_the_first_light_is_too_little(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(3600)
+        assert rig.of(IvCurve) == []
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 7200, "the first curve")
+        assert rig.service.sun_elevation_deg(rig.clock.utc()) == pytest.approx(-3.0, abs=0.2)
+
+    run_rig(scenario, start="2022-10-12T04:00", load=SIMULATED)
+
+
+def test_a_module_without_light_is_dark_and_no_watt_is_claimed(run_rig):
+    async def scenario(rig):
+        rig.weather.dni = rig.weather.dhi = 0.0
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
+        curve = rig.of(IvCurve)[0]
+        assert curve.quality is CurveQuality.DARK
+        assert math.isnan(curve.pmpp_w)
+        assert rig.load_core.sweeps == 0
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_without_a_load_there_are_no_curves(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(60)
+        assert rig.service.curves is None
+        assert rig.of(IvCurve) == []
+
+    run_rig(scenario)
+
+
+def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(run_rig):
+    async def scenario(rig):
+        flat = rig.source.light(rig.clock.monotonic())
+        await rig.until_mode(Mode.TRACKING, 300)
+        await asyncio.sleep(600)
+        facing = rig.source.light(rig.clock.monotonic())
+        assert facing.irradiance_w_m2 > 1.2 * flat.irradiance_w_m2
+        assert facing.cell_c > flat.cell_c
+        assert rig.of(IvCurve)[-1].pmpp_w == pytest.approx(
+            float(maximum_power(Q_PEAK_G4_1_305, *facing).pmpp_w), rel=0.005
+        )
+
+    run_rig(scenario, load=SIMULATED)

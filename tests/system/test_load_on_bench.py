@@ -1,0 +1,120 @@
+"""The electronic load behind its real driver: what is stored is what the module gives, whatever happens to the load."""
+
+import csv
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+
+from .processes import HELIOCUBE, Process, wait_until
+from .rig import HIGH_SUN, SETTLES_WITHIN_S, Rig, brisk
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+MAKES = ["chroma63600", "agilent6063b"]
+
+
+def start(tmp_path, start_bench, start_service, make):
+    """Start a bench with a load of that make and a service that keeps its records."""
+    config = brisk(tmp_path)
+    config.write_text(
+        config.read_text() + f'\n[load]\ndriver = "{make}"\n\n[store]\ndirectory = "records"\nbatch_s = 0.5\n'
+    )
+    bench = start_bench("--config", config, *HIGH_SUN)
+    return Rig(bench, start_service(bench.config))
+
+
+def stored(rig, tmp_path):
+    """Return the curves in the store."""
+    out = tmp_path / f"out{time.monotonic_ns()}"
+    command = [HELIOCUBE, "export", "--config", rig.bench.config, "--out", out, "--kind", "curves"]
+    subprocess.run(command, check=True, capture_output=True, env=os.environ)
+    with (out / "curves.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def sweeps(rig):
+    return rig.bench.state()["load"]["sweeps"]
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, start_service, make):
+    rig = start(tmp_path, start_bench, start_service, make)
+    rig.settle()
+    count = sweeps(rig)
+    wait_until(lambda: sweeps(rig) >= count + 4, SETTLES_WITHIN_S, rig.service.log)
+    truth = rig.bench.state()["load"]["truth"]
+    time.sleep(1.0)
+    assert rig.service.stop() == 0
+    state = rig.bench.state()["load"]
+    assert not state["input_on"]
+    assert not state["in_use"]
+    curves = stored(rig, tmp_path)
+    assert [curve["quality"] for curve in curves[-3:]] == ["ok"] * 3
+    for curve in curves[-2:]:
+        # Noise of the readings, 0.1 % of it, and a sun that moves.
+        assert float(curve["pmpp_w"]) == pytest.approx(truth["pmpp_w"], rel=0.01)
+        assert float(curve["voc_v"]) == pytest.approx(truth["voc_v"], rel=0.005)
+        if make == "chroma63600":
+            # The other one is rated 10 A, and the sun is bright.
+            assert float(curve["isc_a"]) == pytest.approx(truth["isc_a"], rel=0.01)
+        assert float(curve["zenith_start_w_m2"]) == pytest.approx(rig.bench.state()["sky"]["ghi_w_m2"], rel=0.1)
+
+
+def test_an_unplugged_load_is_told_once_and_leaves_tracking_alone(tmp_path, start_bench, start_service):
+    rig = start(tmp_path, start_bench, start_service, "chroma63600")
+    rig.settle()
+    rig.bench.ask("unplug", "load")
+    wait_until(lambda: rig.lines("the load is down") == 1, SETTLES_WITHIN_S, rig.service.log)
+    rig.new_sky()
+    rig.settle()
+    assert rig.last_mode() == "tracking"
+    assert rig.lines(" is down: ") == 1, rig.service.log()
+    count = sweeps(rig)
+    rig.bench.ask("replug", "load")
+    wait_until(lambda: rig.lines("the load is back") == 1 and sweeps(rig) > count, SETTLES_WITHIN_S, rig.service.log)
+    assert rig.lines("the load is down") == 1, rig.service.log()
+
+
+def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_path, start_bench, start_service):
+    rig = start(tmp_path, start_bench, start_service, "agilent6063b")
+    wait_until(lambda: sweeps(rig) >= 1, SETTLES_WITHIN_S, rig.service.log)
+    for make_trouble, end_it in (
+        (("freeze", "load"), ("thaw", "load")),
+        (("delay", "load", 3), ("delay", "load", 0)),
+        (("drop", "load", 1), None),
+        (("power-cycle", "load"), None),
+        (("trip", "over-temperature"), None),
+    ):
+        rig.bench.ask(*make_trouble)
+        if end_it is not None:
+            time.sleep(2.0)
+            rig.bench.ask(*end_it)
+        count = sweeps(rig)
+        wait_until(lambda before=count: sweeps(rig) >= before + 2, SETTLES_WITHIN_S, rig.service.log)
+    rig.bench.ask("identity", "load", "SOMETHING,ELSE,0,0")
+    down = rig.lines("the load is down")
+    rig.bench.ask("unplug", "load", 1)
+    wait_until(lambda: rig.lines("the load is down") > down, SETTLES_WITHIN_S, rig.service.log)
+    count = sweeps(rig)
+    time.sleep(4.0)
+    assert sweeps(rig) == count
+    rig.bench.ask("identity", "load", "HEWLETT-PACKARD,6063B,0,A.02.01")
+    wait_until(lambda: sweeps(rig) > count, SETTLES_WITHIN_S, rig.service.log)
+    assert rig.service.exit_code is None
+
+
+def test_a_service_that_is_killed_in_the_middle_of_a_curve_is_followed_by_one_that_switches_off(
+    tmp_path, start_bench, start_service
+):
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    killed = Process(["run", "--config", bench.config], tmp_path / "killed.log")
+    wait_until(lambda: bench.state()["load"]["input_on"], SETTLES_WITHIN_S, killed.log)
+    assert killed.stop(signal.SIGKILL) == -signal.SIGKILL
+    assert bench.state()["load"]["input_on"]
+    follower = start_service(bench.config)
+    wait_until(lambda: not bench.state()["load"]["input_on"], SETTLES_WITHIN_S, follower.log)
+    assert follower.stop() == 0
+    assert not bench.state()["load"]["input_on"]

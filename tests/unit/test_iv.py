@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from solar.iv import LEAST_SWEEP_POINTS, measured_maximum, sweep_voltages
+from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
+
+MODULE = Q_PEAK_G4_1_305
+irradiances = st.floats(20.0, 1300.0)
+temperatures = st.floats(-10.0, 75.0)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def swept(irradiance, temperature, points=30, least_v=3.0):
+    truth = maximum_power(MODULE, irradiance, temperature)
+    voltage = np.concatenate([[truth.voc_v], sweep_voltages(float(truth.voc_v), least_v, points)])
+    return truth, voltage, curve(MODULE, irradiance, temperature, voltage)
+
+
+@given(irradiances, temperatures, st.integers(20, 100))
+def test_a_clean_curve_gives_its_maximum_within_two_thousandths(irradiance, temperature, points):
+    truth, voltage, current = swept(irradiance, temperature, points)
+    found = measured_maximum(voltage, current)
+    assert found.pmpp_w == pytest.approx(truth.pmpp_w, rel=2e-3)
+    assert found.vmpp_v == pytest.approx(truth.vmpp_v, rel=0.02)
+    assert found.impp_a * found.vmpp_v == pytest.approx(found.pmpp_w)
+    assert found.voc_v == pytest.approx(truth.voc_v, rel=5e-3)
+    assert found.isc_a == pytest.approx(truth.isc_a, rel=5e-3)
+
+
+@given(st.floats(200.0, 1300.0), temperatures, seeds)
+def test_noise_moves_the_maximum_less_than_it_moves_a_point(irradiance, temperature, seed):
+    truth, voltage, current = swept(irradiance, temperature)
+    noise = np.random.default_rng(seed).normal(0.0, 0.003, current.size) * truth.isc_a
+    found = measured_maximum(voltage, current + noise)
+    assert found.pmpp_w == pytest.approx(truth.pmpp_w, rel=0.01)
+
+
+def test_the_uncertainty_is_of_the_size_of_the_error():
+    truth, voltage, current = swept(800.0, 40.0)
+    random = np.random.default_rng(7)
+    pulls = []
+    for _ in range(300):
+        found = measured_maximum(voltage, current + random.normal(0.0, 0.01, current.size))
+        pulls.append((found.pmpp_w - truth.pmpp_w) / found.pmpp_sigma_w)
+    assert 0.7 < np.std(pulls) < 1.6
+
+
+@given(irradiances, temperatures, st.integers(0, 29), st.floats(-3.0, 3.0))
+def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
+    truth, voltage, current = swept(irradiance, temperature)
+    current[place] += wildness * truth.isc_a
+    assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.01)
+
+
+@given(irradiances, temperatures, seeds)
+def test_the_order_of_the_points_means_nothing(irradiance, temperature, seed):
+    _, voltage, current = swept(irradiance, temperature)
+    shuffled = np.random.default_rng(seed).permutation(voltage.size)
+    assert measured_maximum(voltage[shuffled], current[shuffled]) == measured_maximum(voltage, current)
+
+
+@pytest.mark.parametrize(("lowest", "highest"), [(3.0, 25.0), (37.0, 40.0)])
+def test_a_curve_without_its_knee_has_no_maximum(lowest, highest):
+    voltage = np.linspace(lowest, highest, 30)
+    found = measured_maximum(voltage, curve(MODULE, 1000.0, 25.0, voltage))
+    assert np.isnan([found.pmpp_w, found.vmpp_v, found.impp_a]).all()
+    assert "the knee is not in it" in found.why_not
+
+
+def test_too_few_points_say_how_many_are_needed():
+    found = measured_maximum([10.0, 20.0, 30.0, np.nan, 35.0], [9.0, 9.0, 8.0, 7.0, np.inf])
+    assert np.isnan(found.pmpp_w)
+    assert found.why_not == "3 usable points, 5 are needed"
+
+
+def test_a_module_in_the_dark_has_no_maximum():
+    found = measured_maximum(np.linspace(0.0, 1e-3, 20), np.zeros(20))
+    assert np.isnan(found.pmpp_w)
+    assert found.why_not == "no power"
+
+
+def test_noise_alone_is_no_maximum():
+    random = np.random.default_rng(3)
+    found = measured_maximum(np.linspace(0.1, 0.2, 30), random.normal(0.0, 1.0, 30))
+    assert np.isnan(found.pmpp_w)
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    st.integers(0, 12).flatmap(
+        lambda n: st.tuples(arrays(float, n, elements=numbers), arrays(float, n, elements=numbers))
+    )
+)
+def test_no_points_whatever_raise_and_a_maximum_is_always_a_number(points):
+    with np.errstate(all="ignore"):
+        found = measured_maximum(*points)
+    assert np.isfinite([found.pmpp_w, found.vmpp_v, found.impp_a]).all() == (not found.why_not)
+
+
+@given(st.floats(1.0, 80.0), st.floats(0.0, 0.6), st.integers(LEAST_SWEEP_POINTS, 200))
+def test_a_sweep_goes_down_from_near_open_circuit_to_its_least_voltage(voc_v, share, points):
+    voltage = sweep_voltages(voc_v, share * voc_v, points)
+    assert voltage.shape == (points,)
+    assert (np.diff(voltage) < 0).all()
+    assert voltage[0] == pytest.approx(0.99 * voc_v)
+    assert voltage[-1] == pytest.approx(share * voc_v)
+
+
+@pytest.mark.parametrize(
+    ("voc_v", "least_v", "points"), [(40.0, 3.0, 7), (4.0, 3.0, 30), (np.nan, 3.0, 30), (40.0, -1.0, 30)]
+)
+def test_a_sweep_that_cannot_be_is_refused(voc_v, least_v, points):
+    with pytest.raises(ValueError, match="sweep"):
+        sweep_voltages(voc_v, least_v, points)

@@ -1,0 +1,225 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_drivers.load_core import OVERFLOW, LoadCore
+from sim_drivers.pv_source import Light
+from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, voltage
+
+
+class Module:
+    """A module in light that a test sets; `scale` makes it a string of that many."""
+
+    def __init__(self, irradiance=800.0, cell_c=40.0, scale=1.0):
+        self.now, self.scale = Light(irradiance, cell_c), scale
+
+    def light(self, _now):
+        return self.now
+
+    def current(self, light, voltage_v):
+        return curve(Q_PEAK_G4_1_305, *light, np.asarray(voltage_v) / self.scale)
+
+    def voltage(self, light, current_a):
+        return voltage(Q_PEAK_G4_1_305, *light, current_a) * self.scale
+
+
+class Talk:
+    """A load to which lines are said one after the other, 50 ms apart."""
+
+    def __init__(self, make="chroma63600", source=None, **options):
+        self.source = source or Module()
+        self.core = LoadCore(self.source, np.random.default_rng(1), make=make, **options)
+        self.now = 1.0
+
+    def say(self, line, wait_s=0.05):
+        self.now += wait_s
+        replies = self.core.feed(line.encode() + b"\n", self.now)
+        return [data.decode().strip() for _, data in replies]
+
+    def ask(self, line, wait_s=0.05):
+        (answer,) = self.say(line, wait_s)
+        return answer
+
+    def numbers(self, line, wait_s=0.05):
+        return [float(part) for part in self.ask(line, wait_s).split(";")]
+
+
+def chroma(**options):
+    talk = Talk(**options)
+    talk.say("MODE CVH")
+    return talk
+
+
+def agilent(**options):
+    talk = Talk("agilent6063b", **options)
+    talk.say("MODE:VOLT")
+    return talk
+
+
+def test_each_make_says_who_it_is_with_its_own_line_end():
+    assert Talk().core.feed(b"*IDN?\n", 0.0)[0][1] == b"CHROMA,63600-5,636000001234,1.20\n"
+    assert Talk("agilent6063b").core.feed(b"*IDN?\n", 0.0)[0][1] == b"HEWLETT-PACKARD,6063B,0,A.02.01\r\n"
+
+
+def test_with_the_input_off_the_module_is_in_open_circuit():
+    talk = chroma()
+    open_v = float(maximum_power(Q_PEAK_G4_1_305, 800.0, 40.0).voc_v)
+    assert talk.numbers("MEAS:VOLT?;CURR?") == pytest.approx([open_v, 0.0], abs=0.03)
+
+
+@given(st.floats(5.0, 37.0))
+def test_the_load_holds_the_voltage_it_was_told_and_draws_what_the_module_gives_there(level_v):
+    talk = chroma()
+    talk.say(f"VOLT:STAT:L1 {level_v:.3f};:LOAD ON")
+    expected = float(curve(Q_PEAK_G4_1_305, 800.0, 40.0, level_v))
+    assert talk.numbers("MEAS:VOLT?;CURR?;:LOAD:PROT?") == pytest.approx([level_v, max(expected, 0.0), 0], abs=0.05)
+
+
+def test_a_voltage_above_open_circuit_draws_nothing_and_the_6063b_says_it_is_not_regulated():
+    talk = agilent()
+    talk.say("VOLT 60;:INP ON")
+    voltage_v, current_a, status = talk.numbers("MEAS:VOLT?;CURR?;:STAT:CHAN:COND?")
+    assert voltage_v < 40.0
+    assert current_a == pytest.approx(0.0, abs=0.03)
+    assert status == 1024
+
+
+def test_the_voltage_does_not_go_below_what_the_transistors_can_hold():
+    talk = agilent()
+    talk.say("VOLT 1;:INP ON")
+    voltage_v, _, status = talk.numbers("MEAS:VOLT?;CURR?;:STAT:CHAN:COND?")
+    assert voltage_v == pytest.approx(3.0, abs=0.05)
+    assert status == 1024
+    # It is asked for what was set, and not for what is there.
+    assert float(talk.ask("VOLT?")) == 1.0
+
+
+def test_a_measurement_that_comes_too_early_is_of_a_voltage_that_is_still_moving():
+    talk = chroma()
+    talk.say("VOLT:STAT:L1 30;:LOAD ON")
+    assert talk.numbers("MEAS:VOLT?", wait_s=0.001)[0] > 31.0
+    assert talk.numbers("MEAS:VOLT?")[0] == pytest.approx(30.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("make", "mode"), [(chroma, "MODE CCH;:MODE CVH"), (agilent, "MODE:CURR;:MODE:VOLT")])
+def test_a_change_of_mode_drops_the_input_for_a_moment_and_leaves_it_on(make, mode):
+    talk = make()
+    on, ask = ("LOAD ON", "LOAD?") if make is chroma else ("INP ON", "INP?")
+    talk.say(f"VOLT{':STAT:L1' if make is chroma else ''} 30;:{on}")
+    assert talk.numbers("MEAS:CURR?")[0] > 5.0
+    talk.say(mode)
+    assert talk.numbers("MEAS:CURR?", wait_s=0.005)[0] == pytest.approx(0.0, abs=0.03)
+    assert talk.ask(ask) in ("ON", "1")
+    assert talk.numbers("MEAS:CURR?")[0] > 5.0
+
+
+def test_too_much_power_latches_until_it_is_cleared():
+    talk = agilent(source=Module(1000.0, 20.0))
+    talk.say("VOLT 32;:INP ON")
+    talk.ask("MEAS:CURR?")
+    assert int(talk.ask("STAT:CHAN:COND?")) == 8 | 8192
+    assert talk.numbers("MEAS:CURR?")[0] == pytest.approx(0.0, abs=0.03)
+    talk.say("VOLT 5")
+    assert int(talk.ask("STAT:CHAN:COND?")) == 8 | 8192
+    talk.say("INP:PROT:CLE")
+    assert int(talk.ask("STAT:CHAN:COND?")) == 0
+    assert talk.numbers("MEAS:CURR?")[0] > 9.0
+
+
+def test_the_6063b_draws_no_more_than_its_rating_and_the_module_goes_up_to_where_it_gives_that():
+    talk = agilent(source=Module(1150.0, 25.0, scale=0.5))
+    talk.say("VOLT 5;:INP ON")
+    voltage_v, current_a = talk.numbers("MEAS:VOLT?;CURR?")
+    assert current_a == pytest.approx(10.2, abs=0.05)
+    assert voltage_v > 12.0
+
+
+def test_a_voltage_beyond_the_load_is_9_9e37_and_trips():
+    talk = chroma(source=Module(scale=4.0))
+    assert talk.ask("MEAS:VOLT?") == "9.9E+37"
+    assert int(talk.ask("LOAD:PROT?")) == 2
+
+
+def test_modules_with_one_input_take_every_other_channel_and_the_others_are_refused():
+    talk = chroma(channel=3)
+    assert talk.ask("CHAN?") == "1"
+    assert talk.numbers("MEAS:VOLT?")[0] == 0.0
+    talk.say("*CLS")
+    talk.say("CHAN 2")
+    assert int(talk.ask("*ESR?")) == 16
+    assert talk.ask("CHAN 3;CHAN?") == "3"
+    assert talk.ask("CHAN:ID?") == "CHROMA,63640-80-80,636400004321,1.05"
+    assert talk.numbers("MEAS:VOLT?")[0] > 35.0
+    with pytest.raises(ValueError, match="channels"):
+        LoadCore(Module(), np.random.default_rng(1), channel=2)
+
+
+@pytest.mark.parametrize(
+    "line", ["VOLTT 3", "VOLT:STAT:L1", "VOLT:STAT:L1 x", "VOLT:STAT:L1 999", "INP ON", "?", ";;:"]
+)
+def test_what_is_not_understood_changes_nothing_and_is_noted(line):
+    talk = chroma()
+    talk.say("*CLS")
+    level = talk.core.level_v
+    assert talk.say(line) == []
+    assert talk.core.level_v == level
+    assert not talk.core.on
+
+
+def test_the_front_of_the_error_queue_names_the_error():
+    talk = agilent()
+    talk.say("*CLS")
+    talk.say("NONSENSE 3")
+    assert talk.ask("SYST:ERR?") == '-113,"Undefined header"'
+    assert int(talk.ask("*ESR?")) == 32
+
+
+def test_control_c_makes_it_forget_half_a_line():
+    talk = chroma()
+    talk.core.feed(b"LOAD O", talk.now)
+    talk.core.feed(b"\x03", talk.now)
+    assert talk.ask("*OPC?") == "1"
+    assert talk.core.aborts == 1
+
+
+def test_a_power_cycle_leaves_the_input_off_and_nothing_latched():
+    talk = chroma()
+    talk.say("VOLT:STAT:L1 30;:LOAD ON")
+    talk.core.trip("over-temperature")
+    talk.core.power_cycle(talk.now)
+    assert talk.ask("LOAD?") == "OFF"
+    assert talk.ask("LOAD:PROT?") == "0"
+    assert talk.ask("MODE?") == "CCH"
+
+
+@given(st.binary(max_size=40))
+def test_no_bytes_whatever_break_it(data):
+    talk = chroma()
+    talk.core.feed(data, talk.now)
+    talk.core.feed(b"\n\x03", talk.now)
+    assert talk.ask("*OPC?") == "1"
+
+
+def test_a_trace_at_once_is_what_the_same_steps_measure_one_by_one():
+    levels = np.linspace(37.0, 5.0, 20)
+    quick, slow = chroma(), chroma()
+    quick.core.switch(quick.now, on=True)
+    light = quick.source.light(0.0)
+    voltage_v, current_a = quick.core.trace(light, light, levels, 0.03)
+    measured = []
+    for number, level_v in enumerate(levels):
+        slow.say(f"VOLT:STAT:L1 {level_v:.3f}{';:LOAD ON' if number == 0 else ''}")
+        measured.append(slow.numbers("MEAS:VOLT?;CURR?", wait_s=0.03))
+    assert np.column_stack([voltage_v, current_a]) == pytest.approx(np.array(measured), abs=0.03)
+
+
+def test_a_trace_ends_where_the_load_trips():
+    talk = agilent(source=Module(1300.0, 20.0))
+    talk.core.switch(talk.now, on=True)
+    light = talk.source.light(0.0)
+    voltage_v, current_a = talk.core.trace(light, light, np.linspace(40.0, 5.0, 40), 0.03)
+    assert 0 < voltage_v.size < 40
+    assert (voltage_v * current_a).max() < 301.0
+    assert talk.core.latched == {"over-power"}
+    assert (voltage_v < OVERFLOW).all()
