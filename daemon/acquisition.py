@@ -12,7 +12,7 @@ from daemon.clock import Clock
 from daemon.config import Cube
 from daemon.outage import Outage
 from daemon.records import FACES, Event, FaceReading, Quality, Scan
-from drivers.errors import DeadlineError, DeviceError, OverRangeError, ProtocolError
+from drivers.errors import DeadlineError, DeviceError, DriverHungError, OverRangeError, ProtocolError
 from drivers.interfaces import Multiplexer, Voltmeter
 
 log = logging.getLogger("heliocube.acquisition")
@@ -87,12 +87,17 @@ class Acquisition:
         return self._sequence > 0 and not self.outage.is_down
 
     async def run(self) -> None:
-        """Acquire until cancelled; a lost instrument is opened anew for as long as it takes."""
+        """Acquire until cancelled; a lost instrument is opened anew for as long as it takes.
+
+        Raises `DriverHungError` when only a new process can open it.
+        """
         try:
             while True:
                 try:
                     await self._open()
                     await self._acquire()
+                except DriverHungError:
+                    raise
                 except DeviceError as error:
                     first = not self.outage.is_down
                     self.outage.down(self._clock.monotonic(), str(error))

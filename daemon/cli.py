@@ -13,6 +13,7 @@ from daemon import (
     cli_bench,
     cli_bridge,
     cli_calibrate,
+    cli_compare,
     cli_config,
     cli_energy,
     cli_export,
@@ -21,7 +22,7 @@ from daemon import (
     cli_probe,
     cli_replay,
 )
-from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values
+from daemon.cli_options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values, weather_choice
 from daemon.config import Settings
 from daemon.errors import UserError
 
@@ -36,6 +37,7 @@ app.add_typer(cli_operate.app)
 app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
 app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
 app.add_typer(cli_calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
+app.add_typer(cli_compare.app, name="compare", rich_help_panel=SCIENCE)
 app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
 app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
 app.add_typer(cli_export.app)
@@ -73,7 +75,7 @@ WeatherOption = Annotated[
     str | None,
     typer.Option(
         metavar="SKY",
-        help="Simulated sky: clear, overcast, variable, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).",
+        help="Simulated sky: clear, overcast, variable, broken, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).",
     ),
 ]
 LawOption = Annotated[
@@ -188,7 +190,7 @@ def _settings(
     settings = load_settings(config) if config is not None else Settings()
     changes: dict[str, dict[str, Any]] = {"simulation": {}, "law": {}, "site": {}}
     if weather is not None:
-        changes["simulation"]["weather"] = weather if weather in ("clear", "overcast", "variable") else Path(weather)
+        changes["simulation"]["weather"] = weather_choice(weather)
     if law is not None:
         changes["law"]["name"] = law.value
     if site is not None:

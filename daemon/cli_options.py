@@ -1,8 +1,10 @@
 """What several commands read from the command line in one way."""
 
 from datetime import UTC, datetime
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
+from daemon.config import WeatherName
 from daemon.errors import UserError
 
 # Headings of the list of commands.
@@ -41,3 +43,8 @@ def site_values(text: str) -> dict[str, Any]:
     """Return the site section's values that LAT,LON or LAT,LON,ALT means; raises `UserError`."""
     latitude, longitude, altitude = parse_site(text)
     return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
+
+
+def weather_choice(text: str) -> str | Path:
+    """Return the built-in weather of that name, or the file."""
+    return text if text in get_args(WeatherName) else Path(text)

@@ -7,11 +7,11 @@ import typer
 
 
 def replay(
+    out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")],
     faces: Annotated[
         Path | None,
         typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")] = ...,  # type: ignore[assignment]  # typer's mark of an option that must be given
     site: Annotated[
         str | None,
         typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres. Or in --config."),
@@ -52,7 +52,11 @@ def replay(
     settings = override(Settings() if config is None else load_settings(config), changes)
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
-    rows = rows_of_store(store) if store is not None else read_csv(faces)  # type: ignore[arg-type]  # one of the two
+    if faces is not None:
+        rows = read_csv(faces)
+    else:
+        assert store is not None  # noqa: S101 - narrowing; one of the two is there
+        rows = rows_of_store(store)
     with progress_bar(Console(stderr=True), "replaying") as progress:
         run_replay(settings, rows, out, progress)
     typer.echo(f"{len(rows)} rows by {settings.law.name}: {out}")

@@ -2,7 +2,8 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from daemon.clock import Clock
-from daemon.config import Settings
+from daemon.config import Settings, WeatherName
 from daemon.errors import UserError
 from daemon.real_rig import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
@@ -27,9 +28,11 @@ from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.voltmeter_core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
-from solar.ephemeris import Site
-from solar.frames import Angles
-from solar.pv_module import Q_PEAK_G4_1_305
+from sim_drivers.weather_parts import WeatherInParts
+from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.frames import Angles, Array
+from solar.pv_module import Q_PEAK_G4_1_305, PvModule
+from solar.sky import Sky, sky
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
@@ -91,26 +94,83 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
 def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
     """Build the simulated instruments that a role needs, under one sky; `UserError` for a real load among them."""
     scene = _build_scene(settings, weather)
+    rig = _under(scene, clock)
+    if role is not Role.TRACKER:
+        multiplexer, voltmeter = _build_cube(settings, clock, scene)
+        rig = replace(rig, multiplexer=multiplexer, voltmeter=voltmeter)
+    if role is not Role.CUBE:
+        _, positioner, load = _build_tracker(settings, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings))
+        rig = replace(rig, positioner=positioner, load=load)
+    return rig
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedPair:
+    """The instruments of a cube and two trackers under one sky.
+
+    Attributes
+    ----------
+    rigs
+        Cube and first tracker; second tracker.
+    truths
+        Where each tracker's axes truly stand at a monotonic time.
+    overhead
+        The sky over them, the temperature of the air [degC] and the wind [m/s] at instants (n,) [s UTC]; NaN for
+        what the weather does not tell.
+    """
+
+    rigs: tuple[Rig, Rig]
+    truths: tuple[Callable[[float], Angles], Callable[[float], Angles]]
+    overhead: Callable[[Array], tuple[Sky, Array, Array]]
+
+
+def build_simulated_pair(
+    settings: Settings, clock: Clock, weather: Weather, modules: tuple[PvModule, PvModule]
+) -> SimulatedPair:
+    """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
+    scene = _build_scene(settings, weather)
+    multiplexer, voltmeter = _build_cube(settings, clock, scene)
+    (one, first, load), (other, second, its_load) = (
+        _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
+        for number, module in enumerate(modules)
+    )
+
+    def overhead(utc_s: Array) -> tuple[Sky, Array, Array]:
+        now = weather.at(utc_s)
+        sun, extra = sun_direction(utc_s, *site_of(settings)), extraterrestrial_dni(utc_s)
+        light = sky(settings.simulation.sky, sun, now.dni_w_m2, now.dhi_w_m2, extra)
+        return light, now.temp_air_degc, now.wind_speed_m_s
+
+    around = _under(scene, clock)
+    rigs = (
+        replace(around, multiplexer=multiplexer, voltmeter=voltmeter, positioner=first, load=load),
+        replace(around, positioner=second, load=its_load),
+    )
+    return SimulatedPair(rigs, (one, other), overhead)
+
+
+def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, WeatherName]]) -> Weather:
+    """Return built-in weather of several kinds, each from its instant [s UTC] on; the first one also before."""
+    site, seed = site_of(settings), settings.simulation.seed
+    return WeatherInParts([(begin_utc_s, GeneratedWeather(kind, site, seed)) for begin_utc_s, kind in parts])
+
+
+def _under(scene: Scene, clock: Clock) -> Rig:
+    """Return a rig of no instruments under a sky."""
 
     def wind() -> float | None:
         with _weather_may_end():
             return scene.wind_speed(clock.utc())
 
-    multiplexer = voltmeter = positioner = load = None
-    if role is not Role.TRACKER:
-        multiplexer, voltmeter = _build_cube(settings, clock, scene)
-    if role is not Role.CUBE:
-        pose, positioner = build_simulated_positioner(settings, clock)
-        load = _build_load(settings, clock, _build_source(clock, scene, pose))
-    return Rig(
-        multiplexer,
-        voltmeter,
-        positioner,
-        wind,
-        simulated=True,
-        sky_text=partial(_sky_text, scene, clock),
-        load=load,
-    )
+    return Rig(None, None, None, wind, simulated=True, sky_text=partial(_sky_text, scene, clock))
+
+
+def _build_tracker(
+    settings: Settings, clock: Clock, scene: Scene, module: PvModule, noise: np.random.Generator
+) -> tuple[Callable[[float], Angles], Positioner, ElectronicLoad | None]:
+    """Return where a tracker's axes truly stand, its positioner, and the load on its module, if there is one."""
+    truth, positioner = build_simulated_positioner(settings, clock)
+    return truth, positioner, _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
 
 
 class _Module(PvSource):
@@ -119,7 +179,7 @@ class _Module(PvSource):
             return super().light(now)
 
 
-def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles]) -> PvSource:
+def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles], module: PvModule) -> PvSource:
     def utc_s(now_s: float) -> float:
         return clock.utc() + now_s - clock.monotonic()
 
@@ -127,10 +187,12 @@ def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles]) -
         # A load that answers some milliseconds from now must not drive the axes ahead of everybody else's time.
         return pose(clock.monotonic())
 
-    return _Module(scene, present, utc_s, Q_PEAK_G4_1_305)
+    return _Module(scene, present, utc_s, module)
 
 
-def _build_load(settings: Settings, clock: Clock, source: PvSource) -> ElectronicLoad | None:
+def _build_load(
+    settings: Settings, clock: Clock, source: PvSource, noise: np.random.Generator
+) -> ElectronicLoad | None:
     load = settings.load
     if load.driver == "none":
         return None
@@ -139,7 +201,7 @@ def _build_load(settings: Settings, clock: Clock, source: PvSource) -> Electroni
             f'load.driver = "{load.driver}" is a real load and instruments.kind is "simulated":'
             ' set load.driver to "simulated"'
         )
-    core = LoadCore(source, _noise_of_load(settings), now=clock.monotonic())
+    core = LoadCore(source, noise, now=clock.monotonic())
     return InMemoryLoad(
         core, clock.monotonic, settle_s=load.settle_s, least_v=MARGIN_OF_LEAST_V * load.minimum_voltage_v
     )
@@ -274,7 +336,7 @@ async def run_bench(
     scene = _build_scene(settings, weather)
     switch, meter = _build_cube_cores(settings, clock, scene)
     unit = _build_unit(settings, clock)
-    source = _build_source(clock, scene, unit.truth)
+    source = _build_source(clock, scene, unit.truth, Q_PEAK_G4_1_305)
     noise, now_s = _noise_of_load(settings), clock.monotonic()
     if settings.load.driver == "agilent6063b":
         load = LoadCore(source, noise, make="agilent6063b", now=now_s)

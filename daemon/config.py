@@ -32,7 +32,7 @@ Channel = Annotated[int, Field(ge=0, le=15)]
 Duration = Annotated[float, Field(gt=0, le=86400)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
-WeatherName = Literal["clear", "overcast", "variable"]
+WeatherName = Literal["clear", "overcast", "variable", "broken"]
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -209,7 +209,11 @@ class Windows(Section):
         300.0, description="Time from one decision to the next; optimal looks every minute, whatever stands here."
     )
     minimum_coverage: float = Field(
-        0.5, gt=0, le=1, description="Share of the span that good readings must cover for a decision."
+        0.25,
+        gt=0,
+        le=1,
+        description="Share of the span that good readings must cover for a decision. With a quarter, a cube that was"
+        " away for 70 s steers again with its first scan.",
     )
 
 
@@ -391,7 +395,8 @@ class Mqtt(Section):
     name: TopicLevel | None = Field(
         None,
         examples=["roof"],
-        description="Level of this tracker below the prefix, or of this cube. Left out: tracker, or cube.",
+        description="Level of this tracker below the prefix, or of this cube; the store bears the name too. Left out:"
+        " tracker, or cube.",
     )
     state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
     queue_messages: int = Field(

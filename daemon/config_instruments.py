@@ -45,6 +45,7 @@ PortValue = Annotated[int, Field(ge=0, le=255)]
 SerialPort = Annotated[str, AfterValidator(_port), text_of("port")]
 VisaResource = Annotated[str, AfterValidator(_visa), text_of("visa")]
 Server = Annotated[str, AfterValidator(_server), text_of("server")]
+Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_of("banner")]
 
 
 class MultiplexerSettings(Section):
@@ -120,6 +121,20 @@ class PositionerSettings(Section):
     telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
     port: SerialPort | None = Field(
         None, examples=["/dev/heliocube-positioner"], description="USB serial port, by a name that outlives a replug."
+    )
+    dtr: bool = Field(
+        True,
+        description="Modem line DTR from opening on. Set it to false for a board that restarts when its port is opened."
+        " Linux raises it for an instant at every open all the same.",
+    )
+    rts: bool = Field(True, description="Modem line RTS, likewise.")
+    boot_s: float = Field(
+        0.0, ge=0, le=60, description="How long the unit may take to restart when its port is opened; 0 if it does not."
+    )
+    boot_banner: Banner | None = Field(
+        None,
+        examples=["POZSOL ready"],
+        description="Text that the unit prints when it has restarted. Whenever it comes, the reference is in doubt.",
     )
     boards: tuple[str, ...] = Field(
         ("36A1",), strict=False, min_length=1, description="Boards (field 37) that may be written to."

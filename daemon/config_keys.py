@@ -71,6 +71,7 @@ _FORMS = {
     "visa": 'a VISA name that outlives a replug, such as "ASRL/dev/serial/by-id/...::INSTR", "ASRLCOM5::INSTR" or'
     ' "GPIB0::16::INSTR"; not ASRL/dev/ttyUSB0, which may be another instrument after the next replug',
     "server": 'a host and a port, such as "192.168.1.30:31763"',
+    "banner": "4 to 80 printable characters of ASCII without $",
     "digital-port": 'an NI device and its port, such as "Dev1/port0"',
     "topic": 'a topic without wildcards in quotes, such as "lab/roof"',
     "level": 'one level of a topic in quotes, such as "roof"',

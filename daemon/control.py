@@ -135,6 +135,9 @@ class Control:
         if self.optimal is not None and self._clock_watch.trusted:
             self.optimal.receive(scan, self._clock.utc())
         self._publish(scan)
+        if scan.ok and self.mode in (Mode.STARTING, Mode.FALLBACK):
+            # It may be what was waited for.
+            self._wake.set()
 
     def look_again(self) -> None:
         """Ask for an immediate look at the situation."""

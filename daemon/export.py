@@ -35,6 +35,7 @@ _PVLIB = {
 }
 _RUN = [Column("run", "run", "int")]
 _SIMULATED = [Column("simulated", "simulated", "bool")]
+_TRACKER = [Column("tracker", "tracker", "text")]
 
 
 def export(
@@ -93,7 +94,7 @@ class _Table:
         self.name = name
         self._stored = [column.name for column in own]
         simulated = [] if "simulated" in self._stored else _SIMULATED
-        columns = [*own, *_PVLIB.get(name, []), *_RUN, *simulated]
+        columns = [*own, *_PVLIB.get(name, []), *_RUN, *simulated, *_TRACKER]
         self.columns = [Column(column.name, column.name, column.holds) for column in columns]
         self.row = namedtuple(name, [column.name for column in self.columns])  # type: ignore[misc]  # made at run time
         self._floats = [place for place, column in enumerate(own) if column.holds == "float"]
@@ -109,15 +110,16 @@ class _Table:
         if not there:
             return 0
         names = ", ".join(f"kept.{name}" if name in there else "NULL" for name in self._stored)
+        tracker = "runs.tracker" if "tracker" in columns_of(connection, "runs") else "''"
         query = (
-            f"SELECT {names}, kept.run, runs.simulated, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
+            f"SELECT {names}, kept.run, runs.simulated, {tracker}, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"
         )
         cursor = connection.execute(query, (low, high))
         count = 0
         while rows := cursor.fetchmany(_ROWS_AT_ONCE):
             derived = _derived(self.name, self._stored, rows)
-            for (*values, run, simulated, _), more in zip(rows, derived, strict=True):
+            for (*values, run, simulated, name, _), more in zip(rows, derived, strict=True):
                 for place in self._floats:
                     if values[place] is None:
                         values[place] = math.nan
@@ -125,7 +127,7 @@ class _Table:
                     values[place] = values[place] or ""
                 for place in self._truths:
                     values[place] = bool(values[place])
-                tail = [run] if "simulated" in self._stored else [run, bool(simulated)]
+                tail = [run, name] if "simulated" in self._stored else [run, bool(simulated), name]
                 writer.write(self.row(*values, *more, *tail))
             count += len(rows)
         return count

@@ -21,7 +21,7 @@ from daemon.follow import Follow, Progress
 from daemon.outage import Outage
 from daemon.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.waiting import wait_at_most
-from drivers.errors import DeviceError, RefusedError
+from drivers.errors import DeviceError, DriverHungError, RefusedError
 from drivers.interfaces import Axis, Positioner, PositionerIdentity, Telemetry
 from solar.frames import Limits
 
@@ -96,6 +96,7 @@ class Motion:
         self._failed_why = ""
         self._was_ready = False
         self._doubt: str | None = None
+        self._own_moves: tuple[str, ...] = ()
         self.outage = Outage(log, "the positioner")
         self.identity: PositionerIdentity | None = None
         self.telemetry: Telemetry | None = None
@@ -200,12 +201,17 @@ class Motion:
         await self._positioner.stop()
 
     async def run(self) -> None:
-        """Keep the positioner connected and carry out what is asked, until cancelled."""
+        """Keep the positioner connected and carry out what is asked, until cancelled.
+
+        Raises `DriverHungError` when only a new process can connect it.
+        """
         try:
             while True:
                 try:
                     await self._connect()
                     await self._serve()
+                except DriverHungError:
+                    raise
                 except DeviceError as error:
                     await self._lost(error)
                     await asyncio.sleep(self._backoff.next_s())
@@ -286,6 +292,12 @@ class Motion:
     async def _look(self, *, moving: bool) -> Telemetry:
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self.telemetry = telemetry
+        if telemetry.own_moves and telemetry.own_moves != self._own_moves:
+            # Slow screens: it is known only some seconds after the connection.
+            self._own_moves = telemetry.own_moves
+            text = f"the positioner may move by itself: {', '.join(telemetry.own_moves)}"
+            log.warning(text)
+            self._publish_event(text)
         if telemetry.was_reset:
             self._doubt = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
         elif before is not None and before.faults and not telemetry.faults and not self.homing:

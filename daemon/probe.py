@@ -9,7 +9,7 @@ from daemon.real_rig import build_multiplexer, build_voltmeter, voltmeter_line
 from daemon.records import FACES
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
 from drivers.executor import DeviceThread
-from drivers.keithley2000 import Keithley2000
+from drivers.keithley2000 import Keithley2000, require_model
 from drivers.transcript import Tap
 from drivers.visa_line import VisaLine
 
@@ -50,7 +50,7 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
     deadline_s = settings.cube.reading_deadline_s
     connect = voltmeter_line(settings, tap)
 
-    def ask() -> list[str]:
+    def ask() -> dict[str, str]:
         line = connect()
         try:
             line.interrupt()
@@ -61,10 +61,12 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
 
     thread = DeviceThread("voltmeter")
     try:
-        for text in await thread.call(ask, (len(_SETTINGS) + 3) * deadline_s + 10.0):
-            say(text)
+        answers = await thread.call(ask, (len(_SETTINGS) + 3) * deadline_s + 10.0)
     finally:
         await thread.finish(None, 1.0)
+    for name, answer in answers.items():
+        say(f"{name}: {answer}")
+    require_model(answers["identity"])
     if not write:
         return
     meter = build_voltmeter(settings, tap)
@@ -79,7 +81,7 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         await meter.close()
 
 
-def _answers(line: VisaLine, deadline_s: float) -> list[str]:
+def _answers(line: VisaLine, deadline_s: float) -> dict[str, str]:
     def ask(query: str) -> str | None:
         line.send(query)
         try:
@@ -93,10 +95,7 @@ def _answers(line: VisaLine, deadline_s: float) -> list[str]:
             "voltmeter",
             f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface and speed?",
         )
-    answers = [f"identity: {identity}"]
-    if identity.split(",")[1:2] != ["MODEL 2000"]:
-        answers.append("  this is not a Keithley MODEL 2000: the service will not use it")
-    return answers + [f"{name}: {ask(query) or 'no answer'}" for name, query in _SETTINGS.items()]
+    return {"identity": identity} | {name: ask(query) or "no answer" for name, query in _SETTINGS.items()}
 
 
 async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> None:

@@ -11,6 +11,7 @@ from daemon.real_rig import axis_setups, build_positioner, positioner_port
 from drivers.errors import RefusedError
 from drivers.geometry import AxisSetup
 from drivers.interfaces import Axis, Telemetry
+from drivers.own_moves import own_moves
 from drivers.positioner import PozsolPositioner
 from drivers.pozsol_wire import Field, TokenStream
 from drivers.transcript import Direction, Tap
@@ -18,12 +19,6 @@ from drivers.transcript import Direction, Tap
 Say = Callable[[str], object]
 
 _SHEET = (*range(70, 80), 83, *range(96, 108), *range(110, 114), 117, 118, *range(121, 128), 192, 193, 194)
-_OWN_MODES = {
-    "a night position": (108, 109),
-    "a reference run every few days": (117, 118),
-    "a snow position": (126, 127),
-}
-_OFF = ("", "off", "0", "0.0")
 _ANGLE_STEP_DEG = 0.1
 _LOOK_EVERY_S = 0.1
 _STILL_S = 2.0
@@ -51,6 +46,7 @@ async def probe_positioner(
     positioner = build_positioner(settings, clock, heard)
     try:
         identity = await positioner.open()
+        say(_modem_lines(settings, positioner))
         say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
         start_s = clock.monotonic()
         heard.counts.clear()
@@ -94,6 +90,13 @@ def _usb_device(path: str) -> str:
     return "no USB device that this machine knows of"
 
 
+def _modem_lines(settings: Settings, positioner: PozsolPositioner) -> str:
+    if not positioner.has_lines():
+        return "modem lines: the port has none, so instruments.positioner.dtr and rts have no effect"
+    wanted = settings.instruments.positioner
+    return f"modem lines: DTR {'on' if wanted.dtr else 'off'}, RTS {'on' if wanted.rts else 'off'}"
+
+
 def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:
     angles = counts[Field.A_ANGLE]
     say(f"stream: {sum(counts.values()) / seconds:.0f} fields/s, {len(counts)} different ones in {seconds:.0f} s")
@@ -119,9 +122,8 @@ def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> Non
     for text, present in states.items():
         if present:
             say(f"  {text}")
-    for name, codes in _OWN_MODES.items():
-        if any(fields.get(code, "") not in _OFF for code in codes):
-            say(f"  {name} is set in the unit ({', '.join(f'{code}={fields.get(code)}' for code in codes)})")
+    for setting in own_moves(fields):
+        say(f"  set in the unit, which may move by itself: {setting}")
 
 
 def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], say: Say) -> None:

@@ -68,12 +68,14 @@ def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> Poz
     """Return the positioner, not yet connected; `UserError` if the settings do not say where it is."""
     positioner = settings.instruments.positioner
     return PozsolPositioner(
-        partial(SerialPort, "positioner", positioner_port(settings), tap),
+        partial(SerialPort, "positioner", positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts),
         clock.monotonic,
         *axis_setups(settings),
         boards=positioner.boards,
         stale_s=positioner.telemetry_stale_s,
         b_out_bit=_B_OUT_BIT[positioner.status_layout],
+        boot_s=positioner.boot_s,
+        banner=positioner.boot_banner,
     )
 
 

@@ -160,6 +160,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
         site.latitude_deg,
         site.longitude_deg,
         site.altitude_m,
+        service.settings.mqtt.name or role.value,
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
     service.bus.subscribe(store.keep)

@@ -27,7 +27,7 @@ from daemon.sd_notify import Notifier
 from daemon.stow import StowSource, WindStow
 from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, DriverHungError
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from solar.frames import Limits
 
@@ -223,7 +223,8 @@ class Service:
         Raises
         ------
         UserError
-            The bridge's address cannot be used, and nothing has been started; or the simulated weather has ended.
+            The bridge's address cannot be used, and nothing has been started; the simulated weather has ended; or the
+            software under a driver hangs for good.
         """
         try:
             await self._open_bridge()
@@ -291,6 +292,10 @@ class Service:
             await work
         except UserError:
             raise
+        except DriverHungError as error:
+            sentence = f"{error}: the service ends, and has to be started anew"
+            self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))
+            raise UserError(sentence) from error
         except Exception:
             log.exception("the task '%s' died; the service stops", name)
             self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", f"the task '{name}' died"))

@@ -32,7 +32,7 @@ _ROOM_BYTES = 65536
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Which run of the service the records come from."""
+    """Which run of the service the records come from, and the name of its tracker."""
 
     started_utc_s: float
     role: str
@@ -42,6 +42,7 @@ class Origin:
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
+    tracker: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +203,7 @@ class Store:
     def _begin_run(self, connection: sqlite3.Connection) -> int:
         origin = self._origin
         cursor = connection.execute(
-            "INSERT INTO runs VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO runs VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 origin.started_utc_s,
                 origin.role,
@@ -212,6 +213,7 @@ class Store:
                 origin.latitude_deg,
                 origin.longitude_deg,
                 origin.altitude_m,
+                origin.tracker,
             ),
         )
         assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one

@@ -13,7 +13,7 @@ from daemon.records import Record, Scan
 from daemon.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 4
+VERSION = 5
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -30,7 +30,8 @@ _RUNS = """CREATE TABLE runs (
   site TEXT NOT NULL,
   latitude_deg REAL NOT NULL,
   longitude_deg REAL NOT NULL,
-  altitude_m REAL NOT NULL
+  altitude_m REAL NOT NULL,
+  tracker TEXT NOT NULL DEFAULT ''
 )"""
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
@@ -173,6 +174,8 @@ def _bring_up_to_date(connection: sqlite3.Connection) -> None:
         for column in columns:
             if column.name not in there:
                 connection.execute(f"ALTER TABLE {name} ADD COLUMN {column.name} {_TYPES[column.holds]}")
+    if "tracker" not in columns_of(connection, "runs"):
+        connection.execute("ALTER TABLE runs ADD COLUMN tracker TEXT NOT NULL DEFAULT ''")
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 

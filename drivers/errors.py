@@ -26,6 +26,10 @@ class DriverMissingError(ConnectError):
     """The software that the instrument needs is not installed on this machine."""
 
 
+class DriverHungError(ConnectError):
+    """Too many calls of the software under the driver have never returned; only a new process gets any further."""
+
+
 class IdentityError(ConnectError):
     """Something answered, but it is not the instrument that was expected."""
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from drivers.errors import ConnectError, LinkLostError
+from drivers.errors import DriverHungError, LinkLostError
 
 T = TypeVar("T")
 
 # Each hung call keeps its thread; beyond this the driver under it is broken and more threads do not help.
-_MOST_HUNG = 4
+_MOST_HUNG = 8
 
 
 class DeviceThread:
@@ -52,7 +52,7 @@ class DeviceThread:
         ------
         LinkLostError
             It did not return in time. Whatever session it belongs to must not be used again.
-        ConnectError
+        DriverHungError
             Too many calls have never returned.
         """
         worker = self._worker or self._start()
@@ -79,7 +79,7 @@ class DeviceThread:
             return
         try:
             worker = self._worker or self._start()
-        except ConnectError:
+        except DriverHungError:
             return
         self._leave(worker, function)
         try:
@@ -91,7 +91,7 @@ class DeviceThread:
     def _start(self) -> "_Worker":
         self._left = [worker for worker in self._left if not worker.ended.done()]
         if len(self._left) >= _MOST_HUNG:
-            raise ConnectError(self._device, f"{_MOST_HUNG} calls of its driver never returned; restart the service")
+            raise DriverHungError(self._device, f"{_MOST_HUNG} calls of its driver never returned")
         self._worker = _Worker(f"heliocube-{self._device}")
         return self._worker
 

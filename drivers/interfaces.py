@@ -81,6 +81,8 @@ class Telemetry:
         The unit's own sun tracking, wind or snow mode may move the axes.
     mode_text
         The unit's own words for its mode.
+    own_moves
+        Settings of the unit that may move the axes at some time, in words; empty as long as none is known to be on.
     """
 
     time_monotonic_s: float
@@ -97,6 +99,7 @@ class Telemetry:
     homing: bool = False
     autonomous: bool = False
     mode_text: str = ""
+    own_moves: tuple[str, ...] = ()
 
 
 class Positioner(Protocol):

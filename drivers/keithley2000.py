@@ -105,6 +105,13 @@ class Keithley2000:
             raise
 
 
+def require_model(identity: str) -> None:
+    """Raise `IdentityError` unless an answer to ``*IDN?`` is that of a Keithley 2000."""
+    fields = identity.split(",")
+    if len(fields) < 2 or fields[1].strip() != "MODEL 2000":
+        raise IdentityError(_DEVICE, f"answers {identity[:80]!r}, which is not a Keithley MODEL 2000")
+
+
 class _Settings:
     """What the meter is set to, as commands and as the answers that prove it."""
 
@@ -184,9 +191,7 @@ class _Session:
     def _identify(self) -> str:
         self._quieten()
         identity = self._ask("*IDN?")
-        fields = identity.split(",")
-        if len(fields) < 2 or fields[1].strip() != "MODEL 2000":
-            raise IdentityError(_DEVICE, f"answers {identity[:80]!r}, which is not a Keithley MODEL 2000")
+        require_model(identity)
         return identity
 
     def _synchronise(self) -> None:

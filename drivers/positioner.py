@@ -19,6 +19,7 @@ from drivers.executor import DeviceThread
 from drivers.geometry import AxisSetup
 from drivers.homing import HomingRun
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
+from drivers.own_moves import OWN_MOVES, own_moves
 from drivers.pozsol_wire import Field, Status, encode_command, parse_number, parse_status
 from drivers.telemetry import Port, TelemetryReader, Value
 
@@ -26,6 +27,7 @@ _DEVICE = "positioner"
 _FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
 _SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _IDENTITY = (Field.BOARD, Field.VERSION, Field.SERIAL)
+_HOME: dict[Axis, str] = {"a": wire.HOME_A, "b": wire.HOME_B}
 
 _OPEN_S = 5.0
 _HEAR_WITHIN_S = 2.5
@@ -60,6 +62,11 @@ class PozsolPositioner:
         Silence of the fast fields after which the unit counts as lost.
     b_out_bit
         Where the status word has axis B's motion bits; None where that is not known.
+    boot_s
+        How long the unit may take to restart because its port was opened; 0 if it does not.
+    banner
+        What the unit prints when it has restarted; None if nothing is known of that. Whenever it comes, the reference
+        is in doubt; in the midst of things the link counts as lost too.
     """
 
     def __init__(
@@ -72,6 +79,8 @@ class PozsolPositioner:
         boards: tuple[str, ...] = ("36A1",),
         stale_s: float = 2.0,
         b_out_bit: int | None = None,
+        boot_s: float = 0.0,
+        banner: str | None = None,
     ) -> None:
         self._connect = connect
         self._now = now
@@ -79,6 +88,8 @@ class PozsolPositioner:
         self._boards = boards
         self._stale_s = stale_s
         self._b_out_bit = b_out_bit
+        self._boot_s = boot_s
+        self._banner = b"" if banner is None else banner.encode("latin-1")
         self._thread = DeviceThread(_DEVICE)
         self._sending = asyncio.Lock()
         self._port: Port | None = None
@@ -89,17 +100,21 @@ class PozsolPositioner:
         self._homing: HomingRun | None = None
         self._forgiven_s = -math.inf
         self._reference_lost = False
+        self._restarted_s: float | None = None
 
     async def open(self) -> PositionerIdentity:
-        """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s."""
+        """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s, and any restart."""
         await self.close()
         try:
             self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
-            self._reader = TelemetryReader(port, self._now)
-            return await self._identify(self._reader)
+            self._reader = TelemetryReader(port, self._now, boot_s=self._boot_s, banner=self._banner)
+            identity = await self._identify(self._reader)
         except BaseException:
             await self.close()
             raise
+        self._restarted_s = self._reader.restarted_s
+        self._reference_lost = self._reference_lost or self._restarted_s is not None
+        return identity
 
     async def close(self) -> None:
         """Release the port; a move goes on."""
@@ -117,6 +132,11 @@ class PozsolPositioner:
     def fields(self) -> dict[int, str]:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
         return {code: _text(value) for code, value in sorted(self._require_reader().snapshot().items())}
+
+    def has_lines(self) -> bool:
+        """Tell whether the port has modem lines, which are then as they were asked for."""
+        self._require_reader()
+        return self._port is not None and self._port.has_lines()
 
     async def disable_autonomy(self) -> None:
         """Switch the unit's own tracking off if it is on; a slave would take the command for "on"."""
@@ -158,7 +178,7 @@ class PozsolPositioner:
         """Start a reference run and wait until it shows, up to 7 s: the unit tells of homing in its slow status."""
         stops = self._stops
         before = self._look()[0]
-        sent_s = await self._send(Field.ACTION, wire.HOME_A if axis == "a" else wire.HOME_B, stops)
+        sent_s = await self._send(Field.ACTION, _HOME[axis], stops)
         status_shows = axis == "a" or self._b_out_bit is not None
         run = HomingRun(axis, before, sent_s, status_shows=status_shows)
         self._homing = run
@@ -198,7 +218,7 @@ class PozsolPositioner:
                 return PositionerIdentity(board, _text(known[Field.VERSION]), _text(known[Field.SERIAL]))
             if reader.lost:
                 raise ConnectError(_DEVICE, reader.lost)
-            waited_s = self._now() - start_s
+            waited_s = self._now() - max(start_s + self._boot_s, reader.restarted_s or start_s)
             if waited_s > _HEAR_WITHIN_S and not reader.heard:
                 message = "sends no telemetry: it is in its bootloader or hangs, or this is another device"
                 raise ConnectError(_DEVICE, message)
@@ -258,6 +278,9 @@ class PozsolPositioner:
     def _look(self) -> tuple[Telemetry, float]:
         """Return the newest telemetry and the time of its status."""
         reader = self._require_reader()
+        if reader.restarted_s != self._restarted_s:
+            self._reference_lost = True
+            raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
         known, now = reader.snapshot(), self._now()
         try:
             oldest_s = min(known[field].time_s for field in _FAST)
@@ -297,6 +320,7 @@ class PozsolPositioner:
             homing=homing,
             autonomous=status.autonomous,
             mode_text=_text(known[Field.MODE]),
+            own_moves=own_moves({code: _text(known[code]) for code in known.keys() & OWN_MOVES}),
         )
 
     def _note_jump(self, homing: bool) -> None:

@@ -78,6 +78,8 @@ _LETTERS = {Field.MODE: ("N",), Field.ACTION: ("s", "5", "6"), Field.STATUS: ("0
 _ANGLES = (Field.A_ANGLE, Field.B_ANGLE)
 _DESTINATIONS = (Field.A_DESTINATION, Field.B_DESTINATION)
 _LARGEST = 99_999.0
+_ALLOWED = re.compile(rb"\$(?:[,0]-?\d{1,5}\.\d{4}|[.2]-?\d{1,5}|8N|9[s56]|\x880)\r")
+"""Codes 44 and 48 with an angle, 46 and 50 with a whole number, 56 N, 57 s, 5 or 6, and 136."""
 
 TRACKING_OFF = "N"
 STOP = "s"
@@ -103,21 +105,39 @@ def encode_command(field: int, value: float | str) -> bytes:
         The field is not on that list, the value is not one it may have, or the number is NaN, infinite, too large or,
         for a destination, not whole.
     """
-    if field in _LETTERS:
-        letters = _LETTERS[Field(field)]
-        if value not in letters:
-            raise ValueError(f"positioner command {field} may only carry {' or '.join(letters)}, not {value!r}")
-        text = str(value)
-    elif field in _ANGLES or field in _DESTINATIONS:
-        if isinstance(value, str) or not (-_LARGEST <= value <= _LARGEST):
-            raise ValueError(f"positioner command {field} needs a number of at most {_LARGEST:g}, not {value!r}")
-        if field in _DESTINATIONS and not math.floor(value) == value:
-            raise ValueError(f"positioner command {field} takes whole position units, not {value!r}")
-        text = f"{value:.4f}" if field in _ANGLES else f"{value:.0f}"
-    else:
-        raise ValueError(f"positioner command {field} is not allowed: it could reconfigure or reboot the unit")
+    text = _letter(field, value) if field in _LETTERS else _number(field, value)
     # The unit keeps the end of a longer earlier command behind a shorter one, so the value must be closed.
-    return bytes((SEPARATOR, field)) + text.encode("ascii") + TERMINATOR
+    packet = bytes((SEPARATOR, int(field))) + text.encode("ascii") + TERMINATOR
+    require_allowed(packet)
+    return packet
+
+
+def require_allowed(packet: bytes) -> None:
+    """Raise `ValueError` unless these bytes are one command that `encode_command` may make.
+
+    The last gate before the port: the unit takes whatever begins with ``$`` for a command, so nothing else may leave.
+    """
+    if not _ALLOWED.fullmatch(packet):
+        raise ValueError(f"{bytes(packet[:16])!r} is no command that may be sent to a positioner")
+
+
+def _letter(field: int, value: float | str) -> str:
+    letters = _LETTERS[Field(field)]
+    for letter in letters:
+        if value == letter:
+            return letter
+    raise ValueError(f"positioner command {field} may only carry {' or '.join(letters)}, not {value!r}")
+
+
+def _number(field: int, value: float | str) -> str:
+    if field not in _ANGLES and field not in _DESTINATIONS:
+        raise ValueError(f"positioner command {field} is not allowed: it could reconfigure or reboot the unit")
+    # A bool is a number to Python, and never an angle.
+    if isinstance(value, str | bool) or not (-_LARGEST <= value <= _LARGEST):
+        raise ValueError(f"positioner command {field} needs a number of at most {_LARGEST:g}, not {value!r}")
+    if field in _DESTINATIONS and not math.floor(value) == value:
+        raise ValueError(f"positioner command {field} takes whole position units, not {value!r}")
+    return f"{float(value):.4f}" if field in _ANGLES else f"{float(value):.0f}"
 
 
 class TokenStream:

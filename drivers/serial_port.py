@@ -1,4 +1,4 @@
-"""A USB serial port that is raw before anything is read from it, and held by one program.
+"""The positioner's USB serial port: raw before anything is read from it, held by one program, closed to other commands.
 
 A tty of Linux starts out with echo: what the instrument sends comes back to it, and the positioner takes its own
 telemetry for commands. So the first thing that is done with the port is to switch echo off and to throw away what was
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConnectError, LinkLostError
+from drivers.pozsol_wire import require_allowed
 from drivers.transcript import Tap, no_tap
 
 _READ_S = 0.2
@@ -30,6 +31,9 @@ class SerialPort:
         Name of the port.
     tap
         Told what is sent and received.
+    dtr, rts
+        Levels of the two modem lines from opening on. Linux raises both for an instant at every open, whatever is
+        wanted here. A port without such lines, a pseudo-terminal say, is used as it is: `has_lines` tells.
 
     Raises
     ------
@@ -37,7 +41,7 @@ class SerialPort:
         The port is not there, held by another program, not permitted, or no serial port.
     """
 
-    def __init__(self, device: str, path: str, tap: Tap = no_tap) -> None:
+    def __init__(self, device: str, path: str, tap: Tap = no_tap, *, dtr: bool = True, rts: bool = True) -> None:
         import serial  # noqa: PLC0415 - loaded only where there is a port; it needs termios or Windows
 
         self._device = device
@@ -47,7 +51,9 @@ class SerialPort:
         # Windows opens every port exclusively and knows no such option.
         exclusive = True if os.name == "posix" else None
         try:
-            self._port: Any = serial.Serial(path, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+            self._port: Any = serial.Serial(None, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+            self._port.port, self._port.dtr, self._port.rts = path, dtr, rts
+            self._port.open()
         except (OSError, ValueError) as error:
             raise cannot_open(device, path, error) from error
         finally:
@@ -69,7 +75,8 @@ class SerialPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes; no longer than half a second."""
+        """Send one command; no longer than half a second. `ValueError` for bytes that are none that may be sent."""
+        require_allowed(data)
         try:
             self._port.write(data)
         except self._gone as error:
@@ -87,6 +94,14 @@ class SerialPort:
         except (OSError, TypeError, termios.error) as error:
             raise LinkLostError(self._device, f"{self._path} is gone: {error}") from error
         return bool(local_modes & (termios.ECHO | termios.ICANON))
+
+    def has_lines(self) -> bool:
+        """Tell whether the port has modem lines, so that DTR and RTS are as they were asked for."""
+        try:
+            # Reading the other side's line fails where there are none; pyserial hides that when it sets its own.
+            return isinstance(self._port.dsr, bool)
+        except self._gone:
+            return False
 
     def close(self) -> None:
         """Release the port; a read in another thread ends."""

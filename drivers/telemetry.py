@@ -27,6 +27,9 @@ class Port(Protocol):
     def echoes(self) -> bool:
         """Tell whether what comes is sent back."""
 
+    def has_lines(self) -> bool:
+        """Tell whether it has modem lines that are as they were asked for."""
+
     def close(self) -> None:
         """Release the port; never raises."""
 
@@ -47,9 +50,16 @@ class TelemetryReader:
         Read from and closed in this thread.
     now
         The service's monotonic time [s].
+    boot_s
+        How long the unit may take to restart because the port was opened. What comes before its banner, or before this
+        time is over, is from before the restart and not believed.
+    banner
+        What the unit prints when it has restarted; empty if nothing is known of that.
 
     Attributes
     ----------
+    restarted_s
+        When the banner has last come, or None.
     lost
         Why nothing comes any more, or None.
     heard
@@ -58,15 +68,19 @@ class TelemetryReader:
         When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
     """
 
-    def __init__(self, port: Port, now: Callable[[], float]) -> None:
+    def __init__(self, port: Port, now: Callable[[], float], *, boot_s: float = 0.0, banner: bytes = b"") -> None:
         self._port = port
         self._now = now
+        self._boot_s = boot_s
+        self._banner = banner
+        self._end = b""
         self._closing = threading.Event()
         self._values: dict[int, Value] = {}
         self._suspect: dict[int, float] = {}
         self.lost: str | None = None
         self.heard = False
         self.jumped_s: float | None = None
+        self.restarted_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="heliocube-positioner-reader", daemon=True)
         self._thread.start()
 
@@ -98,10 +112,14 @@ class TelemetryReader:
     def _listen(self) -> None:
         stream = TokenStream()
         now = self._now()
-        believe_s, look_s = now + _IGNORE_FIRST_S, now
+        believe_s, look_s = now + max(_IGNORE_FIRST_S, self._boot_s), now
         while not self._closing.is_set():
             data = self._port.read()
             now = self._now()
+            if self._has_banner(data):
+                self.restarted_s, believe_s = now, min(believe_s, now)
+                stream, self._values = TokenStream(), {}
+                data = data.rpartition(self._banner)[2]
             for code, text in stream.feed(data):
                 if now >= believe_s:
                     self.heard = True
@@ -110,6 +128,14 @@ class TelemetryReader:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
                 if self._port.echoes():
                     raise LinkLostError("positioner", "another program has switched the port's echo on")
+
+    def _has_banner(self, data: bytes) -> bool:
+        """Tell whether these bytes complete the banner, in whatever pieces it comes."""
+        if not self._banner:
+            return False
+        text = self._end + data
+        self._end = text[-(len(self._banner) - 1) :] if len(self._banner) > 1 else b""
+        return self._banner in text
 
     def _take(self, code: int, text: bytes, now: float) -> None:
         try:

@@ -48,6 +48,8 @@ VERBS = {
     "shade": Verb("FACE SHARE", "let only a share (0 to 1) of the light reach a face"),
     "sensor": Verb("FACE VOLT|works", "let a sensor give one voltage, whatever falls on it"),
     "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),
+    "restart": Verb("SECONDS", "restart the positioner, its USB stays: silent for this long, then its banner"),
+    "boots-at-open": Verb("SECONDS|never", "let the positioner restart so long whenever its port is opened"),
     "trip": Verb("PROTECTION", f"latch a protection of the load: {', '.join(TRIPS)}"),
     "identity": Verb("DEVICE TEXT", "let voltmeter, load or positioner say that it is something else"),
 }

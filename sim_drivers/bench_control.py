@@ -210,6 +210,14 @@ class BenchControl:
             bench.positioner.core.power_cycle(bench.clock.now(), keep_position=keep)
             await self.unplug("positioner", str(_REENUMERATION_S))
 
+    def restart(self, seconds: str) -> None:
+        """Restart the positioner while its USB stays."""
+        self._bench.positioner.restart(_number(seconds, 0, 60))
+
+    def boots_at_open(self, seconds: str) -> None:
+        """Let the positioner restart whenever its port is opened."""
+        self._bench.positioner.boots_at_open_s = None if seconds == "never" else _number(seconds, 0, 60)
+
     def identity(self, device: str, text: str) -> None:
         """Let a device say that it is something else."""
         if _one_of(device, ("positioner", "voltmeter", "load")) == "positioner":

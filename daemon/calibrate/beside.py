@@ -16,6 +16,7 @@ from solar.frames import Array
 
 MEAN_S = 60.0
 _NORMAL = 1.96
+_WIDEST_GAP = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,12 +154,20 @@ def compare(
 
 
 def _common(reference: Reference, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
-    """Bring both to means over the same minutes, those that both have."""
-    first, ghi = block_means(reference.utc_s, reference.ghi_w_m2, MEAN_S)
-    second, mv = block_means(utc_s, voltage, MEAN_S)
-    first_minute, second_minute = np.floor(first / MEAN_S), np.floor(second / MEAN_S)
-    _, here, there = np.intersect1d(first_minute, second_minute, return_indices=True)
-    return second[there], ghi[here], mv[there]
+    """Bring both to means over minutes, the sensors' to the instants of the reference's by straight lines.
+
+    Readings a moment apart may fall in different minutes, so that minutes of one number may be a minute apart.
+    """
+    minute, ghi = block_means(reference.utc_s, reference.ghi_w_m2, MEAN_S)
+    times, mv = block_means(utc_s, voltage, MEAN_S)
+    if times.size < 2:
+        return minute[:0], ghi[:0], mv[:0]
+    steps = np.diff(times)
+    place = np.clip(np.searchsorted(times, minute) - 1, 0, steps.size - 1)
+    common = (times[0] <= minute) & (minute <= times[-1])
+    common &= steps[place] <= _WIDEST_GAP * max(MEAN_S, float(np.median(steps)))
+    at_reference = np.stack([np.interp(minute[common], times, face) for face in mv.T], axis=-1)
+    return minute[common], ghi[common], at_reference
 
 
 def _face(

@@ -77,14 +77,13 @@ def numbers(text: str, option: str, low: float, high: float) -> Array:
 
 
 def latitudes(lat: float | None, lat_range: str | None) -> Array:
-    """Return the latitudes [deg] that one of the two options gives."""
-    if (lat is None) == (lat_range is None):
-        raise UserError("give one of --lat and --lat-range, such as --lat 48.7 or --lat-range 0:65:1")
-    if lat is None:
-        return numbers(str(lat_range), "--lat-range", -90.0, 90.0)
-    if not (-90.0 <= lat <= 90.0):
+    """Return the latitudes [deg] that the options give: one, several, or both together in rising order."""
+    if lat is None and lat_range is None:
+        raise UserError("give --lat or --lat-range, such as --lat 48.7 or --lat-range 0:65:1")
+    if lat is not None and not (-90.0 <= lat <= 90.0):
         raise UserError(f"--lat: {lat:g} is not in -90..90")
-    return np.array([lat])
+    several = np.array([]) if lat_range is None else numbers(lat_range, "--lat-range", -90.0, 90.0)
+    return several if lat is None else np.union1d(several, [lat])
 
 
 def days(text: str) -> Array:

@@ -12,6 +12,8 @@ from sim_drivers.hosts.pty_port import PtyPort
 from sim_drivers.positioner_core import PositionerCore
 
 SCREEN_EVERY_S = 0.02
+BANNER = b"\r\nPOZSOL36A1 ready\r\n"
+"""What the simulated unit prints after a restart; whether a real one prints anything is not known."""
 
 
 class PositionerHost:
@@ -33,6 +35,9 @@ class PositionerHost:
 
     Attributes
     ----------
+    boots_at_open_s
+        How long the unit restarts whenever its port is opened; None if it does not. A pseudo-terminal has no modem
+        lines, so a user cannot keep it from that.
     received
         How often each command code has come in, whoever sent it.
     lost_screens
@@ -48,6 +53,8 @@ class PositionerHost:
         self._random = random
         self._held: bytes | None = None
         self._user = False
+        self.boots_at_open_s: float | None = None
+        self._boots_until_s: float | None = None
         self._frozen = False
         self._drops = self._corruptions = 0
 
@@ -70,6 +77,12 @@ class PositionerHost:
         self._frozen = False
         self.port.resume()
 
+    def restart(self, silent_s: float) -> None:
+        """Start the unit anew without a loss of USB: it is silent and deaf for a while and prints its banner then."""
+        self.core.power_cycle(self._now(), keep_position=True)
+        self._held = None
+        self._boots_until_s = self._now() + silent_s
+
     def drop_next(self, count: int) -> None:
         """Lose the next screens."""
         self._drops += count
@@ -79,6 +92,11 @@ class PositionerHost:
         self._corruptions += count
 
     def _stream(self) -> None:
+        if self._boots_until_s is not None:
+            if self._now() >= self._boots_until_s:
+                self._boots_until_s = None
+                self.port.send(BANNER)
+            return
         if not self.port.in_use:
             self._user = False
             if self._held is None:
@@ -86,6 +104,8 @@ class PositionerHost:
             return
         if not self._user:
             self._user = True
+            if self.boots_at_open_s is not None:
+                self.restart(self.boots_at_open_s)
             return
         screen, self._held = self._held or self.core.next_screen(self._now()), None
         if self._drops:
@@ -100,6 +120,8 @@ class PositionerHost:
             self.lost_screens += 1
 
     def _take(self, data: bytes) -> None:
+        if self._boots_until_s is not None:
+            return
         at = data.find(SEPARATOR)
         if 0 <= at < len(data) - 1:
             self.received[data[at + 1]] += 1

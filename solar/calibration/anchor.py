@@ -7,9 +7,12 @@ elevation, the water vapour and the aerosol optical depth of the day a_d:
 
 As in a Langley plot, the change with air mass tells a_d, and then the level tells e_z and e_v. G and B are those of the
 simplified Solis model, Ineichen (2008), B with the circumsolar part of the sky model. A priori the responses are 1 give
-or take the sensors' tolerance. The model's GHI and DNI are fitted each for itself, and its DHI closes with them to 3 %
-only; over a measured year GHI and DNI as they are gave the smaller errors. What the water vapour is has to be known: G
-falls by 2 % with each centimetre.
+or take the sensors' tolerance, and the water vapour what it is said to be give or take half a centimetre; G falls by
+2 % with each. The model's GHI and DNI are fitted each for itself, and its DHI closes with them to 3 % only; over a
+measured year GHI and DNI as they are gave the smaller errors.
+
+How surely the level is known is told by the fit itself, with what it is given beforehand in it (Bayes' rule, linear
+about the solution): the inverse of J' J. Over a measured year that spread was what the errors were.
 """
 
 from typing import NamedTuple
@@ -22,12 +25,14 @@ from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
 from solar.sky import SkyModel, sky
 
-# One sigma: of the model for one clear instant, and of a sensor's sensitivity before it has been calibrated (5 % is the
-# maker's limit).
-_GLOBAL_SIGMA, _BEAM_SIGMA = 0.01, 0.03
+# One sigma: of the model for one clear instant, whose aerosol drifts through the day, and of a sensor's sensitivity
+# before it has been calibrated (5 % is the maker's limit).
+_GLOBAL_SIGMA, _BEAM_SIGMA = 0.015, 0.05
 _TOLERANCE = 0.05
 # What clear days are like before anything is known of this one: 0.08 at 550 nm, and the spread of its logarithm.
-_USUAL_AOD, _LN_AOD_SIGMA = 0.06, 0.4
+_USUAL_AOD, _LN_AOD_SIGMA = 0.06, 0.6
+# Of the water vapour that one is told [cm].
+_WATER_SIGMA_CM = 0.5
 # Instants minutes apart share the model's error: a day counts as its two halves.
 _PER_DAY = 2.0
 _LOWEST_AOD, _HIGHEST_AOD = 0.01, 0.45
@@ -35,10 +40,21 @@ _DEPTHS = 40
 
 
 class Anchor(NamedTuple):
-    """Readings over truth: of the zenith face, and of the vertical faces in the geometric mean."""
+    """Readings over truth.
+
+    Attributes
+    ----------
+    zenith, vertical
+        Of the zenith face, and of the vertical faces in the geometric mean.
+    zenith_error, vertical_error, ratio_error
+        Relative standard errors of both and of vertical over zenith.
+    """
 
     zenith: float
     vertical: float
+    zenith_error: float
+    vertical_error: float
+    ratio_error: float
 
 
 def clear_sky_anchor(
@@ -52,6 +68,8 @@ def clear_sky_anchor(
 ) -> Anchor:
     """Return the responses that a clear-sky model explains best.
 
+    Least squares of the two equations of this module, with the model of Ineichen (2008), Solar Energy 82, 758.
+
     Parameters
     ----------
     utc_s
@@ -61,7 +79,7 @@ def clear_sky_anchor(
     beam_w_m2
         B as the vertical faces read it, shape (n,).
     water_cm
-        Precipitable water.
+        Precipitable water, roughly.
     """
     sun, extra = sun_direction(utc_s, *site), extraterrestrial_dni(utc_s)
     _, day = np.unique(np.floor(utc_s / DAY_S), return_inverse=True)
@@ -71,30 +89,45 @@ def clear_sky_anchor(
 
     # The model at a few depths, interpolated between them, costs a hundredth of the model at every step of the fit.
     depths = np.linspace(low, high, _DEPTHS)
-    ghi, dni, dhi = clear_sky_ghi(site, utc_s, np.exp(depths)[:, None], water_cm)
-    overhead = sky(model, sun, dni, dhi, extra)
-    table = np.log(np.stack([ghi, overhead.dni_w_m2 + overhead.circumsolar_w_m2], axis=1))
+
+    def ln_model(water: float) -> Array:
+        ghi, dni, dhi = clear_sky_ghi(site, utc_s, np.exp(depths)[:, None], water)
+        overhead = sky(model, sun, dni, dhi, extra)
+        return np.log(np.stack([ghi, overhead.dni_w_m2 + overhead.circumsolar_w_m2], axis=1))
+
+    table = ln_model(water_cm)
+    per_cm = (ln_model(water_cm + _WATER_SIGMA_CM) - table) / _WATER_SIGMA_CM
     instants = np.arange(utc_s.size)
 
     def residuals(parameters: Array) -> Array:
-        ln_aod = parameters[2:]
+        ln_zenith_response, ln_vertical_response, more_cm = parameters[:3]
+        ln_aod = parameters[3:]
         place = (ln_aod - low) / (high - low) * (_DEPTHS - 1)
         before = np.clip(np.floor(place).astype(np.int64), 0, _DEPTHS - 2)
         share, begin = (place - before)[day], before[day]
-        lower, upper = table[begin, :, instants].T, table[begin + 1, :, instants].T
+        lower, upper = ((table[at, :, instants] + more_cm * per_cm[at, :, instants]).T for at in (begin, begin + 1))
         ln_ghi, ln_model_beam = lower + (upper - lower) * share
         return np.concatenate(
             [
-                weight * (ln_zenith - ln_ghi - parameters[0]) / _GLOBAL_SIGMA,
-                weight * (ln_beam - ln_model_beam - parameters[1]) / _BEAM_SIGMA,
+                weight * (ln_zenith - ln_ghi - ln_zenith_response) / _GLOBAL_SIGMA,
+                weight * (ln_beam - ln_model_beam - ln_vertical_response) / _BEAM_SIGMA,
                 (ln_aod - np.log(_USUAL_AOD)) / _LN_AOD_SIGMA,
-                [parameters[0] / _TOLERANCE, parameters[1] / (_TOLERANCE / np.sqrt(3.0))],
+                [
+                    ln_zenith_response / _TOLERANCE,
+                    ln_vertical_response / (_TOLERANCE / np.sqrt(3.0)),
+                    more_cm / _WATER_SIGMA_CM,
+                ],
             ]
         )
 
     days = int(day.max()) + 1
-    bounds = ([-0.5, -0.5, *[low] * days], [0.5, 0.5, *[high] * days])
-    start = [0.0, 0.0, *[np.log(_USUAL_AOD)] * days]
-    scales = [0.01, 0.01, *[0.1] * days]
+    # Three sigma of water at most, and never none.
+    least_cm = max(-3.0 * _WATER_SIGMA_CM, 0.05 - water_cm)
+    bounds = ([-0.5, -0.5, least_cm, *[low] * days], [0.5, 0.5, 3.0 * _WATER_SIGMA_CM, *[high] * days])
+    start = [0.0, 0.0, 0.0, *[np.log(_USUAL_AOD)] * days]
+    scales = [0.01, 0.01, 0.2, *[0.1] * days]
     solved = least_squares(residuals, start, bounds=bounds, loss="soft_l1", x_scale=scales)
-    return Anchor(*np.exp(solved.x[:2]).tolist())
+    covariance = np.linalg.inv(solved.jac.T @ solved.jac)[:2, :2]
+    zenith, vertical = np.exp(solved.x[:2]).tolist()
+    both = np.array([-1.0, 1.0])
+    return Anchor(zenith, vertical, *np.sqrt([*np.diag(covariance), both @ covariance @ both]).tolist())

@@ -37,7 +37,10 @@ class Attitude(NamedTuple):
 
 
 def attitude(yaw_deg: float, tilt_deg: float, tilt_azimuth_deg: float, latitude_deg: float) -> Attitude:
-    """Return the attitude of a cube turned by `yaw_deg` whose zenith face leans by `tilt_deg` towards an azimuth."""
+    """Return the attitude of a cube turned by `yaw_deg` whose zenith face leans by `tilt_deg` towards an azimuth A.
+
+    Lean = tilt (-+cos A, sin A) in the frame (i, j), - in the northern hemisphere.
+    """
     azimuth = np.radians(tilt_azimuth_deg)
     equatorward = -np.cos(azimuth) if latitude_deg >= 0 else np.cos(azimuth)
     return Attitude(yaw_deg, float(tilt_deg * equatorward), float(tilt_deg * np.sin(azimuth)))
@@ -64,16 +67,16 @@ def rotation(turned: Attitude, latitude_deg: float) -> Array:
 
 
 def face_normals(turned: Attitude, latitude_deg: float) -> Array:
-    """Return the faces' unit normals at the site, shape (4, 3): east, south, west, zenith."""
+    """Return the faces' unit normals R n at the site, shape (4, 3): east, south, west, zenith; R of `rotation`."""
     return np.asarray(FACE_NORMALS @ rotation(turned, latitude_deg).T, dtype=np.float64)
 
 
 def face_orientations(turned: Attitude, latitude_deg: float) -> tuple[Array, Array]:
-    """Return where each face looks, two arrays of shape (4,): azimuth from North clockwise and tilt [deg]."""
+    """Return where each R n looks, two arrays of shape (4,): azimuth from North clockwise and tilt [deg]."""
     azimuth, elevation = azimuth_from_direction(face_normals(turned, latitude_deg), latitude_deg)
     return azimuth, 90.0 - elevation
 
 
 def to_site(direction: ArrayLike, turned: Attitude, latitude_deg: float) -> Array:
-    """Return direction(s) that the cube sees, shape (..., 3), as they are at the site."""
+    """Return direction(s) d that the cube sees, shape (..., 3), as they are at the site: R d with R of `rotation`."""
     return np.asarray(np.asarray(direction, dtype=np.float64) @ rotation(turned, latitude_deg).T, dtype=np.float64)

@@ -59,7 +59,8 @@ def lag_s(
 ) -> float:
     """Return by how much the sensor's clock is ahead of the reference's [s]; NaN where the readings do not tell.
 
-    The lag with the largest correlation between the changes of both, refined by a parabola through its neighbours.
+    argmax over L of corr(d reference(t), d sensor(t + L)): the lag with the largest correlation between the changes of
+    both, refined by a parabola through its neighbours.
     Both are smoothed over four of the longer steps first: linear interpolation weakens faster changes between the
     readings and would draw the lag towards a whole number of steps. Clouds tell it to a twentieth of the longer step;
     under a steady sky nothing moves and the correlation stays low.
@@ -136,8 +137,9 @@ def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: fl
 def fitted_offset(reference_w_m2: Array, voltage_mv: Array) -> Interval:
     """Return the voltage [mV] at which a straight line through the readings reaches zero irradiance.
 
-    For sensors whose nights were not recorded: the intercept of the least-squares line of voltage on irradiance, with
-    its 95 % interval. Readings of shape (n,) without NaN; raises `ValueError` for fewer than 3.
+    V = V_0 + E / gain, for sensors whose nights were not recorded: the intercept V_0 of the least-squares line of
+    voltage on irradiance, with its 95 % interval. Readings of shape (n,) without NaN; raises `ValueError` for fewer
+    than 3.
     """
     if reference_w_m2.size < 3:
         raise ValueError(f"a line through {reference_w_m2.size} readings tells no offset")

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from solar.calibration.anchor import clear_sky_anchor
+from solar.calibration.anchor import Anchor, clear_sky_anchor
 from solar.calibration.attitude import FACE_NORMALS, Attitude
 from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
-from solar.calibration.shape import COSINE_ERROR, Shape, fit_shape
+from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Array
 from solar.sky import SkyModel
@@ -24,8 +24,11 @@ _LEAST_AIR_MASS_SPAN = 0.7
 _LARGEST_RESIDUAL = 0.01
 # Standard errors from which on a number is no answer any more: gains (relative), angles [deg], albedo.
 _TOO_UNSURE = (0.03, 0.5, 0.1)
-# One sigma of the clear-sky model's level: the spread over periods of ten days of a measured year.
-_MODEL_SIGMA = 0.018
+_LEAST_WITHOUT_HAZE = 15
+# A level no surer than this (one sigma) says no more than the sensors' maker does.
+_LEVEL_SIGMA = 0.025
+# What leaving out days cannot show: the sensors' cosine response, the same on all of them [deg].
+_ANGLE_SIGMA = 0.03
 _FACES = ("east", "south", "west")
 _WHEN = {"east": "mornings", "south": "around noon", "west": "afternoons"}
 
@@ -45,7 +48,11 @@ class UndeterminedError(ValueError):
 
 
 class FieldErrors(NamedTuple):
-    """Standard errors (one sigma): of the responses with the clear-sky model's own, of angles [deg], of albedo."""
+    """Standard errors (one sigma) of responses, angles [deg] and albedo.
+
+    Days left out one after the other, with what no day shows: the level of the clear-sky model, by its own fit, in
+    responses and albedo, and the sensors' cosine response in angles.
+    """
 
     response: Array
     yaw_deg: float
@@ -65,7 +72,7 @@ class FieldCalibration:
     attitude, albedo
         Of the cube and the ground.
     errors
-        By leaving out one day after the other.
+        Of all of them.
     shape
         The fit behind it.
     days
@@ -92,6 +99,8 @@ def calibrate_in_place(
 ) -> FieldCalibration:
     """Return gains, attitude and albedo from a cube's readings over several days.
 
+    The equations are those of :mod:`.shape` and :mod:`.anchor`, solved in turn.
+
     Parameters
     ----------
     utc_s, faces_w_m2
@@ -113,23 +122,25 @@ def calibrate_in_place(
     if missing:
         raise UndeterminedError(missing)
 
-    def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape]:
+    def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
         return _estimate(utc_s[kept], faces_w_m2[kept], site, model, water_cm, cosine_error, vertical, rounds)
 
     everything = np.ones(utc_s.size, dtype=np.bool_)
     try:
-        values, shape = estimate(everything, 1.0, _ROUNDS)
+        values, shape, anchor = estimate(everything, 1.0, _ROUNDS)
         vertical = float(np.exp(np.mean(np.log(values[:3] / values[3]))))
         day = np.floor(utc_s / DAY_S)
         each = np.array([estimate(day != one, vertical, 2)[0] for one in np.unique(day)])
     except ValueError as error:
         raise UndeterminedError([str(error)]) from None
     spread = jackknife_error(each)
-    unsure = _unsure(spread, shape.residual)
+    unsure = _unsure(spread, shape.residual, max(anchor.zenith_error, anchor.vertical_error))
     if unsure:
         raise UndeterminedError(unsure)
-    response_error = values[:4] * np.hypot(spread[:4] / values[:4], _MODEL_SIGMA)
-    yaw, equator, east, albedo = spread[4:].tolist()
+    level = np.array([*[anchor.vertical_error] * 3, anchor.zenith_error])
+    response_error = np.hypot(spread[:4], values[:4] * level)
+    yaw, equator, east = np.hypot(spread[4:7], _ANGLE_SIGMA).tolist()
+    albedo = float(np.hypot(spread[7], (1.0 + shape.albedo) * anchor.ratio_error))
     return FieldCalibration(
         response=values[:4],
         attitude=shape.attitude,
@@ -159,19 +170,23 @@ def _estimate(
     cosine_error: float,
     vertical: float,
     rounds: int,
-) -> tuple[Array, Shape]:
+) -> tuple[Array, Shape, Anchor]:
     """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles."""
     for _ in range(rounds):
         shape = fit_shape(utc_s, faces_w_m2, site, vertical=vertical, model=model, cosine_error=cosine_error)
-        sine = sun_direction(shape.utc_s, *site)[:, 2]
-        horizontal = shape.beam_w_m2 * sine + shape.uniform_w_m2
-        anchor = clear_sky_anchor(
-            shape.utc_s, horizontal, vertical * shape.beam_w_m2, site, model=model, water_cm=water_cm
-        )
+        count = shape.utc_s.size
+        if count < _LEAST_WITHOUT_HAZE:
+            raise ValueError(
+                f"clear sky without haze, its diffuse light below {HIGHEST_DIFFUSE:.0%} of the whole: "
+                f"{count * _BLOCK_S / 60:.0f} min, where {_LEAST_WITHOUT_HAZE * _BLOCK_S / 60:.0f} min are needed, "
+                "also without any one of the days"
+            )
+        ghi = shape.beam_w_m2 * sun_direction(shape.utc_s, *site)[:, 2] + shape.uniform_w_m2
+        anchor = clear_sky_anchor(shape.utc_s, ghi, vertical * shape.beam_w_m2, site, model=model, water_cm=water_cm)
         before, vertical = vertical, anchor.vertical / anchor.zenith
         if abs(vertical - before) < _SETTLED:
             break
-    return np.array([*(shape.response * anchor.zenith), *shape.attitude, shape.albedo]), shape
+    return np.array([*(shape.response * anchor.zenith), *shape.attitude, shape.albedo]), shape, anchor
 
 
 def _missing(utc_s: Array, site: Site) -> list[str]:
@@ -195,12 +210,19 @@ def _missing(utc_s: Array, site: Site) -> list[str]:
     return missing
 
 
-def _unsure(spread: Array, residual: float) -> list[str]:
+def _unsure(spread: Array, residual: float, level: float) -> list[str]:
     if not residual <= _LARGEST_RESIDUAL:
         return [
             (
                 f"readings that fit a clear sky: {residual:.1%} is left unexplained, where 1 % is the most (shade on a "
                 "face, a wrong site or clock, or faces exchanged)"
+            )
+        ]
+    if not level <= _LEVEL_SIGMA:
+        return [
+            (
+                f"clear sky that tells the level of the gains: it is known to {200.0 * level:.1f} % (k = 2) only, and "
+                "the sensors' maker promises 5 % (more clear days, with the sun high and low)"
             )
         ]
     names = ("the gains", "yaw and tilt", "the albedo")

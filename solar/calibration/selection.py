@@ -91,7 +91,7 @@ def clear_and_stable(
 
 
 def block_means(utc_s: Array, values: Array, span_s: float) -> tuple[Array, Array]:
-    """Return (middles [s], means) over blocks of `span_s` that begin at whole multiples of it.
+    """Return (middles [s], means) over blocks k = floor(t / `span_s`).
 
     `values` have shape (n,) or (n, m). A mean is over the readings that are there; a block without any is left out, and
     NaN stands where a column has none. Middles are the mean instants of the readings, so that a half-filled block is

@@ -75,7 +75,7 @@ def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: Arra
 def tilt_tolerance_deg(loss: float) -> float:
     """Return how far [deg] a vertical axis' tilt may be from the best one for a `loss` (0.01 is 1 %) of its energy.
 
-    The energy is a cosine of the distance, so the tolerance is arccos(1 - loss) at every latitude.
+    The energy is E(beta) = E(best) cos(beta - best), so the tolerance is arccos(1 - loss) at every latitude.
     """
     if not (0.0 <= loss <= 1.0):
         raise ValueError(f"a loss is a share in 0..1, not {loss}")

@@ -96,7 +96,7 @@ def script3(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: A
 def least_eta(k: ArrayLike) -> Array:
     """Return the smallest K - 1 along the last axis, as the scripts print it over the days; NaN days are passed over.
 
-    NaN where every day is.
+    What the three scripts of Maiga (2022) end with; NaN where every day is.
     """
     ratios = np.asarray(k, dtype=np.float64)
     least: Array = np.fmin.reduce(ratios, axis=-1) - 1.0

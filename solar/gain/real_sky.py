@@ -59,7 +59,7 @@ def year_instants(longitude_deg: float, step_s: float) -> Array:
 
 
 def daylight(site: Site, utc_s: Array) -> Array:
-    """Return those instants [s UTC] at which the apparent sun is above the horizon."""
+    """Return those instants [s UTC] at which the apparent sun of :mod:`solar.ephemeris` has an elevation > 0."""
     return utc_s[sun_position(utc_s, *site).elevation_deg > 0.0]
 
 
@@ -79,7 +79,10 @@ def clear_sky(site: Site, utc_s: Array) -> tuple[Array, Array]:
 
 
 def sky_series(site: Site, utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, model: SkyModel = "perez1990") -> SkySeries:
-    """Return the sky at instants of shape (n,) with their direct normal and diffuse horizontal irradiance [W/m2]."""
+    """Return the sky at instants of shape (n,) with their direct normal and diffuse horizontal irradiance [W/m2].
+
+    Its parts are those of :func:`solar.sky.sky`, whose models are cited there.
+    """
     sun = sun_position(utc_s, *site)
     solar_days = np.floor((utc_s + site.longitude_deg * 240.0) / DAY_S).astype(np.int64).astype("datetime64[D]")
     day = (solar_days - solar_days.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64) + 1

@@ -2,7 +2,7 @@
 
     python tests/bench/calibration_pointing.py FOLDER
 
-FOLDER holds the measured weather (2016-MM.csv.gz). A minute or two; the same numbers every time.
+FOLDER holds the measured weather (2016-MM.csv.gz). Some minutes; the same numbers every time.
 """
 
 import sys
@@ -21,10 +21,13 @@ from solar.sky import SKY_MODELS, SkyModel
 
 SITE = Site(55.79064, 12.52505, 50.0)
 ERRORS = np.array([1.03, 0.97, 1.02, 0.98])
+# The same shape at another level, and against the zenith face: what the clear-sky model has to tell.
+OTHER_ERRORS = (np.full(4, 1.03), np.full(4, 0.97), np.array([0.97, 0.97, 0.97, 1.03]))
 STANDING = attitude(2.0, 1.0, 140.0, SITE.latitude_deg)
 ALBEDO = 0.35
 SEASONS = {"winter (Feb)": (2, 1.0), "spring (Apr)": (4, 1.1), "summer (Jul)": (7, 2.3), "autumn (Sep)": (9, 1.9)}
 LEAST_DNI_W_M2 = 400.0
+WATER_CM = {3: 1.0, 4: 1.1, 5: 1.5, 6: 2.0, 7: 2.3, 8: 2.3, 9: 1.9}
 
 
 def simulate(weather: MeasuredWeather, model: SkyModel, begin_utc_s: float, days: float, step_s: float) -> tuple:
@@ -51,16 +54,59 @@ def pointing_error(utc_s: Array, faces: Array, albedo: float, standing: Attitude
     return separation_deg(to_site(seen, standing, SITE.latitude_deg), sun)
 
 
-def recovery_row(found: FieldCalibration) -> str:
-    gains = 100.0 * (found.response / ERRORS - 1.0)
+def errors_of(found: FieldCalibration, truth: Array) -> tuple[Array, Array]:
+    """Return errors and their expanded uncertainties: four gains [%], yaw and tilt [deg], albedo."""
     angle = np.hypot(
         found.attitude.lean_equator_deg - STANDING.lean_equator_deg,
         found.attitude.lean_east_deg - STANDING.lean_east_deg,
     )
-    return (
-        f"{found.days} | {gains[0]:+.2f} | {gains[1]:+.2f} | {gains[2]:+.2f} | {gains[3]:+.2f} | "
-        f"{found.attitude.yaw_deg - STANDING.yaw_deg:+.3f} | {angle:.3f} | {found.albedo - ALBEDO:+.3f}"
+    gains = 100.0 * (found.response / truth - 1.0)
+    said = found.errors
+    told = [*(100.0 * said.response / found.response), said.yaw_deg]
+    told += [np.hypot(said.lean_equator_deg, said.lean_east_deg), said.albedo]
+    return np.array([*gains, found.attitude.yaw_deg - STANDING.yaw_deg, angle, found.albedo - ALBEDO]), 2 * np.array(
+        told
     )
+
+
+def recovery_row(found: FieldCalibration) -> str:
+    (east, south, west, zenith, yaw, tilt, albedo), told = errors_of(found, ERRORS)
+    return (
+        f"{found.days} | {east:+.2f} | {south:+.2f} | {west:+.2f} | {zenith:+.2f} | {told[0]:.1f}, {told[3]:.1f} | "
+        f"{yaw:+.3f} | {tilt:.3f} | {albedo:+.3f} | {told[6]:.3f}"
+    )
+
+
+def summary(pairs: list[tuple[Array, Array]]) -> str:
+    errors, told = (np.array(part) for part in zip(*pairs, strict=True))
+    size = np.abs(errors)
+    return (
+        f"{len(pairs)} answers: root mean square {np.round(np.sqrt(np.mean(errors**2, axis=0)), 3).tolist()}, "
+        f"largest {np.round(size.max(axis=0), 3).tolist()}, "
+        f"within the uncertainty {np.round(100 * np.mean(size <= told, axis=0)).tolist()} %; "
+        f"all gains within 1 % {np.mean((size[:, :4] <= 1).all(axis=1)):.0%}, 2 % "
+        f"{np.mean((size[:, :4] <= 2).all(axis=1)):.0%}; tilt within 0.3 deg {np.mean(size[:, 5] <= 0.3):.0%}, albedo "
+        f"within 0.05 {np.mean(size[:, 6] <= 0.05):.0%}"
+    )
+
+
+def through_the_year(folder: Path, first_days: tuple[int, ...], days: int) -> None:
+    pairs = []
+    for month, water in WATER_CM.items():
+        weather = load_weather(folder / f"2016-{month:02d}.csv.gz")
+        for day in first_days:
+            utc_s, faces, _ = simulate(weather, "perez1990", begin(month, day), days, 60.0)
+            rows = []
+            for truth in (ERRORS, *OTHER_ERRORS):
+                try:
+                    found = calibrate_in_place(utc_s, faces / ERRORS * truth, SITE, water_cm=water)
+                except UndeterminedError as error:
+                    rows.append(f"refused: {error}")
+                else:
+                    rows.append(recovery_row(found))
+                    pairs.append(errors_of(found, truth))
+            print(f"| {month:02d}-{day:02d} | {water} | {rows[0]} |", flush=True)
+    print(f"\nwith all sets of gains: {summary(pairs)}")
 
 
 def main(folder: Path) -> None:
@@ -81,16 +127,12 @@ def main(folder: Path) -> None:
                 f"| {truth} | {assumed} | {recovery_row(found)} | horizon {found.shape.horizon:.2f}, "
                 f"unexplained {100 * found.shape.residual:.3f} % |"
             )
-    print("\n| ten days from | water cm | days | east % | south % | west % | zenith % | yaw deg | tilt deg | albedo |")
-    for month, water in ((3, 1.0), (4, 1.1), (5, 1.5), (6, 2.0), (7, 2.3), (8, 2.3), (9, 1.9)):
-        weather = load_weather(folder / f"2016-{month:02d}.csv.gz")
-        for day in (1, 11, 21):
-            utc_s, faces, _ = simulate(weather, "perez1990", begin(month, day), 10, 60.0)
-            try:
-                row = recovery_row(calibrate_in_place(utc_s, faces, SITE, water_cm=water))
-            except UndeterminedError as error:
-                row = f"refused: {error}"
-            print(f"| {month:02d}-{day:02d} | {water} | {row} |", flush=True)
+    print(
+        "\n| ten days from | water | days | east | south | west | zenith | U east, zenith | yaw | tilt | albedo | U |"
+    )
+    through_the_year(folder, (1, 11, 21), 10)
+    print("\nthirty days:")
+    through_the_year(folder, (1,), 30)
     print("\n| sky | season | instants | as built: median, 90 % | gains | gains and albedo | all |")
     for truth, found in calibrations.items():
         for season, (month, _) in SEASONS.items():

@@ -1,7 +1,11 @@
 import asyncio
 import contextlib
+import threading
 
+import grpc
+import nidaqmx
 import pytest
+from nidaqmx.constants import LineGrouping
 
 from drivers.errors import ConnectError, DriverMissingError, LinkLostError, RefusedError
 from drivers.multiplexer import NiMultiplexer
@@ -131,6 +135,36 @@ def test_the_session_of_a_program_that_died_is_taken_over():
             assert selected(server) == 5
             await successor.close()
             await dead.close()
+
+    asyncio.run(scene())
+
+
+def test_lines_that_another_program_holds_are_named_and_free_again_when_it_ends():
+    async def scene():
+        async with ni_server() as server:
+            other = multiplexer_at(server, addresses=(0, 1))
+            held, let_go = asyncio.Event(), threading.Event()
+            loop = asyncio.get_running_loop()
+
+            def hold():
+                with grpc.insecure_channel(f"127.0.0.1:{server.port}") as channel:
+                    options = nidaqmx.GrpcSessionOptions(channel, "somebody else")
+                    with nidaqmx.Task("somebody else", grpc_options=options) as task:
+                        task.do_channels.add_do_chan(
+                            "Dev1/port0/line0:2", line_grouping=LineGrouping.CHAN_FOR_ALL_LINES
+                        )
+                        task.start()
+                        loop.call_soon_threadsafe(held.set)
+                        let_go.wait(30)
+
+            holding = asyncio.create_task(asyncio.to_thread(hold))
+            await held.wait()
+            with pytest.raises(ConnectError, match=r"Dev1/port0/line0 at .* is held by another program"):
+                await other.open()
+            let_go.set()
+            await holding
+            await other.open()
+            await other.close()
 
     asyncio.run(scene())
 

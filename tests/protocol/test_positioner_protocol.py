@@ -1,7 +1,9 @@
 import asyncio
+import contextlib
 import fcntl
 import os
 import socket
+import struct
 import subprocess
 import sys
 import termios
@@ -18,6 +20,7 @@ from drivers.geometry import AxisSetup, Proportional, Triangle
 from drivers.positioner import PozsolPositioner
 from drivers.pozsol_wire import Field, TokenStream
 from drivers.serial_port import SerialPort
+from sim_drivers.hosts.positioner_host import BANNER
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Setup
 from solar.frames import Angles
@@ -437,6 +440,27 @@ def test_own_tracking_is_switched_off_and_a_refusal_names_its_likely_cause(posit
     asyncio.run(scene())
 
 
+def test_settings_that_may_move_the_axes_some_day_are_named(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link)
+            await positioner.open()
+            await asyncio.sleep(3.5)
+            assert (await positioner.read_telemetry()).own_moves == ()
+            host.core.parameters.update({108: "-50.0", 117: "7"})
+
+            async def named():
+                return len((await positioner.read_telemetry()).own_moves) == 2
+
+            await until(named)
+            night, reference = (await positioner.read_telemetry()).own_moves
+            assert night == "a night position (108=-50.0, 109=off)"
+            assert reference.startswith("a reference run every few days (117=7")
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
 def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(positioner_host):
     async def scene():
         async with positioner_host() as host:
@@ -451,26 +475,102 @@ def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(p
     asyncio.run(scene())
 
 
-def test_no_public_call_can_send_anything_but_the_allowed_commands(positioner_host):
+@pytest.mark.parametrize(("dtr", "rts"), [(True, True), (False, True), (True, False), (False, False)])
+def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypatch, dtr, rts):
+    """A pseudo-terminal has no modem lines, so the operating system's answer is stood in for."""
+    lines, system = {termios.TIOCM_DTR: True, termios.TIOCM_RTS: True}, fcntl.ioctl
+
+    def ioctl(descriptor, request, argument=0, *rest):
+        if request in (termios.TIOCMBIS, termios.TIOCMBIC):
+            lines[struct.unpack("I", argument)[0]] = request == termios.TIOCMBIS
+            return argument
+        if request == termios.TIOCMGET:
+            return struct.pack("I", 0)
+        return system(descriptor, request, argument, *rest)
+
     async def scene():
         async with positioner_host() as host:
-            positioner = positioner_on(host.port.link)
-            await positioner.open()
-            calls = [
-                positioner.disable_autonomy(),
-                positioner.move_to(1.0, 89.0),
-                positioner.stop(),
-                positioner.clear_faults(),
-                positioner.home("a"),
-            ]
-            for call in calls:
-                await call
-            await positioner.stop()
+            monkeypatch.setattr(fcntl, "ioctl", ioctl)
+            port = SerialPort("positioner", str(host.port.link), dtr=dtr, rts=rts)
+            assert port.has_lines()
+            assert lines == {termios.TIOCM_DTR: dtr, termios.TIOCM_RTS: rts}
+            port.close()
+            assert not port.has_lines()
+
+    asyncio.run(scene())
+
+
+def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = PozsolPositioner(
+                lambda: SerialPort("positioner", str(host.port.link), dtr=False, rts=False), time.monotonic, A, B
+            )
+            assert (await positioner.open()).board == "36A1"
+            assert positioner.has_lines() is False
             await positioner.close()
-            assert set(host.received) <= {44, 46, 48, 50, 56, 57, 136}
-            assert {name for name in dir(positioner) if not name.startswith("_")} == {
-                "open", "close", "read_telemetry", "fields", "disable_autonomy", "move_to", "stop", "home",
-                "clear_faults",
-            }  # fmt: skip
+
+    asyncio.run(scene())
+
+
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_its_reference_is_in_doubt(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            host.boots_at_open_s = 3.0
+            with pytest.raises(ConnectError, match="no telemetry"):
+                await positioner_on(host.port.link).open()
+            positioner = positioner_on(host.port.link, boot_s=4.0, banner=BANNER.decode().strip())
+            assert (await positioner.open()).board == "36A1"
+            assert (await positioner.read_telemetry()).was_reset
+            await positioner.clear_faults()
+            assert not (await positioner.read_telemetry()).was_reset
+            await positioner.move_to(5.0, 80.0)
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link, banner=BANNER.decode().strip())
+            await positioner.open()
+            await positioner.move_to(5.0, 80.0)
+            # The banner alone: the reset mark of the status comes up to three seconds later, or never.
+            host.port.send(BANNER)
+            await until(lambda: _lost(positioner, "has restarted: it prints its banner"))
+            await positioner.stop()
+            await positioner.open()
+            assert (await positioner.read_telemetry()).was_reset
+            await positioner.clear_faults()
+            assert not (await positioner.read_telemetry()).was_reset
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_unit_that_takes_no_data_any_more_is_a_lost_link_within_the_deadline(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link, stale_s=60.0)
+            await positioner.open()
+            host.freeze()
+            filler = os.open(host.port.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                # The kernel makes room by itself a few times before the port is truly full.
+                for _ in range(20):
+                    for size in (4096, 1):
+                        with contextlib.suppress(BlockingIOError):
+                            while True:
+                                os.write(filler, b"x" * size)
+                    await asyncio.sleep(0.02)
+                async with asyncio.timeout(10.0):
+                    with pytest.raises(LinkLostError, match="takes no data"):
+                        await positioner.stop()
+                    with pytest.raises(LinkLostError, match="takes no data"):
+                        await positioner.move_to(1.0, 80.0)
+            finally:
+                os.close(filler)
+                await positioner.close()
 
     asyncio.run(scene())

@@ -180,7 +180,10 @@ def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_h
 
 
 class Prologix(threading.Thread):
-    """A GPIB-USB adapter with a simulated meter on its bus: talks when it is told to."""
+    """A GPIB-USB adapter with a simulated meter at address 16: a controller that talks when it is told to.
+
+    It leaves the factory as ``++auto 1``, which reads after every line and so leaves a meter with nothing to say stuck.
+    """
 
     def __init__(self, core, link):
         super().__init__(daemon=True)
@@ -188,7 +191,8 @@ class Prologix(threading.Thread):
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         link.symlink_to(os.ttyname(self._slave))
-        self.addresses = set()
+        self.settings = {"mode": "0", "auto": "1", "addr": "5", "eoi": "0"}
+        self.clears = self.stuck = 0
         self.start()
 
     def run(self):
@@ -202,13 +206,22 @@ class Prologix(threading.Thread):
                 line, _, data = data.partition(b"\n")
                 if line == b"end":
                     return
-                if line.startswith(b"++addr"):
-                    self.addresses.add(int(line.split()[1]))
-                elif line == b"++read eoi" and said:
-                    os.write(self._master, said.popleft())
-                elif not line.startswith(b"++"):
+                if line.startswith(b"++"):
+                    self._obey(line[2:].decode().split(), said)
+                elif (self.settings["mode"], self.settings["addr"]) == ("1", "16"):
                     text = re.sub(rb"\x1b(.)", rb"\1", line)
                     said.extend(reply for _, reply in self._core.feed(text + b"\n", time.monotonic()))
+                    self.stuck += self.settings["auto"] == "1" and not said
+
+    def _obey(self, order, said):
+        if order == ["read", "eoi"]:
+            if said:
+                os.write(self._master, said.popleft())
+        elif order == ["clr"]:
+            said.clear()
+            self.clears += 1
+        elif len(order) == 2:
+            self.settings[order[0]] = order[1]
 
     def end(self):
         os.write(self._slave, b"end\n")
@@ -238,7 +251,9 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
         asyncio.run(scene())
     finally:
         adapter.end()
-    assert adapter.addresses == {16}
+    assert adapter.settings.items() >= {"mode": "1", "auto": "0", "addr": "16", "eoi": "1"}.items()
+    # Device clear at each opening and after the lost reply.
+    assert (adapter.clears, adapter.stuck) == (3, 0)
 
 
 def test_a_bus_or_library_that_is_not_there_is_named_with_the_remedy():

@@ -4,12 +4,14 @@ import asyncio
 import itertools
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from daemon.errors import UserError
 from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose, Target
-from drivers.errors import DeviceError, RefusedError
+from drivers.errors import DeviceError, DriverHungError, RefusedError
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 
@@ -66,6 +68,43 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert len(told) == 2
     assert told[0].startswith("lost")
     assert told[1] == "back"
+
+
+@pytest.mark.parametrize("out_s", [1, 70])
+@pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
+def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_return(run_rig, instrument, out_s):
+    async def scenario(bench):
+        await tracking(bench)
+        await asyncio.sleep(130)
+        device = getattr(bench, instrument)
+        # Another instant of the scan each time, and another one of the waits between tries.
+        for turn in range(5):
+            device.link_up = False
+            await asyncio.sleep(out_s + 0.9 * turn)
+            device.link_up = True
+            await asyncio.sleep(15)
+            assert bench.mode is Mode.TRACKING
+            assert not (bench.motion if instrument == "positioner" else bench.service.acquisition).outage.is_down
+            await asyncio.sleep(130)
+
+    run_rig(scenario)
+
+
+def test_settings_of_the_unit_that_may_move_it_are_told_once(run_rig, caplog):
+    async def scenario(bench):
+        read = bench.positioner.read_telemetry
+
+        async def with_setting():
+            return replace(await read(), own_moves=("a night position (108=-50.0, 109=off)",))
+
+        bench.positioner.read_telemetry = with_setting
+        await tracking(bench)
+        await asyncio.sleep(600)
+
+    bench = run_rig(scenario)
+    told = "the positioner may move by itself: a night position (108=-50.0, 109=off)"
+    assert [event.text for event in bench.of(Event)].count(told) == 1
+    assert [record.getMessage() for record in caplog.records].count(told) == 1
 
 
 @pytest.mark.parametrize(("stuck_at_v", "quality"), [(9.9, "over-range"), (0.4, "implausible")])
@@ -487,3 +526,26 @@ def test_poses_tell_where_the_tracker_truly_stands(run_rig):
         pytest.approx(bench.truth().a_deg, abs=0.06),
         pytest.approx(bench.truth().b_deg, abs=0.06),
     )
+
+
+@pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
+def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_with_one_sentence(run_rig, instrument):
+    async def scenario(bench):
+        await bench.until(lambda: bench.motion.moving, 200, "a move")
+
+        async def hung():
+            raise DriverHungError(instrument, "8 calls of its driver never returned")
+
+        device = getattr(bench, instrument)
+        device.open, device.link_up = hung, False
+        ended = "the service ends, and has to be started anew"
+        await bench.until(lambda: any(ended in event.text for event in bench.of(Event)), 30, "the end")
+        if instrument != "positioner":
+            await asyncio.sleep(2)
+            before = bench.truth()
+            await asyncio.sleep(60)
+            assert bench.truth() == before
+            assert bench.of(Move)[-1].outcome is MoveOutcome.INTERRUPTED
+
+    with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends, and has to be"):
+        run_rig(scenario)

@@ -50,6 +50,9 @@ class Process:
     def wait(self, within_s=ENDS_WITHIN_S):
         return self._process.wait(within_s)
 
+    def ask_to_stop(self):
+        self._process.send_signal(signal.SIGTERM)
+
     def cpu_s(self):
         """Return the processor time used so far by the process and its threads."""
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()

@@ -1,15 +1,24 @@
 """`heliocube probe` as a person with a rig uses it, on the bench."""
 
+import fcntl
+import os
 import re
 import subprocess
 
+import numpy as np
 import pytest
 
+from drivers.pozsol_wire import Field, TokenStream
 from drivers.transcript import parse
+from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.positioner_setup import Setup
+from sim_drivers.voltmeter_core import VoltmeterCore
 
 from .processes import HELIOCUBE
 
 pytestmark = pytest.mark.system
+
+READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 
 
 def probe(*arguments):
@@ -18,8 +27,12 @@ def probe(*arguments):
     )
 
 
+def pieces(path):
+    return parse(path.read_text(encoding="utf-8").splitlines())
+
+
 def sent(path):
-    return [piece.data for piece in parse(path.read_text(encoding="utf-8").splitlines()) if piece.direction == ">"]
+    return [piece.data for piece in pieces(path) if piece.direction == ">"]
 
 
 def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, tmp_path):
@@ -29,6 +42,7 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     positioner = probe("positioner", "-c", bench.config, "--seconds", "4", "--record", tmp_path / "positioner")
     assert positioner.returncode == 0, positioner.stderr
     assert "board 36A1, firmware 1.402 (B1.100)" in positioner.stdout
+    assert "modem lines: the port has none" in positioner.stdout
     assert re.search(r"angle A every 1[12]\d ms", positioner.stdout)
     assert "geometry of A fits" in positioner.stdout
     assert "70=300.0, 71=300.0, 72=90.0" in positioner.stdout
@@ -67,6 +81,65 @@ def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)
 
 
+def test_what_was_recorded_from_a_meter_runs_against_the_simulated_one(start_bench, tmp_path):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    done = probe("voltmeter", "-c", bench.config, "--write", "--record", tmp_path / "voltmeter")
+    assert done.returncode == 0, done.stderr
+    core = VoltmeterCore(lambda _now: 0.0, np.random.default_rng(1))
+    recorded, simulated = [], []
+    for piece in pieces(tmp_path / "voltmeter"):
+        if piece.direction == ">":
+            simulated += [reply for _, reply in core.feed(piece.data, piece.time_s)]
+        else:
+            recorded.append(piece.data)
+    assert len(recorded) == len(simulated) > 20
+    readings = 0
+    for there, here in zip(recorded, simulated, strict=True):
+        if READING.fullmatch(there):
+            assert READING.fullmatch(here)
+            readings += 1
+        elif b"VDC" not in there:
+            assert here == there
+    assert readings >= 10
+
+
+def test_what_was_recorded_from_a_positioner_runs_against_the_simulated_one(start_bench, tmp_path):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    record = tmp_path / "positioner"
+    done = probe("positioner", "-c", bench.config, "--seconds", "4", "--move-deg", "2", "--record", record)
+    assert done.returncode == 0, done.stderr
+    core, stream = PositionerCore(0.0, Setup()), TokenStream()
+    there, here = Shown(), Shown()
+    for piece in pieces(record):
+        if piece.direction == ">":
+            core.feed(piece.data, piece.time_s)
+        else:
+            there.take(stream.feed(piece.data))
+            here.take(TokenStream().feed(core.screens(piece.time_s) + b"$"))
+    assert there.fields.keys() == here.fields.keys()
+    for field in (Field.BOARD, Field.VERSION, Field.SERIAL, Field.SUPPLY, Field.MODE, Field.STATUS, 70, 79, 110):
+        assert there.fields[field] == here.fields[field]
+    # Out and back with A, out and back with B, and the same targets in the unit's own units.
+    assert there.targets == here.targets
+    assert len(there.targets) == 5
+
+
+class Shown:
+    """The newest value of each field, and the destinations one after the other."""
+
+    def __init__(self):
+        self.fields = {}
+        self.targets = []
+
+    def take(self, tokens):
+        self.fields |= dict(tokens)
+        if {Field.A_DESTINATION, Field.B_DESTINATION} <= self.fields.keys():
+            # A standing axis that is stopped takes its place, with all decimals, for its destination.
+            both = tuple(int(float(self.fields[field])) for field in (Field.A_DESTINATION, Field.B_DESTINATION))
+            if both not in self.targets[-1:]:
+                self.targets.append(both)
+
+
 def test_what_is_absent_wrong_or_hangs_is_one_sentence_and_2(start_bench, tmp_path):
     bench = start_bench()
     voltmeter, positioner = bench.directory / "voltmeter", bench.directory / "positioner"
@@ -81,10 +154,34 @@ def test_what_is_absent_wrong_or_hangs_is_one_sentence_and_2(start_bench, tmp_pa
         ("positioner",): "instruments.positioner.port is missing",
     }
     for arguments, sentence in cases.items():
-        done = probe(*arguments)
-        assert done.returncode == 2, arguments
-        assert re.search(sentence, done.stderr), (arguments, done.stderr)
-        assert "Traceback" not in done.stderr
+        refused(arguments, sentence)
     bench.ask("freeze", "positioner")
-    hung = probe("positioner", "--port", positioner)
-    assert (hung.returncode, "bootloader" in hung.stderr) == (2, True)
+    refused(("positioner", "--port", positioner), "is in its bootloader or hangs")
+    bench.ask("thaw", "positioner")
+    bench.ask("identity", "positioner", "29C3")
+    refused(("positioner", "--port", positioner), "board '29C3', not 36A1: nothing is sent to it")
+    bench.ask("identity", "voltmeter", "KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B01")
+    model = refused(("voltmeter", "-c", bench.config), "MODEL 2700.* is not a Keithley MODEL 2000")
+    assert "identity: KEITHLEY INSTRUMENTS INC.,MODEL 2700,1,B01" in model.stdout
+    bench.ask("unplug", "multiplexer")
+    refused(("multiplexer", "-c", bench.config), "there is no device for Dev1/port0.*is it plugged in")
+    holder = rf"is held by another program \(.*, process {os.getpid()}\)"
+    for port, probed in ((positioner, ("positioner",)), (voltmeter, ("voltmeter",))):
+        held = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            refused((*probed, "-c", bench.config), holder)
+        finally:
+            os.close(held)
+    assert bench.state()["positioner"]["received"] == {}
+
+
+def refused(arguments, sentence):
+    """Probe, and expect one sentence and exit code 2."""
+    done = probe(*arguments)
+    assert done.returncode == 2, arguments
+    assert re.search(sentence, done.stderr), (arguments, done.stderr)
+    # A mistake in a value has a headline.
+    assert done.stderr.count("\n") <= 2, done.stderr
+    assert "Traceback" not in done.stderr
+    return done

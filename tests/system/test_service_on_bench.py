@@ -62,6 +62,25 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     assert rig.lines(" is down: ") == rig.lines(" is back") == 2, rig.service.log()
 
 
+def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
+    config = brisk(tmp_path)
+    config.write_text(
+        config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"').replace("mm_s = 25.0", "mm_s = 100.0")
+        + '[instruments.positioner]\ndtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
+    )
+    bench = start_bench("--config", config, *HIGH_SUN)
+    bench.ask("boots-at-open", 3)
+    rig = Rig(bench, start_service(bench.config))
+    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", 90, rig.service.log)
+    assert rig.lines(" is down: ") == 0
+    bench.ask("boots-at-open", "never")
+    bench.ask("restart", 0.5)
+    wait_until(lambda: rig.outages("it prints its banner") == 1, SETTLES_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", 90, rig.service.log)
+    rig.settle()
+    assert rig.lines(" is down: ") == rig.lines(" is back") == 1
+
+
 def test_plugs_that_are_pulled_at_the_start_are_survived(start_rig):
     rig = start_rig()
     wait_until(lambda: "real instruments" in rig.service.log(), SETTLES_WITHIN_S, rig.service.log)
@@ -120,6 +139,50 @@ def test_wrong_and_silent_instruments_are_told_in_one_sentence_and_waited_for(tm
     bench.ask("thaw", "positioner")
     rig.settle()
     assert rig.lines("is down") == rig.lines("is back") == 2
+
+
+HANGS = """
+import os, time
+from nidaqmx.stream_writers import DigitalSingleChannelWriter
+from nidaqmx.task import Task
+
+def hanging(function):
+    def call(*arguments, **options):
+        while os.path.exists({mark!r}):
+            time.sleep(0.05)
+        return function(*arguments, **options)
+    return call
+
+DigitalSingleChannelWriter.write_one_sample_port_uint32 = hanging(
+    DigitalSingleChannelWriter.write_one_sample_port_uint32
+)
+Task.__init__ = hanging(Task.__init__)
+"""
+
+
+def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_keep_the_service_from_ending(
+    tmp_path, start_bench, start_service, monkeypatch
+):
+    mark = tmp_path / "hang"
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(HANGS.format(mark=str(mark)))
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    rig = Rig(bench, start_service(bench.config))
+    rig.settle()
+    mark.touch()
+    told = "the cube is down: multiplexer: a call of its driver did not return within"
+    wait_until(lambda: rig.lines(told) == 1, SETTLES_WITHIN_S, rig.service.log)
+    # Hung again while it is being opened.
+    assert rig.load(12.0) < 0.2
+    assert rig.lines("is back") == 0
+    mark.unlink()
+    wait_until(lambda: rig.lines("the cube is back") == 1, BACK_WITHIN_S, rig.service.log)
+    wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, rig.service.log)
+    mark.touch()
+    wait_until(lambda: rig.lines(told) == 2, SETTLES_WITHIN_S, rig.service.log)
+    rig.service.ask_to_stop()
+    assert rig.service.wait(5.0) == 0
 
 
 def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(

@@ -159,7 +159,7 @@ def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problem
         ("[simulation]\nstart_utc = 'now'", 'simulation.start_utc = "now": must be a date and time with its UTC'),
         (
             "[simulation]\nweather = 'claer'",
-            'simulation.weather = "claer": must be "clear", "overcast" or "variable" or a path in quotes; did you mean',
+            'simulation.weather = "claer": must be "clear", "overcast", "variable" or "broken" or a path in quotes;',
         ),
     ],
 )

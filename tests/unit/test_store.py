@@ -157,7 +157,7 @@ def test_the_file_of_this_version_is_what_it_was():
         "CREATE TABLE poses ( run INTEGER NOT NULL, number INTEGER NOT NULL, time REAL, time_monotonic_s REAL,"
         " a_deg REAL, b_deg REAL, moving INTEGER, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
     )
-    assert sha256(text.encode()).hexdigest()[:12] == "8f9b87493f9d"
+    assert sha256(text.encode()).hexdigest()[:12] == "8dad75601452"
 
 
 def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_service(keep, tmp_path):
@@ -188,6 +188,18 @@ def test_a_store_that_has_no_curves_yet_is_read_as_it_is_and_given_their_table_b
     assert rows(tmp_path / "new" / "curves.csv")[0]["pmpp_w"] == "274.25"
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         assert "curves_time" in {row[1] for row in connection.execute("PRAGMA index_list(curves)")}
+
+
+def test_a_store_whose_runs_do_not_name_their_tracker_is_read_as_it_is_and_can_name_it_from_then_on(keep, tmp_path):
+    folder = keep(decision())
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        connection.execute("ALTER TABLE runs DROP COLUMN tracker")
+        connection.execute("PRAGMA user_version = 4")
+    export(folder, tmp_path / "old", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
+    keep(replace(decision(), time_utc_s=T0 + 60), origin=replace(ORIGIN, tracker="roof"))
+    export(folder, tmp_path / "new", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "new" / "decisions.csv")] == ["", "roof"]
 
 
 # What cannot be used

@@ -113,3 +113,41 @@ def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
     assert other.closed.wait(5.0)
     echoing.close()
     assert "echo" in echoing.lost
+
+
+BANNER = b"\r\nready to go\r\n"
+
+
+@pytest.fixture
+def booting(wire):
+    """Return a reader of a unit that may restart for two seconds because its port was opened."""
+    reader = TelemetryReader(wire, lambda: wire.now_s, boot_s=2.0, banner=b"ready to go")
+    yield reader
+    wire.end()
+    reader.close()
+
+
+def test_what_comes_before_the_banner_is_from_before_the_restart(wire, booting):
+    wire.say(angle(b"1.0"), after_s=0.5)
+    assert (booting.heard, booting.restarted_s) == (False, None)
+    wire.say(BANNER + angle(b"2.0"), after_s=0.5)
+    assert (booting.get(Field.A_ANGLE).text, booting.restarted_s) == (b"2.0", 1.0)
+
+
+def test_without_a_banner_the_time_of_a_restart_is_waited_for(wire, booting):
+    wire.say(angle(b"1.0"), after_s=1.9)
+    assert not booting.heard
+    wire.say(angle(b"1.0"), after_s=0.2)
+    assert (booting.heard, booting.restarted_s) == (True, None)
+
+
+@pytest.mark.parametrize("length", [1, 2, 5, 11, 40])
+def test_a_banner_in_any_pieces_ends_what_was_known(wire, booting, length):
+    wire.say(angle(b"1.0"), after_s=2.5)
+    text = b"$8Micro tracking" + BANNER + b"$,"
+    for start in range(0, len(text), length):
+        wire.say(text[start : start + length])
+    assert booting.restarted_s is not None
+    assert booting.snapshot() == {}
+    wire.say(b"3.0$")
+    assert booting.get(Field.A_ANGLE).text == b"3.0"

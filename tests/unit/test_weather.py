@@ -9,7 +9,7 @@ from solar.sky import plane_of_array
 
 SIRTA = Site(48.717607, 2.209002, 156.0)
 CAPE_TOWN = Site(-33.92, 18.42, 25.0)
-KINDS = ("clear", "overcast", "variable")
+KINDS = ("clear", "overcast", "variable", "broken")
 DAY = 1665532800.0 + np.arange(0.0, 86400.0)  # 12 October 2022
 FIELDS = ("ghi_w_m2", "dni_w_m2", "dhi_w_m2", "wind_speed_m_s", "temp_air_degc")
 
@@ -129,10 +129,24 @@ def test_noise_is_even_over_the_unit_interval_and_differs_by_name_and_seed(seed)
 
 
 def test_an_unknown_kind_is_refused_by_name():
-    with pytest.raises(ValueError, match="no weather 'rainy'; choose clear, overcast or variable"):
+    with pytest.raises(ValueError, match="no weather 'rainy'; choose one of clear, overcast, variable, broken"):
         GeneratedWeather("rainy", SIRTA, 1)
 
 
 def longest_run(flags):
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def test_broken_cloud_comes_and_goes_as_measured():
+    minutes = 1648771200.0 + np.arange(0.0, 60 * 86400.0, 60.0)
+    clear, now = (GeneratedWeather(kind, SIRTA, 1).at(minutes) for kind in ("clear", "broken"))
+    day = sun_position(minutes, *SIRTA).elevation_deg > 10.0
+    beam = (now.dni_w_m2 / np.maximum(clear.dni_w_m2, 1.0))[day]
+    diffuse = (now.dhi_w_m2 / np.maximum(clear.ghi_w_m2, 1.0))[day]
+    assert np.mean(beam < 0.02) == pytest.approx(0.47, abs=0.08)
+    assert np.mean(beam < 0.7) == pytest.approx(0.72, abs=0.08)
+    assert np.mean(diffuse[beam < 0.02]) == pytest.approx(0.36, abs=0.03)
+    assert np.mean(diffuse[beam >= 0.7]) == pytest.approx(0.32, abs=0.04)
+    shines = now.dni_w_m2[day] > 120.0
+    assert np.mean(shines[1:] != shines[:-1]) * 60.0 == pytest.approx(5.5, abs=1.5)

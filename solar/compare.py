@@ -1,0 +1,132 @@
+"""Two trackers held against each other: the bias between their measuring chains, energy, and equation (16).
+
+Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023), sections 2.1 and 4. Powers are of the maximum power
+point [W], in arrays of shape (n,), the two trackers' values of one instant at one place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from solar.frames import Array, normal_from_angles
+
+DEGREE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far a power is from its reference over n instants.
+
+    Attributes
+    ----------
+    count
+        How many instants.
+    mbe_w, mae_w
+        Mean of power minus reference, and of its absolute value.
+    rmbe_pct, rmae_pct
+        The same in % of the mean reference.
+    """
+
+    count: int
+    mbe_w: float
+    rmbe_pct: float
+    mae_w: float
+    rmae_pct: float
+
+
+def agreement(power_w: ArrayLike, reference_w: ArrayLike) -> Agreement:
+    """Return the statistics of `power_w` against `reference_w`; `ValueError` without a positive mean reference."""
+    power, reference = _alike(power_w, reference_w)
+    level_w = float(np.mean(reference)) if reference.size else 0.0
+    if not level_w > 0.0:
+        raise ValueError("there is no power to compare with: the mean reference must be positive")
+    difference = power - reference
+    mbe_w, mae_w = float(np.mean(difference)), float(np.mean(np.abs(difference)))
+    return Agreement(reference.size, mbe_w, 100.0 * mbe_w / level_w, mae_w, 100.0 * mae_w / level_w)
+
+
+@dataclass(frozen=True, slots=True)
+class ChainBias:
+    """What turns the power of one measuring chain into what the other would have measured: c0 + c1 P + c2 P^2.
+
+    Attributes
+    ----------
+    constant_w, linear, quadratic_per_w
+        c0, c1 and c2.
+    lowest_w, highest_w
+        Range of P that they were fitted in; beyond it they are an extrapolation.
+    """
+
+    constant_w: float
+    linear: float
+    quadratic_per_w: float
+    lowest_w: float
+    highest_w: float
+
+    def corrected(self, power_w: ArrayLike) -> Array:
+        """Return the corrected power, never negative; no power stays none, whatever the constant."""
+        power = np.asarray(power_w, dtype=np.float64)
+        found = self.constant_w + power * (self.linear + power * self.quadratic_per_w)
+        return np.where(power > 0.0, np.maximum(found, 0.0), power * 0.0)
+
+    def beyond(self, power_w: ArrayLike) -> NDArray[np.bool_]:
+        """Tell where a power lies above the fitted range."""
+        return np.asarray(power_w, dtype=np.float64) > self.highest_w
+
+
+def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
+    """Fit the second-order polynomial of section 2.1 by least squares, from powers of two trackers that lay alike.
+
+    Parameters
+    ----------
+    power_w, reference_w
+        Of the chain that is to be corrected and of the other one, finite.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three different powers.
+    """
+    power, reference = _alike(power_w, reference_w)
+    if np.unique(power).size <= DEGREE:
+        raise ValueError(f"a polynomial of order {DEGREE} needs {DEGREE + 1} different powers")
+    # The fit scales the powers for itself, and converts back.
+    polynomial = np.polynomial.Polynomial.fit(power, reference, DEGREE).convert()
+    constant, linear, quadratic = (float(c) for c in np.pad(polynomial.coef, (0, DEGREE + 1 - polynomial.coef.size)))
+    return ChainBias(constant, linear, quadratic, float(power.min()), float(power.max()))
+
+
+def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = 60.0) -> float:
+    """Return the time integral of the power [Wh] by the trapezoidal rule, as equation (16) asks for.
+
+    Parameters
+    ----------
+    utc_s, power_w
+        Rising instants [s] and the power then.
+    longest_gap_s
+        What lies between instants farther apart than this does not count.
+    """
+    time, power = _alike(utc_s, power_w)
+    step_s = np.diff(time)
+    between_w = (power[1:] + power[:-1]) / 2.0
+    return float(np.sum(np.where(step_s <= longest_gap_s, step_s * between_w, 0.0))) / 3600.0
+
+
+def gain_pct(energy_cube: float, energy_chrono: float) -> float:
+    """Return what T-Cube gained over T-Chrono [%], equation (16); NaN without any energy of T-Chrono."""
+    return 100.0 * (energy_cube - energy_chrono) / energy_chrono if energy_chrono > 0.0 else float("nan")
+
+
+def lies_flat(a_deg: ArrayLike, b_deg: ArrayLike, within_deg: float = 2.0) -> NDArray[np.bool_]:
+    """Tell where a tracker at A, B [deg] lies horizontal within `within_deg`; an unknown pose does not."""
+    up = normal_from_angles(a_deg, b_deg)[..., 2]
+    flat: NDArray[np.bool_] = up >= np.cos(np.radians(within_deg))
+    return flat
+
+
+def _alike(first: ArrayLike, second: ArrayLike) -> tuple[Array, Array]:
+    one, other = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if one.shape != other.shape or one.ndim != 1:
+        raise ValueError(f"two rows of numbers of one length are needed, not of shapes {one.shape} and {other.shape}")
+    return one, other

@@ -1,0 +1,150 @@
+"""What may leave for a positioner, through every public door of its driver: 44, 46, 48, 50, 56 N, 57 s/5/6 and 136."""
+
+import asyncio
+import inspect
+import re
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import positioner, pozsol_wire, serial_port, telemetry
+from drivers.errors import DeviceError
+from drivers.geometry import AxisSetup, Proportional
+from drivers.positioner import PozsolPositioner
+from drivers.pozsol_wire import Field, encode_command
+from drivers.serial_port import SerialPort
+
+ALLOWED = re.compile(rb"\$([,0]-?\d+\.\d{4}|[.2]-?\d+|8N|9[s56]|\x880)\r", re.ASCII)
+WITHOUT_LIMITS = AxisSetup(Proportional(1.0, -1e9), -float("inf"), float("inf"))
+
+
+class ShapeShifter(float):
+    """A number within the limits that prints itself as a second command."""
+
+    def __format__(self, _spec):
+        return "1.0\r$7bootloader"
+
+    __str__ = __repr__ = lambda self: format(self)
+
+
+class Chameleon(str):
+    """A text that claims to be equal to any other."""
+
+    __slots__ = ()
+    __hash__ = str.__hash__
+
+    def __eq__(self, _other):
+        return True
+
+
+ODD = [
+    float("nan"), float("inf"), -float("inf"), -0.0, 5e-324, 1e300, -1e300, 99_999.5, 10**400, True, False, None,
+    "1", "1\r$7", "N\r$7", "s\r$F1", "S", "n", "Y", "y", "1", "2", "3", "4", "7", "", "\0", "$", "\r", "\n", "٣",
+    b"1", b"N", b"$7", [1], (1.0,), {"a": 1}, 1j, Fraction(1, 3), np.float64(1.5), np.float32("nan"), np.int64(-3),
+    ShapeShifter(1.0), Chameleon("1\r$7x"), object(),
+]  # fmt: skip
+VALUES = st.sampled_from(ODD) | st.floats() | st.integers() | st.text() | st.binary() | st.booleans()
+CODES = st.integers(0, 255) | st.integers() | st.sampled_from([44.0, 56.0, "44", b",", True, None, float("nan")])
+
+
+def public(scope, kind):
+    """Return what a class or a module has of its own under a public name."""
+    home = scope.__name__
+    return {
+        name
+        for name, thing in inspect.getmembers(scope, kind)
+        if not name.startswith("_") and (inspect.isclass(scope) or thing.__module__ == home)
+    }
+
+
+def test_these_are_all_the_doors_that_the_tests_below_go_through():
+    assert public(PozsolPositioner, inspect.isroutine) == {
+        "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "home",
+        "clear_faults",
+    }  # fmt: skip
+    assert public(SerialPort, inspect.isroutine) == {"read", "write", "echoes", "has_lines", "close"}
+    assert public(telemetry.TelemetryReader, inspect.isroutine) == {"get", "snapshot", "stop", "close"}
+    assert public(positioner, inspect.isroutine) == set()
+    assert public(positioner, inspect.isclass) == {"PozsolPositioner"}
+    assert public(serial_port, inspect.isclass) == {"SerialPort"}
+    assert public(pozsol_wire, inspect.isroutine) == {
+        "encode_command", "require_allowed", "parse_number", "parse_status",
+    }  # fmt: skip
+
+
+@given(CODES, VALUES)
+def test_whatever_is_encoded_is_one_allowed_command_or_nothing(code, value):
+    try:
+        packet = encode_command(code, value)
+    except (ValueError, TypeError, OverflowError):
+        return
+    assert ALLOWED.fullmatch(packet)
+    assert len(packet) <= pozsol_wire.MAXIMUM_PACKET
+    assert packet[1] == code
+
+
+def test_every_code_with_every_odd_value_is_one_allowed_command_or_nothing():
+    made = set()
+    for code in range(256):
+        for value in (*ODD, 1, 1.0, "s", "5", "6", "N", "0"):
+            try:
+                packet = encode_command(code, value)
+            except (ValueError, TypeError, OverflowError):
+                continue
+            assert ALLOWED.fullmatch(packet), (code, value)
+            made.add(packet[1])
+    assert made == {44, 46, 48, 50, 56, 57, 136}
+
+
+@given(st.binary(max_size=70))
+def test_the_last_gate_lets_no_other_bytes_pass(data):
+    for packet in (data, b"$" + data, b"$" + data + b"\r", b"$,1.0000\r" + data):
+        if not ALLOWED.fullmatch(packet):
+            with pytest.raises(ValueError, match="no command"):
+                pozsol_wire.require_allowed(packet)
+
+
+def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
+    async def scene():
+        arrived = []
+        async with positioner_host() as host:
+            take = host.port._on_bytes
+            host.port._on_bytes = lambda data: (arrived.append(bytes(data)), take(data))
+            driver = PozsolPositioner(
+                lambda: SerialPort("positioner", str(host.port.link)), time.monotonic, WITHOUT_LIMITS, WITHOUT_LIMITS
+            )
+            await driver.open()
+            for value in ODD:
+                for call in (
+                    lambda value=value: driver.move_to(value, 45.0),
+                    lambda value=value: driver.move_to(0.0, value),
+                    lambda value=value: driver.home(value),
+                ):
+                    sending = asyncio.create_task(call())
+                    await asyncio.wait({sending}, timeout=0.15)
+                    if not sending.done():
+                        # It is being sent: a stop ends the wait for its effect.
+                        await driver.stop()
+                    await asyncio.gather(sending, return_exceptions=True)
+            for call in (driver.disable_autonomy, driver.clear_faults, driver.stop, driver.close):
+                await call()
+            port = SerialPort("positioner", str(host.port.link))
+            for code in range(256):
+                for text in (b"1", b"y", b"1\r", b"N\r", b"s\r", b"1\r$7x\r", b"\r", b""):
+                    packet = bytes((0x24, code)) + text
+                    if not ALLOWED.fullmatch(packet):
+                        with pytest.raises(ValueError, match="no command"):
+                            port.write(packet)
+            port.close()
+            assert {Field.A_ANGLE, Field.B_ANGLE, Field.ACTION, Field.STATUS} == set(host.received)
+        assert arrived
+        for packet in arrived:
+            assert ALLOWED.fullmatch(packet), packet
+
+    with pytest.raises(DeviceError, match="opened first"):
+        asyncio.run(PozsolPositioner(None, time.monotonic, WITHOUT_LIMITS, WITHOUT_LIMITS).stop())
+    asyncio.run(scene())

@@ -1,0 +1,47 @@
+"""The paper's experiment, once."""
+
+import csv
+import sys
+
+import pytest
+
+from daemon.cli import main
+from daemon.compare.paper import ceilings
+from solar.ephemeris import Site
+from solar.frames import Limits
+
+SIRTA = Site(48.717607, 2.209002, 156.0)
+
+
+def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        ["heliocube", "compare", "paper", "--seeds", "1", "--skies", "isotropic", "--out", str(tmp_path)],
+    )
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    out = capsys.readouterr().out
+    rows = {row["period"]: row for row in csv.DictReader((tmp_path / "paper.csv").read_text().splitlines())}
+    gain = {period: float(row["gain_pct"]) for period, row in rows.items()}
+    assert -0.5 <= gain["clear"] <= 0.1
+    assert gain["overcast"] >= 10.0
+    assert gain["overcast day"] >= 25.0
+    for line in ("SIMULATED.", "+40.50", "+25 or more", "The model cannot show"):
+        assert line in out
+    assert (tmp_path / "paper.txt").read_text().splitlines()[0] in out
+    for name in ("curve", "bias", "power-2022-10-12", "movement-2022-10-12", "power-2022-10-14"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 5000
+        assert (tmp_path / f"{name}.svg").stat().st_size > 5000
+    assert (tmp_path / "paper.html").read_text().count("data:image/png;base64,") == 6
+
+
+def test_the_ceiling_of_an_overcast_noon_by_hand():
+    found = {(period, sky): gain for period, sky, gain in ceilings(SIRTA, Limits())}
+    # 11:15 UTC: a sun 33.8 deg high, a tilt of 56.2 deg. (1 + 0.556)/2 + 0.2 (1 - 0.556)/2 = 0.8225, that is 21.6 %;
+    # lower sun before and after.
+    assert found["overcast", "isotropic"] == pytest.approx(22.0, abs=0.5)
+    # Moon & Spencer's sky: 4/(7 pi) (0.831 - 0.981 x 0.556 - 0.697) = -0.075 less.
+    assert found["overcast", "Moon & Spencer"] == pytest.approx(100 / (0.8225 - 0.0748) - 100, abs=1.0)
+    assert found["overcast day", "isotropic"] > found["overcast", "isotropic"]

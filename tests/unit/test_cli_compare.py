@@ -1,0 +1,308 @@
+"""`heliocube compare` on tables made by hand."""
+
+import csv
+import json
+import sqlite3
+import sys
+from contextlib import closing
+from datetime import UTC, datetime
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from daemon.cli import main
+from daemon.store_schema import open_for_writing
+
+SITE = "48.7176,2.2090,156"
+NOON = datetime(2022, 10, 12, 10, tzinfo=UTC).timestamp()
+
+
+@pytest.fixture
+def compare(monkeypatch, capsys):
+    """Runs the command; returns its exit code and what it wrote to either stream."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", "compare", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code or 0, written.out, written.err
+
+    return run
+
+
+def table(path, rows, columns="time,tracker,pmpp_w,a_deg,b_deg"):
+    path.write_text("\n".join([columns, *rows]) + "\n")
+    return path
+
+
+def stamp(utc_s):
+    return datetime.fromtimestamp(utc_s, UTC).isoformat()
+
+
+@pytest.fixture
+def flat(tmp_path):
+    """An hour of both trackers flat, from 50 to 200 W, T-Cube's chain 2 W and 1 % low."""
+    rows = []
+    for place, power in enumerate(np.linspace(50.0, 200.0, 720)):
+        when = NOON - 86400 + 5.0 * place
+        rows.append(f"{stamp(when)},T-Cube,{0.99 * power - 2.0},0,90")
+        rows.append(f"{stamp(when + 1.0)},T-Chrono,{power},0.5,89.5")
+    return table(tmp_path / "flat.csv", rows)
+
+
+@pytest.fixture
+def day(tmp_path):
+    """Two hours: T-Cube's chain shows 97 W of 100 W, T-Chrono 98 W in the first and 102 W in the second."""
+    rows = []
+    for place in range(1440):
+        when = NOON + 5.0 * place
+        rows.append(f"{stamp(when)},T-Cube,97,0,80,300,{90 if place < 720 else 300}")
+        rows.append(f"{stamp(when)},T-Chrono,{98 if place < 720 else 102},-20,40,300,{90 if place < 720 else 300}")
+    return table(tmp_path / "day.csv", rows, "time,tracker,pmpp_w,a_deg,b_deg,ghi_w_m2,dhi_w_m2")
+
+
+def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_path):
+    code, out, err = compare("fit", flat, "--out", tmp_path / "bias.json")
+    assert (code, err) == (0, "")
+    assert "720 pairs" in out
+    found = json.loads((tmp_path / "bias.json").read_text())
+    assert found["linear"] == pytest.approx(1 / 0.99)
+    assert found["constant_w"] == pytest.approx(2 / 0.99)
+    assert found["before"]["mbe_w"] == pytest.approx(-2.0 - 0.01 * 125.0)
+    assert found["after"]["mae_w"] == pytest.approx(0.0, abs=1e-9)
+    assert (tmp_path / "bias.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (tmp_path / "bias.svg").read_text()
+
+    code, out, err = compare("report", day, flat, "--bias", tmp_path / "bias.json", "--site", SITE, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    rows = list(csv.DictReader((tmp_path / "gains.csv").read_text().splitlines()))
+    # A chain that shows 97 W measures 100: 100 against 98, and against 102.
+    first, overcast = (row for row in rows if row["period"] in ("clear", "overcast") and row["date"] == "2022-10-12")
+    assert (first["period"], overcast["period"]) == ("clear", "overcast")
+    assert float(first["gain_pct"]) == pytest.approx(100 * 2 / 98, abs=1e-3)
+    assert float(overcast["gain_pct"]) == pytest.approx(-100 * 2 / 102, abs=1e-3)
+    assert float(first["uncorrected_pct"]) == pytest.approx(-100 / 98, abs=1e-3)
+    assert float(first["cube_wh"]) == pytest.approx(100 * 3595 / 3600, abs=0.01)
+    for name in ("bias", "power-2022-10-12", "movement-2022-10-12"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (tmp_path / f"{name}.svg").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 5
+    assert "http" not in page.replace("http-equiv", "")
+    assert "2022-10-12" in out
+    assert "overcast" in out
+
+
+def test_the_same_report_is_the_same_bytes(compare, day, tmp_path):
+    for name in ("one", "two"):
+        compare("report", day, "--site", SITE, "--out", tmp_path / name)
+    files = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert "report.html" in files
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, day, tmp_path):
+    period = "coffee=2022-10-12T10:00/2022-10-12T11:00"
+    code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, "--period", period)
+    assert code == 0
+    assert "coffee" in out
+    assert "overcast" not in out
+    assert "is not corrected" in out
+
+
+def test_parquet_and_gzip_are_read_too(compare, day, tmp_path):
+    frame = pd.read_csv(day)
+    frame.to_csv(tmp_path / "day.csv.gz", index=False)
+    frame["time"] = pd.to_datetime(frame["time"])
+    frame.set_index("time").to_parquet(tmp_path / "day.parquet")
+    tables = []
+    for name in ("day.csv", "day.csv.gz", "day.parquet"):
+        _, out, err = compare("report", tmp_path / name, "--site", SITE, "--out", tmp_path / "out")
+        assert err == ""
+        tables.append(out)
+    assert tables[0] == tables[1] == tables[2]
+
+
+def test_a_time_by_the_clock_says_that_both_lay_flat_where_poses_are_not_known(compare, flat, tmp_path):
+    lines = [",".join(line.split(",")[:3]) for line in flat.read_text().splitlines()]
+    bare = table(tmp_path / "bare.csv", lines[1:], lines[0])
+    code, _, err = compare("fit", bare, "--out", tmp_path / "b.json")
+    assert code == 2
+    assert "name the time at which both lay flat with --from and --to" in err
+    code, out, _ = compare(
+        "fit", bare, "--out", tmp_path / "b.json", "--from", "2022-10-11", "--to", "2022-10-11T10:30"
+    )
+    assert code == 0
+    assert "360 pairs" in out
+
+
+ROW = "2022-10-12T10:00:00Z,{},50"
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "message"),
+    [
+        ("time,tracker,power", [ROW.format("T-Cube")], "lacks the column pmpp_w"),
+        ("time,tracker,pmpp_w,colour", [ROW.format("T-Cube") + ",red"], "unknown column colour"),
+        ("time,tracker,pmpp_w", [], "holds no measurements"),
+        ("time,tracker,pmpp_w", [ROW.format("T-Cube")], "no powers of 'T-Chrono', only of 'T-Cube'"),
+        ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,fifty"], "row 1: pmpp_w is 'fifty'"),
+        ("time,tracker,pmpp_w", ["noon,T-Cube,50"], "row 1: 'noon' is no time"),
+        ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,50000"], "which no module of a tracker gives"),
+        (
+            "time,tracker,pmpp_w",
+            [ROW.format("T-Cube"), "2022-10-13T10:00:00Z,T-Chrono,50"],
+            "no two measurements are within 5 s of each other (T-Cube 2022-10-12T10:00:00Z..2022-10-12T10:00:00Z",
+        ),
+    ],
+)
+def test_bad_tables_are_one_sentence(compare, tmp_path, columns, rows, message):
+    path = table(tmp_path / "bad.csv", rows, columns)
+    code, _, err = compare("report", path, "--site", SITE, "--out", tmp_path / "out")
+    assert code == 2
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
+    code, _, err = compare("fit", day, "--out", tmp_path / "bias.json")
+    assert code == 2
+    assert "there is no period in which T-Cube and T-Chrono both lay flat" in err
+    assert not (tmp_path / "bias.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--bias", "none.json"), "there is no file none.json"),
+        (("--period", "noon"), "is not NAME=FROM/TO"),
+        (("--period", "x=2022-10-12T11:00/2022-10-12T10:00"), "ends before it begins"),
+        (("--period", "x=now/then"), "'now' is no date or time"),
+        (("--cube", "T-Chrono"), "two trackers are needed"),
+        (("--site", "here"), "is not LAT,LON"),
+    ],
+)
+def test_a_mistake_is_one_sentence(compare, day, tmp_path, arguments, message):
+    site = () if arguments[0] == "--site" else ("--site", SITE)
+    code, _, err = compare("report", day, *site, "--out", tmp_path / "out", *arguments)
+    assert code == 2
+    assert message in err
+
+
+def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, tmp_path):
+    compare("fit", flat, "--out", tmp_path / "bias.json", "--cube", "T-Chrono", "--chrono", "T-Cube")
+    code, _, err = compare("report", day, "--site", SITE, "--out", tmp_path / "o", "--bias", tmp_path / "bias.json")
+    assert code == 2
+    assert "corrects T-Chrono to T-Cube, not T-Cube to T-Chrono" in err
+    (tmp_path / "bias.json").write_text("{}")
+    code, _, err = compare("report", day, "--site", SITE, "--out", tmp_path / "o", "--bias", tmp_path / "bias.json")
+    assert code == 2
+    assert "is no file of 'heliocube compare fit'" in err
+    assert compare("report", tmp_path / "none.csv", "--site", SITE, "--out", tmp_path / "o")[0] == 2
+
+
+def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
+    arguments = ("--start", "2022-10-14T11:00", "--days", "0.03", "--weather", "overcast")
+    code, out, err = compare("simulate", *arguments, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    assert out.startswith("SIMULATED SIRTA")
+    rows = list(csv.DictReader((tmp_path / "powers.csv").read_text().splitlines()))
+    cube, chrono = ([row for row in rows if row["tracker"] == name] for name in ("T-Cube", "T-Chrono"))
+    assert len(cube) == len(chrono) == 519
+    assert [row["time"] for row in cube] == [row["time"] for row in chrono]
+    # The cube's law lies flat under cloud; the other stands at a sun 33 deg high.
+    assert float(cube[-1]["b_deg"]) == pytest.approx(90.0, abs=1.5)
+    assert float(chrono[-1]["b_deg"]) == pytest.approx(33.0, abs=2.0)
+    ratio = float(cube[-1]["irradiance_w_m2"]) / float(chrono[-1]["irradiance_w_m2"])
+    tilt = np.radians(57.0)
+    assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
+
+
+def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, tmp_path):
+    arguments = ("--start", "2022-10-12T10:00", "--days", "0.02", "--weather", "overcast", "--laws", "flat,flat")
+    code, out, err = compare("simulate", *arguments, "--store", tmp_path / "store")
+    assert (code, err) == (0, "")
+    assert "all records of both trackers" in out
+    arguments = ("--start", "2022-10-12T11:00", "--days", "0.04", "--weather", "overcast")
+    assert compare("simulate", *arguments, "--store", tmp_path / "store")[0] == 0
+    with closing(sqlite3.connect(tmp_path / "store" / "heliocube.sqlite")) as store:
+        runs = store.execute("SELECT run, tracker, simulated FROM runs ORDER BY run").fetchall()
+        laws = store.execute("SELECT DISTINCT run, law FROM decisions WHERE moved ORDER BY run").fetchall()
+        counts = dict(store.execute("SELECT run, count(*) FROM curves WHERE quality = 'ok' GROUP BY run"))
+        (scans,) = store.execute("SELECT count(*) FROM scans").fetchone()
+    assert sorted(tracker for _, tracker, _ in runs) == ["T-Chrono"] * 2 + ["T-Cube"] * 2
+    assert all(simulated for _, _, simulated in runs)
+    law_of = {tracker: dict(laws).get(run) for run, tracker, _ in runs[2:]}
+    assert law_of["T-Chrono"] == "chronometric"
+    assert [counts[run] for run, _, _ in runs] == pytest.approx([345, 345, 691, 691], abs=3)
+    assert scans == pytest.approx(345 + 691, abs=3), "both trackers hear the same scans, and the store keeps each once"
+
+    store = ("--store", tmp_path / "store")
+    code, out, err = compare("fit", *store, "--out", tmp_path / "bias.json", "--to", "2022-10-12T10:29")
+    assert (code, err) == (0, "")
+    assert json.loads((tmp_path / "bias.json").read_text())["before"]["rmbe_pct"] == pytest.approx(-1.7, abs=0.2)
+    overcast = "overcast=2022-10-12T11:20/2022-10-12T11:50"
+    code, out, err = compare(
+        "report", *store, "--bias", tmp_path / "bias.json", "--period", overcast, "--out", tmp_path / "out"
+    )
+    assert (code, err) == (0, "")
+    (row,) = (
+        row
+        for row in csv.DictReader((tmp_path / "out" / "gains.csv").read_text().splitlines())
+        if row["period"] == "overcast"
+    )
+    # The isotropic sky at a tilt of 57 deg gives 22 %, the module's efficiency in brighter light a little more.
+    assert float(row["gain_pct"]) == pytest.approx(22.5, abs=1.5)
+    assert "as measured" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, tmp_path):
+    arguments = ("--start", "2022-10-12T10:00", "--days", "0.012", "--weather", "clear")
+    for name in ("one", "two"):
+        compare("simulate", *arguments, "--store", tmp_path / name)
+        with closing(sqlite3.connect(tmp_path / name / "heliocube.sqlite")) as store, store:
+            store.execute("DELETE FROM curves WHERE run = 2")
+    stores = ("--store", f"A={tmp_path / 'one'}", "--store", f"B={tmp_path / 'two'}")
+    code, out, _ = compare("report", *stores, "--cube", "A", "--chrono", "B", "--out", tmp_path / "out")
+    assert code == 0
+    assert "A/Wh" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "either from tables, POWERS..., or from --store DIR"),
+        (("--store", "nowhere"), "there is no store at nowhere"),
+    ],
+)
+def test_measurements_that_are_nowhere_are_asked_for(compare, tmp_path, arguments, message):
+    code, _, err = compare("report", "--site", SITE, "--out", tmp_path / "o", *arguments)
+    assert code == 2
+    assert message in err
+
+
+def test_a_store_without_curves_says_what_is_missing(compare, tmp_path):
+    open_for_writing(tmp_path / "heliocube.sqlite").close()
+    code, _, err = compare("report", "--store", tmp_path, "--out", tmp_path / "o")
+    assert code == 2
+    assert "holds no I-V curves" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--laws", "mu-prime"), "is not two laws"),
+        (("--laws", "mu-prime,fastest"), "there is no 'fastest'"),
+        (("--start", "soon"), "'soon' is no date or time"),
+        (("--start", "2022-10-14T22:00"), "there was no light"),
+    ],
+)
+def test_a_simulation_that_cannot_be_is_one_sentence(compare, tmp_path, arguments, message):
+    given = {"--start": "2022-10-14", "--days": "0.01", "--weather": "clear", "--out": str(tmp_path / "o")}
+    given |= {arguments[0]: arguments[1]}
+    code, _, err = compare("simulate", *(word for pair in given.items() for word in pair))
+    assert code == 2
+    assert message in err

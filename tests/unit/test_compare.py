@@ -1,0 +1,97 @@
+"""Statistics, chain bias, energy and equation (16), by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from solar.compare import ChainBias, agreement, energy_wh, fit_chain_bias, gain_pct, lies_flat
+
+
+def test_statistics_of_three_pairs():
+    found = agreement([98.0, 205.0, 297.0], [100.0, 200.0, 300.0])
+    assert found.count == 3
+    assert found.mbe_w == pytest.approx(0.0)
+    assert found.mae_w == pytest.approx(10 / 3)
+    assert found.rmae_pct == pytest.approx(100 * (10 / 3) / 200)
+    low = agreement([97.64, 195.28], [100.0, 200.0])
+    assert low.mbe_w == pytest.approx(-3.54)
+    assert low.rmbe_pct == pytest.approx(-2.36)
+
+
+@pytest.mark.parametrize("reference", [[], [0.0, 0.0]])
+def test_nothing_cannot_be_compared_with(reference):
+    with pytest.raises(ValueError, match="no power to compare with"):
+        agreement(reference, reference)
+
+
+def test_three_points_fix_the_polynomial():
+    # Through (100, 103), (200, 208), (300, 315): differences 105 and 107, so c2 = 2/2/100^2, c1 = 1.02, c0 = 0.
+    found = fit_chain_bias([100.0, 200.0, 300.0], [103.0, 208.0, 315.0])
+    assert found.constant_w == pytest.approx(0.0, abs=1e-9)
+    assert found.linear == pytest.approx(1.02)
+    assert found.quadratic_per_w == pytest.approx(1e-4)
+    assert (found.lowest_w, found.highest_w) == (100.0, 300.0)
+    assert found.corrected([150.0]) == pytest.approx([155.25])
+
+
+def test_a_fit_takes_the_bias_away_and_leaves_the_scatter():
+    random = np.random.default_rng(1)
+    true = random.uniform(5, 250, 5000)
+    cube = true * (0.985 - 5e-5 * true) * (1 + 0.01 * random.standard_normal(true.size))
+    found = fit_chain_bias(cube, true)
+    assert agreement(cube, true).rmbe_pct < -2.0
+    assert agreement(found.corrected(cube), true).rmbe_pct == pytest.approx(0.0, abs=1e-6)
+    assert agreement(found.corrected(cube), true).rmae_pct == pytest.approx(0.8, abs=0.3)
+
+
+def test_two_powers_make_no_second_order_polynomial():
+    with pytest.raises(ValueError, match="3 different powers"):
+        fit_chain_bias([1.0, 2.0, 2.0], [1.0, 2.0, 2.0])
+
+
+def test_no_power_stays_none_and_none_becomes_negative():
+    bias = ChainBias(-2.0, 1.0, 0.0, 5.0, 100.0)
+    assert bias.corrected([0.0, 1.0, 10.0]).tolist() == [0.0, 0.0, 8.0]
+    assert np.isnan(bias.corrected([np.nan])).all()
+    assert bias.beyond([99.0, 101.0]).tolist() == [False, True]
+
+
+@given(
+    st.floats(-2, 2), st.floats(0.9, 1.1), st.floats(-2e-4, 2e-4),
+    st.lists(st.integers(1, 300), min_size=3, max_size=40, unique=True),
+)  # fmt: skip
+def test_a_fit_finds_the_polynomial_that_was_there(constant, linear, quadratic, powers):
+    power = np.array(powers, float)
+    reference = constant + linear * power + quadratic * power**2
+    found = fit_chain_bias(power, reference)
+    again = found.constant_w + found.linear * power + found.quadratic_per_w * power**2
+    assert again == pytest.approx(reference, abs=1e-6)
+
+
+def test_energy_is_the_trapezoid():
+    # 100 W for an hour, then rising to 200 W over another: 100 + 150 Wh.
+    assert energy_wh([0, 3600, 7200], [100, 100, 200], longest_gap_s=3600) == pytest.approx(250.0)
+
+
+def test_a_gap_has_no_energy():
+    assert energy_wh([0, 5, 10, 3600, 3605], [360, 360, 360, 360, 360]) == pytest.approx(1.5)
+
+
+def test_equation_16():
+    # 0.5 W more than 40 W for one hour.
+    time = np.arange(0, 3601, 5.0)
+    cube, chrono = (energy_wh(time, np.full(time.shape, power)) for power in (40.5, 40.0))
+    assert gain_pct(cube, chrono) == pytest.approx(1.25)
+    assert gain_pct(99.0, 100.0) == pytest.approx(-1.0)
+    assert np.isnan(gain_pct(1.0, 0.0))
+
+
+def test_flat_is_within_two_degrees_of_the_horizontal():
+    a_deg, b_deg = [0.0, 1.9, 2.1, 0.0, 0.0, np.nan], [90.0, 90.0, 90.0, 88.1, 87.9, 90.0]
+    assert lies_flat(a_deg, b_deg).tolist() == [True, True, False, True, False, False]
+
+
+def test_rows_of_different_length_are_refused():
+    with pytest.raises(ValueError, match="one length"):
+        agreement([1.0, 2.0], [1.0])
