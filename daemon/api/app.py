@@ -141,6 +141,8 @@ class Api:
             down.append(f"cube: {service.acquisition.outage.reason}")
         if service.motion is not None and service.motion.outage.is_down:
             down.append(f"positioner: {service.motion.outage.reason}")
+        if service.curves is not None and service.curves.outage.is_down:
+            down.append(f"load: {service.curves.outage.reason}")
         status = self._store()
         if status is not None and status.down_why is not None:
             down.append(f"store: {status.down_why}")

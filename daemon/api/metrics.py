@@ -11,9 +11,10 @@ from prometheus_client.registry import Collector
 
 from daemon.api.recent import Recent
 from daemon.control import Control
+from daemon.iv_acquisition import IvAcquisition
 from daemon.motion import Motion
 from daemon.mqtt.status import LinkStatus
-from daemon.records import FACES, Mode, MoveOutcome, Quality
+from daemon.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
 from daemon.service import Service
 from daemon.store import StoreStatus
 
@@ -73,6 +74,8 @@ class Metrics(Collector):
         yield from self._cube()
         if service.control is not None and service.motion is not None:
             yield from self._tracker(service.control, service.motion)
+        if service.curves is not None:
+            yield from _module(service.curves)
         yield from self._bridge()
         status = self._store()
         if status is not None:
@@ -165,6 +168,12 @@ def _link(link: LinkStatus) -> Iterator[Metric]:
 
 def _gauge(name: str, about: str, *labels: str) -> GaugeMetricFamily:
     return GaugeMetricFamily(f"heliocube_{name}", about, labels=labels)
+
+
+def _module(curves: IvAcquisition) -> Iterator[Metric]:
+    yield _one("load_up", "1 while the electronic load answers.", float(not curves.outage.is_down))
+    if curves.last is not None and curves.last.quality is CurveQuality.OK and not curves.outage.is_down:
+        yield _one("module_power_watts", "Maximum power of the latest whole curve.", curves.last.pmpp_w)
 
 
 def _one(name: str, about: str, value: float) -> GaugeMetricFamily:

@@ -5,6 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from daemon.api.metrics import Metrics
+from daemon.api.recent import Recent
+from daemon.api.state import state
 from daemon.records import CurveQuality, Event, IvCurve, Mode, Move
 from drivers.errors import LinkLostError
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
@@ -189,5 +192,26 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
         assert rig.of(IvCurve)[-1].pmpp_w == pytest.approx(
             float(maximum_power(Q_PEAK_G4_1_305, *facing).pmpp_w), rel=0.005
         )
+
+    run_rig(scenario, load=SIMULATED)
+
+
+def test_the_load_stands_in_state_and_metrics(run_rig):
+    async def scenario(rig):
+        recent = Recent()
+        metrics = Metrics(rig.service, recent, lambda: None, lambda: None)
+        assert "heliocube_module_power_watts" not in metrics.text().decode()
+        await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
+        assert "heliocube_load_up 1.0" in metrics.text().decode()
+        power_w = rig.of(IvCurve)[-1].pmpp_w
+        assert f"heliocube_module_power_watts {power_w}" in metrics.text().decode()
+        seen = state(rig.service, recent, 1.0, None)["load"]
+        assert seen["connected"]
+        assert seen["curve"]["pmpp_w"] == power_w
+        assert seen["curve"]["curve"] == ""
+        rig.load.link_up = False
+        await rig.until(lambda: rig.service.curves.outage.is_down, 30, "the outage")
+        assert "unplugged" in state(rig.service, recent, 1.0, None)["load"]["down_why"]
+        assert "heliocube_load_up 0.0" in metrics.text().decode()
 
     run_rig(scenario, load=SIMULATED)
