@@ -56,24 +56,25 @@ def main() -> None:
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
           f"load {os.getloadavg()[0]:.1f} before, {repetitions} repetitions")  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        faces, out = Path(folder, "faces.csv"), Path(folder, "out")
+        faces, number = Path(folder, "faces.csv"), 0
         print(f"{write_faces(faces)} rows of {EVERY_S:g} s, {DAYS} days")
-        replay = [heliocube, "replay", str(faces), "--site", ",".join(map(str, SIRTA)), "--out", str(out) + ".csv"]
-        day = [heliocube, "simulate", "--start", "2022-10-14", "--weather", "variable", "--out"]
+        replay = [heliocube, "replay", str(faces), "--site", ",".join(map(str, SIRTA))]
+        day = [heliocube, "simulate", "--start", "2022-10-14", "--weather", "variable"]
         commands = {
             "replay, mu-prime": [*replay, "--law", "mu-prime"],
             "replay, optimal": [*replay, "--law", "optimal"],
-            "a simulated day, mu-prime": [*day, str(out) + "-mu-prime", "--law", "mu-prime"],
-            "a simulated day, optimal": [*day, str(out) + "-optimal", "--law", "optimal"],
+            "a simulated day, mu-prime": [*day, "--law", "mu-prime"],
+            "a simulated day, optimal": [*day, "--law", "optimal"],
         }
         if len(sys.argv) > 3:
-            year = [heliocube, "energy", *sys.argv[3:], "--site", sys.argv[2], "--out", str(out) + "-energy"]
+            year = [heliocube, "energy", *sys.argv[3:], "--site", sys.argv[2]]
             commands["a year of weather, all laws"] = year
         for name, command in commands.items():
             seconds = []
             for _ in range(repetitions):
+                number += 1
                 started = time.perf_counter()
-                subprocess.run(command, check=True, capture_output=True)
+                subprocess.run([*command, "--out", f"{folder}/{number}"], check=True, capture_output=True)
                 seconds.append(time.perf_counter() - started)
             print(f"{name}: median {statistics.median(seconds):.1f} s, {min(seconds):.1f}..{max(seconds):.1f} s")
 
