@@ -32,6 +32,8 @@ class Mode(StrEnum):
     HOLD = "hold"
     STOW = "stow"
     FAULT = "fault"
+    SNOW = "snow"
+    MAINTENANCE = "maintenance"
 
 
 @dataclass(frozen=True, slots=True)

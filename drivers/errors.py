@@ -52,3 +52,7 @@ class OverRangeError(DeviceError):
 
 class RefusedError(DeviceError):
     """The instrument is reachable and did not carry out the command."""
+
+
+class StillMovingError(RefusedError):
+    """An axis goes on moving although it was told to stop."""

@@ -4,6 +4,7 @@ Every method may raise a child of :class:`drivers.errors.DeviceError` and nothin
 after ``close``; it always identifies and configures the instrument anew. Times are on the service's monotonic clock.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -47,12 +48,16 @@ class PositionerIdentity:
         As the unit prints them.
     simulated
         True for a simulated unit that is known to be one.
+    setup_conflicts
+        Where the unit's own geometry, offsets or ranges contradict the configuration, a sentence each; nothing may be
+        moved before they agree.
     """
 
     board: str
     firmware: str
     serial: str
     simulated: bool = False
+    setup_conflicts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +79,26 @@ class Telemetry:
     was_reset
         The unit reports that it restarted since its status was last cleared: its reference is in doubt.
     button_pressed
-        A button on the box has been used since the status was last cleared.
+        A button on the box is being pressed: somebody stands at the unit.
     homing
-        A homing run is on.
+        A reference run is on; the driver says so until it has judged how the run ended.
+    reference_doubt
+        Why the driver does not trust the count: the unit restarted, the count jumped, or a reference run did not end
+        on its switch. Stays until reference runs of both axes have succeeded, or until `clear_faults`.
     autonomous
         The unit's own sun tracking, wind or snow mode may move the axes.
     mode_text
         The unit's own words for its mode.
     own_moves
         Settings of the unit that may move the axes at some time, in words; empty as long as none is known to be on.
+    status_monotonic_s
+        When the slow status word (faults, marks, homing, button, switches) was received.
+    a_motor_current_a, b_motor_current_a
+        Motor currents; NaN where the unit does not tell.
+    a_remain, b_remain
+        Position units left over when the axis met its end switch at the last reference run; NaN where not told.
+    end_switches
+        Closed end switches by name, such as ``a_low``.
     """
 
     time_monotonic_s: float
@@ -100,6 +116,13 @@ class Telemetry:
     autonomous: bool = False
     mode_text: str = ""
     own_moves: tuple[str, ...] = ()
+    reference_doubt: str = ""
+    status_monotonic_s: float = 0.0
+    a_motor_current_a: float = math.nan
+    b_motor_current_a: float = math.nan
+    a_remain: float = math.nan
+    b_remain: float = math.nan
+    end_switches: tuple[str, ...] = ()
 
 
 class Positioner(Protocol):
@@ -117,21 +140,27 @@ class Positioner(Protocol):
     async def disable_autonomy(self) -> None:
         """Switch the unit's own sun tracking off; `RefusedError` if it stays on."""
 
-    async def move_to(self, a_deg: float, b_deg: float) -> None:
-        """Start a move and return once the unit has taken the target.
+    async def move_to(self, a_deg: float, b_deg: float, *, first: Axis = "a") -> None:
+        """Start a move, axis `first` before the other, and return once the unit has taken the target.
 
         Raises `ValueError` for a target outside the driver's own limits (NaN included) and `RefusedError` if the unit
-        does not take it.
+        does not take it; one of the axes may be on its way then, so `halt` has to follow.
         """
 
     async def stop(self) -> None:
-        """Send stop at once, before anything that waits; the axes run out on their ramps."""
+        """Send stop once and at once, before anything that waits. One stop may be lost: only `halt` knows."""
+
+    async def halt(self) -> None:
+        """Send stop again and again until telemetry shows both axes standing; `StillMovingError` if they do not."""
 
     async def home(self, axis: Axis) -> None:
-        """Start a reference run of one axis to its low end switch and return once it has begun."""
+        """Halt both axes, start a reference run of one to its low end switch, and return once it has begun."""
 
-    async def clear_faults(self) -> None:
-        """Clear latched faults and the reset mark."""
+    async def clear_faults(self) -> Telemetry:
+        """Clear latched faults and the reset mark; return the last look before that, its status no older than the call.
+
+        What shows in that look is what was cleared; whatever came later was not seen by anybody.
+        """
 
 
 @dataclass(frozen=True, slots=True)
