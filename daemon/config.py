@@ -263,6 +263,11 @@ class Safety(Section):
     release_wind_m_s: WindSpeed = Field(10.0, description="Wind speed below which stow may end.")
     stow_at_least_s: Duration = Field(900.0, description="Time that the wind must have been calm before stow ends.")
     wind_stale_s: Duration = Field(300.0, description="Silence of the wind sensor that counts as strong wind.")
+    without_wind_source: Literal["alarm", "accepted"] = Field(
+        "alarm",
+        description="What to do on real instruments when nothing tells of the wind: alarm, or accepted where somebody"
+        " else sees to storms.",
+    )
 
 
 class Bridge(Section):

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,13 +11,14 @@ import numpy as np
 from daemon.clock import Clock
 from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
-from daemon.modes import Situation, next_mode
+from daemon.modes import Data, Situation, next_mode
 from daemon.motion import Motion
 from daemon.optimal import DECIDE_EVERY_S, OptimalPointing
 from daemon.pointing import Pointing
 from daemon.readings import Readings
 from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
-from daemon.stow import OperatorStow, StowSource
+from daemon.stow import OperatorStow
+from daemon.stow_watch import StowWatch
 from daemon.waiting import wait_at_most
 from daemon.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
@@ -78,7 +79,7 @@ class Control:
         The laws, the sun and the limits.
     sun_elevation_deg
         Of UTC [s], to tell night from day.
-    stow_sources
+    stow_watch
         Everything besides the operator that may ask for stow.
     wish_file
         Keeps what operators asked for over a restart.
@@ -95,7 +96,7 @@ class Control:
         motion: Motion,
         pointing: Pointing,
         sun_elevation_deg: Callable[[float], float],
-        stow_sources: Sequence[StowSource],
+        stow_watch: StowWatch,
         wish_file: WishFile,
         publish: Callable[[Record], None],
         optimal: OptimalPointing | None = None,
@@ -107,7 +108,7 @@ class Control:
         self._pointing = pointing
         self._clock_watch = ClockWatch(clock)
         self._operator = OperatorStow()
-        self._stow_sources = (self._operator, *stow_sources)
+        self._stow_watch = stow_watch
         self._publish = publish
         self._readings = Readings(settings, clock, sun_elevation_deg, optimal)
         self._wake = asyncio.Event()
@@ -262,12 +263,17 @@ class Control:
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
         data, data_why, night_why = self._readings.judge(now_s, mean)
+        asked = self._operator.reason(now_s)
+        stow_whys = (*([asked] if asked else []), *self._stow_watch.reasons(now_s))
+        unheard_why = self._stow_watch.unheard_why(now_s)
+        if unheard_why is not None:
+            data, data_why = Data.WAITING, unheard_why
         return Situation(
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
             doubt_why=self._motion.doubt,
             homing=self._motion.homing,
-            stow_why=next((why for source in self._stow_sources if (why := source.reason(now_s))), None),
+            stow_why="; ".join(stow_whys) or None,
             stop_why=self._stop_why,
             hold_why=self._hold_why,
             night_why=night_why,

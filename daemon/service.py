@@ -9,6 +9,7 @@ from random import Random
 from typing import Any
 
 from daemon.acquisition import Acquisition
+from daemon.alarms import Alarms
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
@@ -25,6 +26,7 @@ from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
 from daemon.stow import StowSource, WindStow
+from daemon.stow_watch import SafetyFile, StowWatch
 from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
 from drivers.errors import DeviceError, DriverHungError
@@ -34,6 +36,10 @@ from solar.frames import Limits
 log = logging.getLogger("heliocube.service")
 
 _STOP_WITHIN_S = 2.0
+_NO_WIND_SOURCE = (
+    "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
+    ' or safety.without_wind_source = "accepted"'
+)
 
 
 class Role(StrEnum):
@@ -125,6 +131,7 @@ class Service:
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
+        self.alarms = Alarms(clock, bus.publish)
         self._expiry = ExpiryWatch(calibration, bus.publish)
         self._polling = polling
         self._stow_sources = stow_sources
@@ -136,6 +143,7 @@ class Service:
         self.motion: Motion | None = None
         self.control: Control | None = None
         self.curves: IvAcquisition | None = None
+        self.stow_watch: StowWatch | None = None
         if role is not Role.CUBE:
             self._build_tracker()
         if role is not Role.TRACKER:
@@ -168,6 +176,7 @@ class Service:
         sources: list[StowSource] = [*self._stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
+        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), self.clock, self._look_again)
         self.motion = Motion(
             rig.positioner,
             limits,
@@ -185,7 +194,7 @@ class Service:
             self.motion,
             Pointing(settings.site, settings.law, limits),
             self.sun_elevation_deg,
-            sources,
+            self.stow_watch,
             WishFile(settings.store.directory),
             self.bus.publish,
             self._optimal(limits),
@@ -228,6 +237,7 @@ class Service:
         """
         try:
             await self._open_bridge()
+            self._tell_of_wind()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [
@@ -251,6 +261,11 @@ class Service:
                 await self.receiver.close()
             for companion in companions:
                 companion.close()
+
+    def _tell_of_wind(self) -> None:
+        watch, accepted = self.stow_watch, self.settings.safety.without_wind_source == "accepted"
+        if watch is not None and not (watch.watched or self.rig.simulated or accepted):
+            self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
@@ -279,6 +294,8 @@ class Service:
         work: list[tuple[str, Awaitable[None]]] = [("watchdog", self._watchdog.run())]
         if self.motion is not None and self.control is not None:
             work += [("motion", self.motion.run()), ("control", self.control.run())]
+        if self.stow_watch is not None and self.rig.wind_speed_m_s is not None:
+            work.append(("stow", self.stow_watch.run()))
         if self.acquisition is not None:
             work.append(("acquisition", self.acquisition.run()))
         if self.curves is not None:

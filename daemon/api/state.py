@@ -16,6 +16,7 @@ from daemon.mqtt.status import LinkStatus
 from daemon.records import FACES, Pose, Quality, Record, Scan
 from daemon.service import Service
 from daemon.store import StoreStatus
+from daemon.stow_watch import StowWatch
 from daemon.tables import COLUMNS, with_irradiances
 
 # Telemetry comes every 10 s at rest and more often on the way.
@@ -72,6 +73,7 @@ def state(
         "scan": None if recent.scan is None else _scan(recent.scan, now_s, settings.safety.scan_stale_s),
         "calibration": None if service.calibration is None else _calibration(service.calibration, utc_s),
         "cube_down_why": acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
+        "wind": None if service.stow_watch is None else _wind(service.stow_watch, now_s),
         "mode": None,
         "irradiances": None,
         "decision": None,
@@ -110,6 +112,10 @@ def state(
         counts = service.receiver.statistics
         found["bridge"] = {"accepted": counts.accepted, "lost": counts.lost, "refused": counts.refused}
     return found
+
+
+def _wind(watch: StowWatch, now_s: float) -> list[dict[str, Any]]:
+    return [{name: number(value) for name, value in asdict(status).items()} for status in watch.statuses(now_s)]
 
 
 def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class Mqtt:
         if mqtt.wind.topic is not None:
             wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.trouble)
             self._listen("mqtt.wind", mqtt.wind.topic, wind.take)
-            wind_stow = WindStow(safety, wind.since_last_asked)
+            wind_stow = WindStow(safety, wind.since_last_asked, f"the wind on {mqtt.wind.topic}")
             self._inputs.append(partial(_input_status, "wind", mqtt.wind.topic, wind, wind_stow))
             found.append(wind_stow)
         if mqtt.safe.topic is not None:

@@ -8,6 +8,7 @@ from typing import Any
 from daemon.config import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.json_path import find
+from daemon.stow import StowStatus, release_in_s
 
 _LONGEST = 65536
 _M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
@@ -102,6 +103,7 @@ class SafeStow:
     def __init__(
         self, settings: SafeInput, clock_s: Callable[[], float], unsafe: Callable[[], None], trouble: Trouble
     ) -> None:
+        self.name = f"the word on {settings.topic}"
         self.heard_s: float | None = None
         self._settings = settings
         self._clock_s = clock_s
@@ -144,6 +146,9 @@ class SafeStow:
             self._safe_s = now_s
         if self._heard_safe:
             self._safe_s = now_s
+        elif self._why is not None and self.heard_s is None:
+            # Safe begins to count when it has been said, and not at a restart.
+            self._unsafe_s = now_s
         silent_s = now_s - self._safe_s
         if self._last_unsafe:
             self._stow(now_s, f"{settings.topic} says {settings.unsafe}")
@@ -154,6 +159,19 @@ class SafeStow:
         if self._heard_safe:
             self._last_unsafe = self._heard_safe = False
         return self._why
+
+    def status(self, now_s: float) -> StowStatus:
+        """Return how it stood when it was last asked."""
+        return StowStatus(
+            self.name,
+            self._why,
+            math.inf if self.heard_s is None else now_s - self.heard_s,
+            release_in_s=release_in_s(self._why, now_s - self._unsafe_s, self._settings.stow_at_least_s),
+        )
+
+    def resume(self, why: str, now_s: float) -> None:
+        """Begin stowed, as before a restart."""
+        self._stow(now_s, why)
 
     def _word(self, payload: bytes) -> str:
         settings = self._settings

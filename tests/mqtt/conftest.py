@@ -98,6 +98,17 @@ async def until(condition, what, within_s=WITHIN_S):
     return found
 
 
+async def calm(rig, lab, messages):
+    """Say what is safe again and again, by topic, until every safety input has heard it: nothing is tracked before."""
+    for _ in range(100):
+        for topic, payload in messages.items():
+            await lab.say(topic, payload)
+        await asyncio.sleep(0.1 * SPEED)
+        if all(item.age_s is not None for item in rig.mqtt.status.inputs):
+            return
+    raise AssertionError(f"nothing was heard: {rig.mqtt.status}")
+
+
 @contextlib.asynccontextmanager
 async def observer(port, topic="#", **how):
     async with aiomqtt.Client("127.0.0.1", port, timeout=10 * SPEED, **how) as client:

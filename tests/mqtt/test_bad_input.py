@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from daemon.config_file import ConfigError, check_file, load_settings
-from daemon.records import Event, Mode
+from daemon.records import Decision, Event, Mode
 from daemon.service import Role
 
 from .broker import CERTIFICATES
@@ -31,9 +31,9 @@ def told(rig):
     return [*([] if status.connected else [status.down_why]), *status.troubles]
 
 
-async def is_told_once_and_tracks(rig, log_lines, sentence):
+async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
     await until(lambda: any(sentence in text for text in told(rig)), sentence)
-    await rig.until_mode(Mode.TRACKING, 400)
+    await rig.until_mode(mode, 400)
     assert any(sentence in text for text in told(rig))
     assert sum(sentence in line.getMessage() for line in log_lines()) == 1
     assert sum(sentence in record.text for record in rig.of(Event)) == 1
@@ -136,8 +136,9 @@ def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_
 
             repeating = asyncio.create_task(repeat())
             try:
-                await is_told_once_and_tracks(rig, log_lines, sentence)
+                await is_told_once_and_tracks(rig, log_lines, sentence, Mode.STARTING)
                 await rig.until_mode(Mode.STOW, 200)
+                assert not rig.of(Decision), "nothing is tracked before the input has been heard"
                 assert rig.clock.monotonic() >= 150
                 (status,) = rig.mqtt.status.inputs
                 assert (status.age_s, status.stowing) == (None, True)
@@ -165,7 +166,9 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
 
     async def scenario():
         async with observer(broker.port, f"{BASE}/#") as lab:
-            state = await lab.until(f"{BASE}/state", lambda found: found["mode"]["name"] == "tracking", within_s=60)
+            state = await lab.until(
+                f"{BASE}/state", lambda found: "waiting for the first word" in found["mode"]["why"], within_s=60
+            )
             assert state["mqtt"]["troubles"] == sentences
             for sentence in sentences:
                 await lab.until(f"{BASE}/event", lambda found, text=sentence: found["text"] == text)

@@ -12,7 +12,7 @@ from daemon.api.state import state
 from daemon.records import Mode
 from daemon.status_view import render
 
-from .conftest import SPEED, MqttBench, observer, serving, settings_for, until
+from .conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 
 def seen_of(rig):
@@ -38,7 +38,8 @@ def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, 
         assert re.search(r"wind +nothing heard yet on weather", shown)
         async with serving(rig):
             async with observer(broker.port) as lab:
-                await rig.until_mode(Mode.TRACKING, 400)
+                await until(lambda: rig.service.acquisition.ready, "the cube")
+                await until(lambda: rig.mqtt.status.sent > 6, "the link")
                 await lab.say("weather", "30")
                 await rig.until_mode(Mode.STOW, 100)
             metrics, shown = seen_of(rig)
@@ -76,8 +77,7 @@ def test_wind_and_safety_may_come_on_one_topic(broker, scaled):
     async def scenario():
         rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
         async with observer(broker.port) as lab, serving(rig):
+            await calm(rig, lab, {"weather": {"wind": 3, "ok": "safe"}})
             await rig.until_mode(Mode.TRACKING, 400)
-            await lab.say("weather", {"wind": 3, "ok": "safe"})
-            await until(lambda: all(item.age_s is not None for item in rig.mqtt.status.inputs), "both")
 
     scaled(scenario)

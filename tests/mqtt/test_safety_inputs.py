@@ -10,7 +10,7 @@ from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.records import Mode
 from daemon.stow import WindStow
 
-from .conftest import SPEED, MqttBench, observer, serving, settings_for, until
+from .conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 
 class Told:
@@ -187,6 +187,7 @@ def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broke
         async with observer(broker.port) as lab:
             rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
             async with serving(rig):
+                await calm(rig, lab, {"weather/roof": {"wind": {"speed": 3}}, "dome/safe": "safe"})
                 await rig.until_mode(Mode.TRACKING, 400)
                 await lab.say("weather/roof", {"gust": 3})
                 troubles = await until(lambda: rig.mqtt.status.troubles, "a sentence")

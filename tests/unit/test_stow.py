@@ -63,3 +63,42 @@ def test_an_operators_stow_is_latched_until_released():
     assert stow.reason(1e9) == "storm coming"
     stow.release()
     assert stow.reason(1e9) is None
+
+
+def test_a_reading_that_is_none_releases_nothing_however_long_ago_the_storm_was():
+    for bad in (None, math.nan, -1.0):
+        wind = Wind()
+        wind.at(0, 20)
+        for now in range(5, 1000, 5):
+            wind.at(now, 5.0 if now < 800 else bad)
+        assert wind.at(1000, bad)
+        assert wind.at(1001, 5.0) is None
+
+
+def test_the_reason_is_the_newest_one():
+    wind = Wind()
+    wind.at(0, 15.5)
+    assert "25.0 m/s" in wind.at(5, 25)
+
+
+def test_a_source_that_stowed_before_a_restart_counts_its_calm_from_its_first_word():
+    wind = Wind()
+    wind.source.resume("stowed before the restart", 1000)
+    for now in range(1000, 1200, 5):
+        assert wind.at(now, None) == "stowed before the restart"
+    for now in range(1200, 2095, 5):
+        assert wind.at(now, 3)
+    assert wind.at(2095, 3) is None
+
+
+def test_a_status_shows_speed_age_threshold_and_the_time_to_release_and_takes_nothing():
+    wind = Wind()
+    assert wind.source.status(0).age_s == math.inf
+    wind.at(0, 20)
+    wind.at(10, 4)
+    status = wind.source.status(40)
+    assert (status.speed_m_s, status.age_s, status.stow_from_m_s, status.release_below_m_s) == (4, 30, 15, 10)
+    assert status.release_in_s == 860
+    assert "20.0" in status.why
+    wind.at(940, 4)
+    assert math.isnan(wind.source.status(940).release_in_s)

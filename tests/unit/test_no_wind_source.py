@@ -1,0 +1,53 @@
+"""Real instruments that nobody would stow in a storm."""
+
+import asyncio
+from random import Random
+
+import pytest
+
+from daemon.bus import Bus
+from daemon.clock import LoopClock
+from daemon.config import Settings
+from daemon.sd_notify import Notifier
+from daemon.service import Rig, Role, Service
+from daemon.stow import WindStow
+from daemon.timeloop import VirtualTimeLoop
+from sim_drivers.in_memory import InMemoryPositioner
+from sim_drivers.positioner_core import PositionerCore
+
+
+def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **safety):
+    settings = Settings.model_validate({"bridge": {"listen": "127.0.0.1:0"}, "safety": safety})
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        loop = runner.get_loop()
+        clock = LoopClock(loop.time, 1.7e9)
+        positioner = InMemoryPositioner(PositionerCore(loop.time()), loop.time, settings.limits.limits())
+        rig = Rig(None, None, positioner, wind, simulated=simulated)
+        service = Service(settings, role, rig, clock, Random(1), Bus(), None, Notifier({}, 0), stow_sources=sources)
+
+        async def briefly():
+            stop = asyncio.Event()
+            loop.call_later(1.0, stop.set)
+            await service.run(stop)
+
+        runner.run(briefly())
+    return [alarm for alarm in service.alarms.active if alarm.name == "no-wind-source"]
+
+
+def test_it_is_said_once_and_shown(caplog):
+    (alarm,) = alarms_of()
+    assert alarm.text.startswith("no wind source: nothing stows the tracker in a storm")
+    assert sum("no wind source" in record.message for record in caplog.records) == 1
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"simulated": True},
+        {"wind": lambda: 3.0},
+        {"sources": [WindStow(Settings().safety, lambda: 3.0)]},
+        {"without_wind_source": "accepted"},
+    ],
+)
+def test_it_is_not_said_where_something_watches_or_somebody_has_accepted_it(how):
+    assert not alarms_of(**how)

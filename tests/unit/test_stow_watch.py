@@ -1,0 +1,121 @@
+"""All reasons to stow together, and over a restart."""
+
+import json
+import math
+import re
+
+import pytest
+
+from daemon.config import Safety
+from daemon.stow import WindStow
+from daemon.stow_watch import SafetyFile, StowWatch
+
+SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
+
+
+class SetClock:
+    def __init__(self, now=0.0, utc=1.7e9):
+        self.now, self.offset = now, utc - now
+
+    def monotonic(self):
+        return self.now
+
+    def utc(self):
+        return self.now + self.offset
+
+
+class Rig:
+    """Two wind sensors, a watch over both, and a folder that outlives them."""
+
+    def __init__(self, directory=None, now=0.0, utc=1.7e9):
+        self.clock = SetClock(now, utc)
+        self.speeds = {"roof": None, "field": None}
+        sources = [WindStow(SAFETY, lambda name=name: self.speeds[name], name) for name in self.speeds]
+        self.watch = StowWatch(sources, SafetyFile(directory), self.clock)
+
+    def look(self, now, roof=math.nan, field=math.nan):
+        self.clock.now = now
+        for name, speed in (("roof", roof), ("field", field)):
+            if speed is None or not math.isnan(speed):
+                self.speeds[name] = speed
+        return self.watch.reasons(now)
+
+
+def test_a_source_that_stows_does_not_hide_the_storm_of_another():
+    rig = Rig()
+    assert rig.look(0, roof=20, field=3)
+    for now in range(5, 900, 5):
+        rig.look(now, roof=3)
+    assert rig.look(900, field=25)
+    assert rig.look(910, field=3) == ("wind 25.0 m/s, stow from 15 m/s",), "the roof has become calm meanwhile"
+    assert rig.look(1795, field=3) == ("wind 25.0 m/s, stow from 15 m/s",)
+
+
+def test_a_sensor_that_died_while_another_stowed_is_silent_and_not_fresh():
+    rig = Rig()
+    rig.look(0, roof=20, field=3)
+    for now in range(5, 900, 5):
+        rig.look(now, roof=3, field=None)
+    reasons = rig.look(900, roof=3)
+    assert reasons == ("no wind reading for 900 s",)
+
+
+def test_all_reasons_are_told():
+    assert len(Rig().look(0, roof=20, field=21)) == 2
+
+
+def test_nothing_may_be_judged_safe_before_every_source_has_been_heard_once():
+    rig = Rig()
+    rig.look(0, roof=3)
+    assert rig.watch.unheard_why(0) == "waiting for the first word of field"
+    rig.look(5, field=3)
+    assert rig.watch.unheard_why(5) is None
+    rig.look(10, field=None)
+    assert rig.watch.unheard_why(10) is None, "once is enough: from then on silence has its time"
+
+
+def test_a_storm_outlives_a_restart_until_all_have_been_heard_and_calm_for_their_time(tmp_path):
+    before = Rig(tmp_path)
+    before.look(0, roof=3, field=3)
+    before.look(5, roof=25)
+    after = Rig(tmp_path, now=70_000.0)
+    (why,) = after.look(70_000)
+    assert re.search(r"before the restart, since 2023-\S+Z: wind 25.0 m/s", why)
+    for now in range(70_005, 70_400, 5):
+        assert after.look(now, roof=3, field=None)
+    for now in range(70_400, 71_295, 5):
+        assert after.look(now, roof=3, field=3)
+    assert after.look(71_300) == ()
+    assert Rig(tmp_path, now=5.0).look(5) == (), "it is over for the next start as well"
+
+
+@pytest.mark.parametrize("step_s", [-86400.0, 86400.0, 1e9])
+def test_a_clock_that_was_set_releases_nothing_early(tmp_path, step_s):
+    Rig(tmp_path).look(0, roof=25, field=3)
+    after = Rig(tmp_path, now=10.0, utc=1.7e9 + step_s)
+    for now in range(10, 910, 5):
+        assert after.look(now, roof=3, field=3)
+    assert after.look(910) == ()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"stowing": 3}', '{"stowing": {"a": 1}, "since_utc": ""}', "\x00"])
+def test_a_file_that_cannot_be_read_counts_as_stow(tmp_path, text):
+    (tmp_path / "safety.json").write_text(text)
+    assert "cannot be read" in Rig(tmp_path).look(0, roof=3, field=3)[0]
+
+
+def test_a_calm_start_without_a_file_stows_nothing_and_writes_one(tmp_path):
+    assert Rig(tmp_path).look(0, roof=3, field=3) == ()
+    assert json.loads((tmp_path / "safety.json").read_text())["stowing"] == {}
+
+
+def test_a_disk_that_fails_is_told_once_and_tried_again(tmp_path, caplog):
+    blocked = tmp_path / "folder"
+    blocked.write_text("a file where the folder should be")
+    rig = Rig(blocked)
+    for now in range(0, 120, 5):
+        assert rig.look(now, roof=25, field=3)
+    assert sum("cannot be written" in record.message for record in caplog.records) == 1
+    blocked.unlink()
+    rig.look(185)
+    assert "25.0" in (blocked / "safety.json").read_text()
