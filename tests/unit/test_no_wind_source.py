@@ -23,7 +23,9 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
         clock = LoopClock(loop.time, 1.7e9)
         positioner = InMemoryPositioner(PositionerCore(loop.time()), loop.time, settings.limits.limits())
         rig = Rig(None, None, positioner, wind, simulated=simulated)
-        service = Service(settings, role, rig, clock, Random(1), Bus(), None, Notifier({}, 0), stow_sources=sources)
+        service = Service(
+            settings, role, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0), stow_sources=sources
+        )
 
         async def briefly():
             stop = asyncio.Event()
