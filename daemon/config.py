@@ -192,6 +192,13 @@ class Law(Section):
         le=0.5,
         description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
     )
+    gain_uncertainty: float = Field(
+        0.03,
+        ge=0,
+        le=0.2,
+        description="sun-vector: standard error of a face's gain, as a share; a beam that such errors explain is not"
+        " pointed at.",
+    )
     thrift: float = Field(
         1.0, ge=0.1, le=100, description="optimal: weight of wear against harvest; 2 travels less for a little energy."
     )

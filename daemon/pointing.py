@@ -89,27 +89,35 @@ class Pointing:
         """Return the sun's position at this UTC [s]."""
         return sun_position(utc_s, self._site.latitude_deg, self._site.longitude_deg, self._site.altitude_m)
 
-    def aim(self, name: LawName, mean: Irradiances | None, utc_s: float) -> Aim:
-        """Return what the law `name` says of the window's mean at this UTC [s]."""
+    def aim(self, name: LawName, mean: Irradiances | None, utc_s: float, *, sun_known: bool = True) -> Aim:
+        """Return what the law `name` says of the window's mean at this UTC [s].
+
+        Unless `sun_known`, as while the clock is in doubt, the ephemeris directs nothing.
+        """
         sun = self.sun(utc_s)
-        direction = self._direction(name, mean, sun)
+        direction = self._direction(name, mean, sun, sun_known=sun_known)
         if not np.isfinite(direction).all():
             return Aim(np.nan, np.nan, sun, None, f"{name} has no direction")
         a_deg, b_deg = angles_within(direction, self._limits)
         azimuth, elevation = azimuth_from_direction(direction, self._site.latitude_deg)
         return Aim(float(azimuth), float(elevation), sun, Target(float(a_deg), float(b_deg), name), name)
 
-    def _direction(self, name: LawName, mean: Irradiances | None, sun: SunPosition[float]) -> Array:
+    def _direction(self, name: LawName, mean: Irradiances | None, sun: SunPosition[float], *, sun_known: bool) -> Array:
         if name == "flat":
             return laws.ZENITH
         to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site.latitude_deg)
         if name == "chronometric":
-            return laws.chronometric(to_sun)
+            return laws.chronometric(to_sun) if sun_known else np.full(3, np.nan)
         if mean is None:
             return np.full(3, np.nan)
         faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
-        threshold = self._law.uniform_threshold
-        if name == "sun-vector":
-            seen = laws.sun_vector(faces, albedo=self._law.albedo, uniform_threshold=threshold)
-            return laws.complete_poleward(seen, to_sun)
-        return laws.mu_prime(faces, uniform_threshold=threshold)
+        law = self._law
+        if name == "mu-prime":
+            return laws.mu_prime(faces, uniform_threshold=law.uniform_threshold)
+        seen = laws.sun_vector(
+            faces,
+            albedo=law.albedo,
+            uniform_threshold=law.uniform_threshold,
+            gain_uncertainty=law.gain_uncertainty,
+        )
+        return laws.complete_poleward(seen, to_sun) if sun_known else seen

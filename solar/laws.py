@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from solar.frames import Array
 
 _ABSURD_W_M2 = 1e6
+_EXPLAINED_SIGMAS = 2.0
 
 ZENITH = np.array([0.0, 0.0, 1.0])
 
@@ -35,11 +36,18 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     return _direction(equatorward, east - west, zenith, valid)
 
 
-def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: float = 0.01) -> Array:
+def sun_vector(
+    faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: float = 0.01, gain_uncertainty: float = 0.03
+) -> Array:
     """Return s, equation (11), with the better DHI = 2 I_min - albedo I_Z that the paper offers; its length is BNI.
 
-    Where the three components together are no more than `uniform_threshold` of I_Z there is no beam to point at, and
-    the direction is the zenith, where a uniform sky is best collected. A negative vertical component counts as zero.
+    Where a uniform sky and wrong gains can explain s there is no beam to point at, and the direction is the zenith,
+    where a uniform sky is best collected. Wrong gains explain what is no longer than two standard errors,
+
+        sigma^2 = g^2 [(I_S^2 + I_min^2) + (I_E^2 + I_W^2) + ((1 + albedo)^2 I_Z^2 + 4 I_min^2)]
+
+    one bracket for each component of s, g the relative standard error of each face's gain. A negative vertical
+    component counts as zero.
 
     Parameters
     ----------
@@ -49,6 +57,8 @@ def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: floa
         Of the ground around the cube.
     uniform_threshold
         Share of I_Z below which a difference between faces is noise.
+    gain_uncertainty
+        g.
 
     Returns
     -------
@@ -59,7 +69,9 @@ def sun_vector(faces: ArrayLike, *, albedo: float = 0.2, uniform_threshold: floa
     equatorward = _beyond(south - least, uniform_threshold * zenith)
     up = np.maximum(zenith - (2 * least - albedo * zenith), 0.0)
     beam = np.sqrt(equatorward**2 + (east - west) ** 2 + up**2)
-    sees_sun = beam > uniform_threshold * zenith
+    horizontal = south**2 + least**2 + east**2 + west**2
+    sigma = gain_uncertainty * np.sqrt(horizontal + ((1 + albedo) * zenith) ** 2 + (2 * least) ** 2)
+    sees_sun = beam > np.maximum(uniform_threshold * zenith, _EXPLAINED_SIGMAS * sigma)
     return _direction(
         np.where(sees_sun, equatorward, ZENITH[0]),
         np.where(sees_sun, east - west, ZENITH[1]),

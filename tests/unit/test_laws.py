@@ -1,5 +1,6 @@
 """Pointing laws against hand-worked skies."""
 
+import itertools
 import math
 
 import numpy as np
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import angles_from_direction, direction_from_azimuth, separation_deg
-from solar.laws import chronometric, mu_prime, sun_vector
+from solar.laws import chronometric, complete_poleward, mu_prime, sun_vector
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -90,3 +91,65 @@ def test_laws_work_on_arrays(law):
 def test_chronometric_has_no_direction_at_night():
     assert chronometric([0.5, 0.5, 0.7]) == pytest.approx([0.5, 0.5, 0.7])
     assert np.isnan(chronometric([0.5, 0.5, -0.1])).all()
+
+
+@pytest.mark.parametrize("vertical", [0.45, 0.5, 0.55, 0.6, 0.65, 0.7])
+@pytest.mark.parametrize("zenith", [30.0, 150.0, 400.0])
+def test_gains_that_are_three_percent_off_do_not_point_the_sun_vector_at_random_under_overcast(vertical, zenith):
+    random = np.random.default_rng(4)
+    gains = 1 + 0.03 * random.standard_normal((20_000, 4))
+    faces = zenith * np.array([vertical, vertical, vertical, 1.0]) * gains + random.normal(0, 0.2, gains.shape)
+    _, b_deg = angles_from_direction(sun_vector(faces))
+    assert np.mean(b_deg < 45) < 0.01
+
+
+def test_clear_skies_are_pointed_at_as_without_the_threshold():
+    for azimuth, elevation in itertools.product((95, 140, 180, 230, 265), (8, 20, 40, 60)):
+        dni = 1000 * 0.7 ** ((1 / np.sin(np.radians(elevation))) ** 0.678)
+        faces = isotropic_faces(dni, 80, azimuth, elevation)
+        changed = separation_deg(sun_vector(faces), sun_vector(faces, gain_uncertainty=0.0))
+        assert changed < 0.1, (azimuth, elevation)
+
+
+def test_the_threshold_is_two_standard_errors_of_the_formula():
+    east, south, west, zenith, albedo, share = 310.0, 330.0, 280.0, 500.0, 0.2, 0.03
+    up = zenith - 2 * west + albedo * zenith
+    beam = math.sqrt((south - west) ** 2 + (east - west) ** 2 + up**2)
+    sigma_over_g = math.sqrt(south**2 + west**2 + east**2 + west**2 + (1 + albedo) ** 2 * zenith**2 + 4 * west**2)
+    just = beam / (2 * sigma_over_g)
+    faces = [east, south, west, zenith]
+    assert sun_vector(faces, gain_uncertainty=just * 0.999) == pytest.approx([south - west, east - west, up])
+    assert sun_vector(faces, gain_uncertainty=just * 1.001) == pytest.approx([0, 0, 1])
+    assert share < just
+
+
+def test_a_negative_vertical_component_of_the_sun_vector_counts_as_zero():
+    # 2 I_min - albedo I_Z = 800 - 80 is more than the 400 of the zenith face: nothing looks below the horizon.
+    vector = sun_vector([400, 900, 400, 400], gain_uncertainty=0.0)
+    assert vector == pytest.approx([500, 0, 0])
+
+
+def test_east_west_alone_is_a_beam():
+    # At dawn the sun is in the east: nothing from the south, nothing from above.
+    vector = sun_vector([600, 240, 240, 400])
+    assert vector == pytest.approx([0, 360, 0], abs=1e-9)
+
+
+def test_beyond_the_east_west_plane_the_ephemeris_gives_the_component_that_no_face_sees():
+    sun = direction_from_azimuth(70.0, 15.0, 48.7)
+    seen = np.array([0.0, sun[1], sun[2]])
+    assert separation_deg(complete_poleward(seen, sun), sun) == pytest.approx(0, abs=1e-9)
+    assert complete_poleward(seen, sun)[0] < 0, "towards the pole"
+
+
+def test_a_sun_near_the_poles_azimuth_completes_nothing():
+    # There the small east-west component would blow up whatever error it has.
+    sun = direction_from_azimuth(30.0, 5.0, 60.0)
+    seen = np.array([0.0, 0.2, 0.1])
+    assert complete_poleward(seen, sun) == pytest.approx(seen)
+
+
+def test_a_sun_on_the_equators_side_or_on_the_other_completes_nothing():
+    for azimuth in (110.0, 290.0):
+        seen = np.array([0.0, 0.8, 0.2])
+        assert complete_poleward(seen, direction_from_azimuth(azimuth, 15.0, 48.7)) == pytest.approx(seen)
