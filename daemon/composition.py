@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from daemon.clock import Clock
+from daemon.clock import Clock, SystemClock
 from daemon.config import Settings, WeatherName
 from daemon.errors import UserError
+from daemon.kernel_clock import synchronised
 from daemon.real_rig import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
 from daemon.records import FACES
 from daemon.service import Rig, Role
@@ -88,6 +89,7 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
         wind_speed_m_s=None,
         simulated=False,
         load=None if role is Role.CUBE else build_load(settings),
+        clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
     )
 
 

@@ -87,6 +87,8 @@ class Control:
         Called with decisions, mode changes and events.
     optimal
         The law `optimal`, where it is the law; the others are in `pointing`.
+    clock_watch
+        Tells whether the time of day may be used.
     """
 
     def __init__(
@@ -100,13 +102,14 @@ class Control:
         wish_file: WishFile,
         publish: Callable[[Record], None],
         optimal: OptimalPointing | None = None,
+        clock_watch: ClockWatch | None = None,
     ) -> None:
         self._settings = settings
         self.optimal = optimal
         self._clock = clock
         self._motion = motion
         self._pointing = pointing
-        self._clock_watch = ClockWatch(clock)
+        self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
         self._operator = OperatorStow()
         self._stow_watch = stow_watch
         self._publish = publish
@@ -125,6 +128,7 @@ class Control:
         self._due_s = -math.inf
         self._parked_s = -math.inf
         self._decision: Decision | None = None
+        self._data = Data.WAITING
         self._last_why = ""
         self.last_tick_s = clock.monotonic()
 
@@ -136,7 +140,7 @@ class Control:
         if self.optimal is not None and self._clock_watch.trusted:
             self.optimal.receive(scan, self._clock.utc())
         self._publish(scan)
-        if scan.ok and self.mode in (Mode.STARTING, Mode.FALLBACK):
+        if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
             # It may be what was waited for.
             self._wake.set()
 
@@ -235,8 +239,13 @@ class Control:
         """Monotonic time of the next look, unless somebody asks for one before."""
         return self.last_tick_s + self._until_next_tick()
 
+    @property
+    def _waits_for_data(self) -> bool:
+        """Whether a decision is kept back because the readings are not good at this instant."""
+        return self.mode is Mode.TRACKING and self._data is not Data.FRESH
+
     def _until_next_tick(self) -> float:
-        if self.mode in (Mode.TRACKING, Mode.FALLBACK):
+        if not self._waits_for_data and self.mode in (Mode.TRACKING, Mode.FALLBACK):
             return min(_TICK_S, max(self._due_s - self._clock.monotonic(), _SHORTEST_WAIT_S))
         return _TICK_S
 
@@ -247,7 +256,9 @@ class Control:
         if self.optimal is not None and self._clock_watch.trusted:
             self.optimal.turn(self._clock.utc())
         mean = self._readings.mean(now_s)
-        mode, why = next_mode(self.mode, self._situation(now_s, mean))
+        situation = self._situation(now_s, mean)
+        self._data = situation.data
+        mode, why = next_mode(self.mode, situation)
         if mode is not self.mode:
             self._enter(mode, why, now_s)
         self.why = why
@@ -262,7 +273,7 @@ class Control:
             self._tell(text)
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
-        data, data_why, night_why = self._readings.judge(now_s, mean)
+        data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
         asked = self._operator.reason(now_s)
         stow_whys = (*([asked] if asked else []), *self._stow_watch.reasons(now_s))
         unheard_why = self._stow_watch.unheard_why(now_s)
@@ -300,7 +311,7 @@ class Control:
             self._park(Target(self._settings.safety.night_a_deg, self._settings.safety.night_b_deg, "night"), now_s)
         elif self.mode is Mode.HOLD:
             self._hold(now_s)
-        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s:
+        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits_for_data:
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
@@ -337,7 +348,7 @@ class Control:
         if law == "optimal" and self.optimal is not None and heading is not None:
             aim = self.optimal.aim(heading.a_deg, heading.b_deg, utc_s)
         else:
-            aim = self._pointing.aim(law, mean, utc_s)
+            aim = self._pointing.aim(law, mean, utc_s, sun_known=self._clock_watch.trusted)
         if law in _BY_THE_CLOCK and not self._clock_watch.trusted:
             aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
         target = aim.target or self._standing(aim.why)

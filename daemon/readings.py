@@ -47,7 +47,10 @@ class Readings:
         self._optimal = optimal
         self._faces_needed = 4 if optimal is None else FACES_NEEDED
         self._window = Window(
-            settings.windows.mean_s, settings.cube.scan_every_s, max(settings.safety.scan_stale_s, 60.0)
+            settings.windows.mean_s,
+            settings.cube.scan_every_s,
+            settings.safety.scan_stale_s,
+            settings.safety.scan_stale_s,
         )
         self._started_s = clock.monotonic()
         self._night = False
@@ -65,15 +68,17 @@ class Readings:
         """Return the window's mean, or None while too many faces have nothing in it."""
         return self._window.mean(now_s, self._faces_needed)
 
-    def judge(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str, str | None]:
+    def judge(self, now_s: float, mean: Irradiances | None, *, sun_known: bool = True) -> tuple[Data, str, str | None]:
         """Return what the data is good for, why, and why it counts as night (None by day).
 
         The zenith face tells night from day while it can be believed, with hysteresis; the ephemeris does otherwise.
+        Unless `sun_known` the clock is in doubt: the ephemeris tells nothing then, and only light ends a night.
         """
         data, why = self._judge_data(now_s, mean)
-        night_why = self._judge_night(data, mean)
-        if night_why is None and data is Data.FRESH and mean is not None and self._too_dark(mean):
-            return Data.BAD, f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2 in daylight", None
+        seen = mean if data is Data.FRESH else None
+        night_why = self._judge_night(seen) if sun_known else self._night_as_it_was(seen)
+        if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
+            return Data.BAD, f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2 in daylight", None
         return data, why, night_why
 
     def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
@@ -92,8 +97,9 @@ class Readings:
         bad = [f"{n} {f.quality}" for n, f in zip(FACES, self.newest.faces, strict=True) if f.quality != "ok"]
         return f" ({', '.join(bad)})"
 
-    def _too_dark(self, mean: Irradiances) -> bool:
-        return self._sees_zenith(mean) and not (mean.zenith_w_m2 >= self._safety.night_below_w_m2)
+    def _too_dark(self, mean: Irradiances, *, sun_known: bool) -> bool:
+        dark = not (mean.zenith_w_m2 >= self._safety.night_below_w_m2)
+        return dark and (not sun_known or self._sees_zenith(mean))
 
     def _sees_zenith(self, mean: Irradiances) -> bool:
         """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
@@ -105,13 +111,18 @@ class Readings:
         faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
         return self._optimal.believes_zenith(faces, self._clock.utc())
 
-    def _judge_night(self, data: Data, mean: Irradiances | None) -> str | None:
+    def _judge_night(self, seen: Irradiances | None) -> str | None:
         sun_deg = self._sun_elevation_deg(self._clock.utc())
-        if data is Data.FRESH and mean is not None and self._sees_zenith(mean):
+        if seen is not None and self._sees_zenith(seen):
             threshold = self._safety.night_above_w_m2 if self._night else self._safety.night_below_w_m2
-            self._night = mean.zenith_w_m2 < threshold and sun_deg <= self._safety.night_highest_sun_deg
-            why = f"the zenith face reads {mean.zenith_w_m2:.1f} W/m2"
+            self._night = seen.zenith_w_m2 < threshold and sun_deg <= self._safety.night_highest_sun_deg
+            why = f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2"
         else:
             self._night = sun_deg < (0.5 if self._night else 0.0)
             why = f"the sun stands at {sun_deg:.1f} deg"
         return why if self._night else None
+
+    def _night_as_it_was(self, seen: Irradiances | None) -> str | None:
+        if seen is not None and seen.zenith_w_m2 >= self._safety.night_above_w_m2:
+            self._night = False
+        return "it was night before the clock was set" if self._night else None

@@ -15,6 +15,7 @@ from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
 from daemon.calibration_file import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.clock import Clock
+from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
@@ -66,6 +67,8 @@ class Rig:
         One line about the simulated sky for displays, or None.
     load
         None where there is none on the tracker's module.
+    clock_synchronised
+        Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
     """
 
     multiplexer: Multiplexer | None
@@ -75,6 +78,7 @@ class Rig:
     simulated: bool
     sky_text: Callable[[], str] | None = None
     load: ElectronicLoad | None = None
+    clock_synchronised: Callable[[], bool | None] = lambda: None
 
 
 class Service:
@@ -198,6 +202,7 @@ class Service:
             WishFile(settings.store.directory),
             self.bus.publish,
             self._optimal(limits),
+            ClockWatch(self.clock, self.alarms, rig.clock_synchronised),
         )
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
         if rig.load is not None:

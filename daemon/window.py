@@ -20,12 +20,15 @@ class Window:
         What the first reading after a gap stands for.
     longest_s
         The longest time that one reading may stand for.
+    stale_s
+        A face of which the newest good reading is older than this has no mean and covers nothing.
     """
 
-    def __init__(self, mean_s: float, nominal_s: float, longest_s: float) -> None:
+    def __init__(self, mean_s: float, nominal_s: float, longest_s: float, stale_s: float = math.inf) -> None:
         self._mean_s = mean_s
         self._nominal_s = nominal_s
         self._longest_s = longest_s
+        self._stale_s = stale_s
         self._faces = tuple(_FaceWindow(mean_s) for _ in range(4))
 
     def add(self, scan: Scan) -> None:
@@ -42,13 +45,14 @@ class Window:
         self._faces = tuple(_FaceWindow(self._mean_s) for _ in range(4))
 
     def mean(self, now_s: float, faces_needed: int = 4) -> Irradiances | None:
-        """Return the mean over (now - mean_s, now], or None while too many faces have no good reading in it.
+        """Return the mean over (now - mean_s, now], or None while too many faces have no fresh good reading in it.
 
         A face without one is NaN; coverage is that of the worst among the `faces_needed` best.
         """
         means, covered = [], []
         for window in self._faces:
-            mean, covered_s = window.mean(now_s)
+            stale = now_s - window.newest_s > self._stale_s
+            mean, covered_s = (math.nan, 0.0) if stale else window.mean(now_s)
             means.append(mean)
             covered.append(covered_s)
         needed_s = min(covered) if faces_needed == 4 else sorted(covered)[4 - faces_needed]

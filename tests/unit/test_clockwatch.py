@@ -2,6 +2,7 @@
 
 import pytest
 
+from daemon.alarms import Alarms
 from daemon.clockwatch import ClockWatch
 
 
@@ -41,3 +42,51 @@ def test_slewing_and_small_corrections_are_no_steps():
     clock.offset += 5
     assert watch.step_s() == pytest.approx(5)
     assert watch.trusted
+
+
+class Told:
+    """Alarms on a clock, with the kernel's answer in hand."""
+
+    def __init__(self, answer):
+        self.clock = SetClock()
+        self.answer = answer
+        self.asked = 0
+        self.alarms = Alarms(self.clock, lambda _: None)
+        self.watch = ClockWatch(self.clock, self.alarms, self.ask)
+
+    def ask(self):
+        self.asked += 1
+        return self.answer
+
+    def after(self, seconds):
+        for _ in range(int(seconds // 5)):
+            self.clock.now += 5
+            self.watch.step_s()
+        return [alarm.text for alarm in self.alarms.active if alarm.name == "clock"]
+
+
+def test_a_clock_that_was_never_synchronised_is_told_and_over_when_it_is():
+    told = Told(answer=False)
+    assert not told.after(100), "what synchronises it may need some time"
+    (text,) = told.after(60)
+    assert "has not been synchronised" in text
+    told.answer = True
+    assert not told.after(65)
+    asked = told.asked
+    told.answer = False
+    assert not told.after(3600), "it was synchronised once"
+    assert told.asked == asked
+
+
+@pytest.mark.parametrize("answer", [None, True])
+def test_a_clock_that_is_synchronised_or_unknown_is_no_alarm(answer):
+    assert not Told(answer).after(3600)
+
+
+def test_a_step_is_an_alarm_until_the_clock_has_settled():
+    told = Told(answer=None)
+    told.clock.offset += 43200
+    (text,) = told.after(5)
+    assert "+43200 s" in text
+    assert told.after(800)
+    assert not told.after(120)

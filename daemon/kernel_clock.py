@@ -1,0 +1,32 @@
+"""What the kernel says of the machine's clock: whether anything has synchronised it."""
+
+import ctypes
+import sys
+
+_STA_UNSYNC = 0x0040
+
+
+class _Timex(ctypes.Structure):
+    """The beginning of Linux' ``struct timex``, and room for the rest, which is written too."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 512),
+    )
+
+
+def synchronised() -> bool | None:
+    """Return whether the kernel counts its clock as synchronised; None where it cannot be asked. Changes nothing."""
+    if not sys.platform.startswith("linux"):
+        return None
+    found = _Timex()
+    try:
+        state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(found))
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else not found.status & _STA_UNSYNC
