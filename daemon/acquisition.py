@@ -4,12 +4,14 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from random import Random
 
 from daemon.backoff import Backoff
 from daemon.calibration import DarkOffsets, calibrated
 from daemon.clock import Clock
 from daemon.config import Cube
+from daemon.face_watch import FaceWatch
 from daemon.outage import Outage
 from daemon.records import FACES, Event, FaceReading, Quality, Scan
 from drivers.errors import DeadlineError, DeviceError, DriverHungError, OverRangeError, ProtocolError
@@ -44,6 +46,8 @@ class Acquisition:
         Of UTC [s]; dark offsets are learnt only when the sun is well below the horizon.
     simulated, calibration
         Mark every scan; the identifier is empty where the gains are the settings' own.
+    face_watch
+        Finds faces that cannot be true, or None.
     """
 
     def __init__(
@@ -59,7 +63,9 @@ class Acquisition:
         sun_elevation_deg: Callable[[float], float],
         simulated: bool,
         calibration: str = "",
+        face_watch: FaceWatch | None = None,
     ) -> None:
+        self._face_watch = face_watch
         self._cube = cube
         self._settle_s = settle_s
         self._multiplexer = multiplexer
@@ -75,6 +81,9 @@ class Acquisition:
         self._dark = DarkOffsets(sun_elevation_deg) if cube.dark_correction else None
         self._repeats = [0] * len(FACES)
         self._last_voltage = [math.nan] * len(FACES)
+        # As read in the present scan, for the watch over the faces.
+        self._read_mv = [math.nan] * len(FACES)
+        self._read_w_m2 = [math.nan] * len(FACES)
         self._backoff = Backoff(random)
         self.outage = Outage(log, "the cube")
         self.skipped = 0
@@ -140,9 +149,10 @@ class Acquisition:
     async def scan(self) -> Scan:
         """Read the four faces once, in 4 x (settle + conversion); raises `DeviceError` when the link is gone."""
         proven = await self._self_test()
-        east, south, west, zenith = [await self._read(index, proven) for index in range(len(FACES))]
+        faces = [await self._read(index, proven) for index in range(len(FACES))]
         # A switch that was lost before the last reading has gone to another input: it must still take its address.
         await self._multiplexer.select(self._faces[-1].channel)
+        east, south, west, zenith = self._believed(faces, proven)
         scan = Scan(
             source=self._cube.name,
             session=self._session,
@@ -160,9 +170,12 @@ class Acquisition:
         return scan
 
     async def _self_test(self) -> bool:
-        channel = self._cube.self_test_channel
-        if channel is None:
-            return True
+        for channel in (self._cube.self_test_channel, self._cube.second_self_test_channel):
+            if channel is not None and not await self._reads_nothing(channel):
+                return False
+        return True
+
+    async def _reads_nothing(self, channel: int) -> bool:
         try:
             voltage_v = await self._voltage(channel)
         except (OverRangeError, DeadlineError, ProtocolError):
@@ -176,6 +189,7 @@ class Acquisition:
 
     async def _read(self, index: int, proven: bool) -> FaceReading:
         voltage_v = irradiance = math.nan
+        self._read_mv[index] = self._read_w_m2[index] = math.nan
         try:
             voltage_v = await self._voltage(self._faces[index].channel)
             quality = Quality.OK
@@ -189,8 +203,22 @@ class Acquisition:
         if quality is Quality.OK:
             dark_mv = self._dark.learn(index, voltage_v * 1e3, utc_s) if self._dark else 0.0
             irradiance = calibrated(voltage_v * 1e3 - dark_mv, self._faces[index])
+            self._read_mv[index], self._read_w_m2[index] = voltage_v * 1e3, irradiance
             quality = self._judge(index, voltage_v, irradiance, proven)
         return FaceReading(irradiance, quality, utc_s, self._clock.monotonic())
+
+    def _believed(self, faces: list[FaceReading], proven: bool) -> list[FaceReading]:
+        watch = self._face_watch
+        if watch is None:
+            return faces
+        if proven:
+            watch.note(self._read_w_m2, self._read_mv)
+        return [
+            replace(face, quality=Quality.IMPLAUSIBLE)
+            if face.quality is Quality.OK and watch.implausible(index)
+            else face
+            for index, face in enumerate(faces)
+        ]
 
     def _judge(self, index: int, voltage_v: float, irradiance: float, proven: bool) -> Quality:
         repeated = voltage_v == self._last_voltage[index] and voltage_v != 0.0

@@ -28,12 +28,16 @@ class RoleChoice(StrEnum):
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
     from daemon.config_file import check_file
+    from daemon.stuck_lines import self_test_gaps
 
     settings = check_file(file)
     console = Console(highlight=False, soft_wrap=True)
     console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
     for subject, text in _summary(settings).items():
         console.print(Text.assemble((f"  {subject:<12} ", "dim"), text))
+    if settings.instruments.kind == "real":
+        for sentence in self_test_gaps(settings):
+            console.print(Text.assemble(("  warning      ", "bold yellow"), sentence))
 
 
 @app.command()

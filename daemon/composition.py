@@ -256,7 +256,7 @@ def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[M
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
 
     def sensor(channel: int, now_s: float) -> float | None:
-        if channel == settings.cube.self_test_channel:
+        if channel in (settings.cube.self_test_channel, settings.cube.second_self_test_channel):
             return 0.0
         face = face_of_channel.get(channel)
         if face is None:

@@ -156,8 +156,13 @@ class Cube(Section):
         examples=[7],
         description="Multiplexer input that is short-circuited: read before each scan to prove switch and meter.",
     )
+    second_self_test_channel: Channel | None = Field(
+        None,
+        examples=[4],
+        description="Another such input, with all address lines the other way: only two together see every stuck line.",
+    )
     self_test_limit_mv: Positive = Field(
-        0.5, le=100, description="Largest voltage of the short-circuited input that passes the self-test."
+        0.5, le=100, description="Largest voltage of a short-circuited input that passes the self-test."
     )
     east: Face = Face(channel=0)
     south: Face = Face(channel=1)

@@ -17,6 +17,7 @@ _BRIGHT_SUN_W_M2 = 1000.0
 # What an electronic load takes for one exchange, and a sweep for its beginning and end.
 _LOAD_EXCHANGE_S = 0.02
 _SWEEP_ENDS_S = 0.2
+SELF_TESTS = ("self_test_channel", "second_self_test_channel")
 
 
 class Conflict(NamedTuple):
@@ -54,7 +55,7 @@ def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
 
 
 def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
-    """Each face has a multiplexer input of its own, and `cube.self_test_channel` is none of theirs."""
+    """Each face has a multiplexer input of its own, and the self-tests have two others."""
     owner: dict[int, str] = {}
     for name in FACES:
         key, channel = f"cube.{name}.channel", getattr(settings.cube, name).channel
@@ -62,17 +63,21 @@ def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
             reason = f"is the input of {owner[channel]} already; each face needs one of its own"
             yield Conflict(key, reason, (owner[channel],))
         owner.setdefault(channel, key)
-    test = settings.cube.self_test_channel
-    if test is not None and test in owner:
-        reason = f"is the input of {owner[test]}; the self-test needs a short-circuited input of its own"
-        yield Conflict("cube.self_test_channel", reason, (owner[test],))
+    for name in SELF_TESTS:
+        key, test = f"cube.{name}", getattr(settings.cube, name)
+        if test is None:
+            continue
+        if test in owner:
+            reason = f"is the input of {owner[test]}; the self-test needs a short-circuited input of its own"
+            yield Conflict(key, reason, (owner[test],))
+        owner.setdefault(test, key)
 
 
 def each_channel_has_an_address(settings: "Settings") -> Iterator[Conflict]:
     """Every input that is read is one that `instruments.multiplexer.addresses` knows."""
     count = len(settings.instruments.multiplexer.addresses)
     channels = {f"cube.{name}.channel": getattr(settings.cube, name).channel for name in FACES}
-    channels["cube.self_test_channel"] = settings.cube.self_test_channel
+    channels |= {f"cube.{name}": getattr(settings.cube, name) for name in SELF_TESTS}
     for key, channel in channels.items():
         if channel is not None and channel >= count:
             other = "instruments.multiplexer.addresses"
@@ -107,7 +112,7 @@ def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
     """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
     settle_s = settings.instruments.multiplexer.settle_s
     meter = settings.instruments.voltmeter
-    readings = len(FACES) + (settings.cube.self_test_channel is not None)
+    readings = len(FACES) + sum(getattr(settings.cube, name) is not None for name in SELF_TESTS)
     conversion_s = _AUTOZERO * meter.nplc / meter.line_frequency_hz
     needed_s = readings * (settle_s + conversion_s)
     if needed_s > settings.cube.scan_every_s:
@@ -117,6 +122,7 @@ def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
             f" they take {needed_s:.3g} s",
             (
                 "cube.self_test_channel",
+                "cube.second_self_test_channel",
                 "instruments.multiplexer.settle_s",
                 "instruments.voltmeter.nplc",
                 "instruments.voltmeter.line_frequency_hz",

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from daemon.calibration import calibrated
 from daemon.config import Settings
+from daemon.config_rules import SELF_TESTS
 from daemon.real_rig import build_multiplexer, build_voltmeter, voltmeter_line
 from daemon.records import FACES
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
@@ -117,8 +118,9 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
         else:
             say(f"measured with {await meter.open()}")
         wired = {getattr(settings.cube, name).channel: name for name in FACES}
-        if settings.cube.self_test_channel is not None:
-            wired[settings.cube.self_test_channel] = "self-test"
+        for name in SELF_TESTS:
+            if (channel := getattr(settings.cube, name)) is not None:
+                wired[channel] = "self-test"
         for channel in range(len(settings.instruments.multiplexer.addresses)):
             await multiplexer.select(channel)
             await asyncio.sleep(settings.instruments.multiplexer.settle_s)

@@ -19,6 +19,7 @@ from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
 from daemon.control import Control
 from daemon.errors import UserError
+from daemon.face_watch import FaceWatch
 from daemon.iv_acquisition import IvAcquisition
 from daemon.learned import LearnedFile
 from daemon.motion import OFTEN, Motion, Polling
@@ -158,8 +159,9 @@ class Service:
         settings, rig = self.settings, self.rig
         if rig.multiplexer is None or rig.voltmeter is None:
             raise ValueError("the cube's role needs a multiplexer and a voltmeter")
+        cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
         self.acquisition = Acquisition(
-            calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube,
+            cube,
             settings.instruments.multiplexer.settle_s,
             rig.multiplexer,
             rig.voltmeter,
@@ -170,6 +172,7 @@ class Service:
             self.sun_elevation_deg,
             rig.simulated,
             self.calibration.identifier if self.calibration else "",
+            FaceWatch(settings.site, cube, self.clock, self.alarms),
         )
 
     def _build_tracker(self) -> None:

@@ -78,3 +78,50 @@ def test_the_mean_lies_between_its_readings_and_covers_no_more_than_the_window(s
     values = [value for _, value in steps]
     assert min(values) - 1e-9 <= mean.east_w_m2 <= max(values) + 1e-9
     assert 0 < mean.coverage <= 1
+
+
+def four(now_s, values, bad=()):
+    faces = [
+        FaceReading(math.nan if index in bad else value, Quality.LATE if index in bad else Quality.OK, now_s, now_s)
+        for index, value in enumerate(values)
+    ]
+    return Scan("cube", "s", 0, now_s, now_s, *faces)
+
+
+def test_a_reading_at_the_windows_very_start_is_outside():
+    window = Window(20, nominal_s=5, longest_s=60)
+    for now, value in ((5, 999), (10, 100), (15, 100), (20, 100), (25, 100)):
+        window.add(scan(now, value))
+    assert window.mean(25).east_w_m2 == pytest.approx(100)
+    assert window.mean(25).coverage == pytest.approx(1.0)
+    assert window.mean(30).coverage == pytest.approx(0.75)
+
+
+def test_coverage_is_that_of_the_worst_face_that_is_needed():
+    window = Window(60, nominal_s=5, longest_s=60)
+    for i in range(12):
+        # South is read half of the time, west a quarter of it.
+        bad = [index for index, share in ((1, 6), (2, 3)) if i < 12 - share]
+        window.add(four(5.0 * i, (1, 2, 3, 4), bad))
+    assert window.mean(55).coverage == pytest.approx(0.25)
+    assert window.mean(55, faces_needed=3).coverage == pytest.approx(0.5)
+
+
+def test_a_face_without_fresh_readings_covers_nothing():
+    window = Window(120, nominal_s=5, longest_s=15, stale_s=15)
+    for i in range(24):
+        window.add(four(5.0 * i, (1, 2, 3, 4)))
+    for i in range(24, 28):
+        window.add(four(5.0 * i, (1, 2, 3, 4), bad=(3,)))
+    assert window.mean(130.0).zenith_w_m2 == pytest.approx(4)
+    assert window.mean(130.1) is None
+    three = window.mean(130.1, faces_needed=3)
+    assert math.isnan(three.zenith_w_m2)
+    assert three.south_w_m2 == pytest.approx(2)
+
+
+def test_a_single_reading_at_the_windows_very_start_is_no_mean():
+    window = Window(20, nominal_s=5, longest_s=60)
+    window.add(scan(5, 100))
+    assert window.mean(24.9).coverage > 0
+    assert window.mean(25) is None

@@ -1,0 +1,202 @@
+"""The cube's role on simulated instruments: settling, self-test, qualities, rhythm."""
+
+import asyncio
+import logging
+from random import Random
+
+import numpy as np
+import pytest
+
+from daemon.acquisition import Acquisition
+from daemon.clock import LoopClock
+from daemon.config import Cube
+from daemon.records import Quality
+from daemon.timeloop import VirtualTimeLoop
+from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.voltmeter_core import VoltmeterCore
+
+DAY, NIGHT = 30.0, -20.0
+
+
+class Rig:
+    """An acquisition with its instruments in hand; voltages [mV] by input."""
+
+    def __init__(self, loop, cube, settle_s, latency_s, sun_deg):
+        self.mv = {0: 30.0, 1: 41.0, 2: 6.0, 3: 47.0, 7: 0.0}
+        self.sun_deg = sun_deg
+        self.on_input = lambda _channel: None
+        self.switch = MultiplexerCore(inputs=self._input, latency_s=latency_s)
+        self.core = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
+        self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
+        self.voltmeter = InMemoryVoltmeter(self.core, loop.time)
+        self.scans, self.at, self.loop, self.scanned = [], [], loop, asyncio.Event()
+        self.acquisition = Acquisition(
+            cube,
+            settle_s,
+            self.multiplexer,
+            self.voltmeter,
+            LoopClock(loop.time, 1.7e9),
+            Random(1),
+            self._keep,
+            lambda _event: None,
+            lambda _utc_s: self.sun_deg,
+            simulated=True,
+        )
+
+    def _input(self, channel, _now):
+        self.on_input(channel)
+        found = self.mv.get(channel)
+        return None if found is None else 1e-3 * found
+
+    def _keep(self, scan):
+        self.scans.append(scan)
+        self.at.append(self.loop.time())
+        self.scanned.set()
+
+    @property
+    def qualities(self):
+        return [face.quality for face in self.scans[-1].faces]
+
+
+@pytest.fixture
+def run():
+    def runs(scenario, *, settle_s=0.3, latency_s=0.0, sun_deg=DAY, **cube):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            loop = runner.get_loop()
+            rig = Rig(loop, Cube(**cube), settle_s, latency_s, sun_deg)
+
+            async def beside():
+                working = asyncio.create_task(rig.acquisition.run())
+                try:
+                    await scenario(rig)
+                finally:
+                    working.cancel()
+                    await asyncio.gather(working, return_exceptions=True)
+
+            runner.run(beside())
+        return rig
+
+    return runs
+
+
+async def scans(rig, count):
+    for _ in range(count):
+        await rig.scanned.wait()
+        rig.scanned.clear()
+
+
+def test_a_conversion_begins_after_the_settling_and_not_before(run):
+    begun = []
+
+    async def scenario(rig):
+        selected_s = rig.loop.time()
+        write = rig.switch.write
+
+        def noted(value, now):
+            nonlocal selected_s
+            selected_s = now
+            write(value, now)
+
+        rig.switch.write = noted
+        rig.on_input = lambda _channel: begun.append(rig.loop.time() - selected_s)
+        await scans(rig, 2)
+
+    run(scenario, settle_s=0.3)
+    assert len(begun) >= 8
+    assert min(begun) >= 0.299
+
+
+@pytest.mark.parametrize(("mv", "passes"), [(0.4, True), (0.6, False), (2.0, False), (-0.6, False), (5000.0, False)])
+def test_the_self_test_takes_millivolts_and_a_reading_that_fails_fails_it(run, mv, passes):
+    async def scenario(rig):
+        rig.mv[7] = mv
+        await scans(rig, 1)
+
+    rig = run(scenario, self_test_channel=7, self_test_limit_mv=0.5)
+    assert rig.qualities == [Quality.OK if passes else Quality.SELF_TEST_FAILED] * 4
+
+
+def test_a_switch_that_is_lost_during_the_last_reading_spoils_the_scan(run):
+    async def scenario(rig):
+        await scans(rig, 1)
+
+        def lose(channel):
+            if channel == 3:
+                rig.on_input = lambda _channel: None
+                rig.switch.fail_next()
+
+        rig.on_input = lose
+        delivered = len(rig.scans)
+        await asyncio.sleep(6)
+        assert len(rig.scans) == delivered
+        assert rig.acquisition.outage.is_down
+
+    run(scenario)
+
+
+@pytest.mark.parametrize(
+    ("mv", "quality"),
+    [
+        (-3.0, Quality.IMPLAUSIBLE),
+        (-1.0, Quality.OK),
+        (151.0, Quality.IMPLAUSIBLE),
+        (149.0, Quality.OK),
+        (2000.0, Quality.OVER_RANGE),
+    ],
+)
+def test_what_no_light_can_be_is_implausible(run, mv, quality):
+    async def scenario(rig):
+        rig.mv[1] = mv
+        await scans(rig, 1)
+
+    assert run(scenario).qualities[1] is quality
+
+
+def test_the_dark_offset_is_learnt_at_night_and_subtracted(run):
+    async def scenario(rig):
+        rig.mv |= dict.fromkeys(range(4), 0.2)
+        await scans(rig, 900)
+        rig.sun_deg = DAY
+        rig.mv[0] = 30.2
+        await scans(rig, 1)
+
+    assert run(scenario, sun_deg=NIGHT).scans[-1].east.irradiance_w_m2 == pytest.approx(300.0, abs=0.3)
+
+
+def test_missed_scans_are_left_out_and_the_rhythm_stays(run):
+    async def scenario(rig):
+        await scans(rig, 2)
+        rig.core.reply_delay_s = 1.9
+        await scans(rig, 1)
+        rig.core.reply_delay_s = 0.0
+        await scans(rig, 5)
+
+    rig = run(scenario)
+    steps = np.diff(rig.at)
+    assert rig.acquisition.skipped == 1
+    assert steps[-3:] == pytest.approx(5.0, abs=0.01)
+    assert min(steps) > 2.0
+
+
+def test_a_sensor_of_exactly_0_v_at_night_is_not_frozen(run):
+    async def scenario(rig):
+        rig.voltmeter.read_voltage = lambda: asyncio.sleep(0.04, 0.0)
+        await scans(rig, 12)
+        assert rig.qualities == [Quality.OK] * 4
+        rig.voltmeter.read_voltage = lambda: asyncio.sleep(0.04, 1e-5)
+        await scans(rig, 12)
+        assert rig.qualities == [Quality.STALE] * 4
+
+    run(scenario, sun_deg=NIGHT)
+
+
+def test_the_switch_is_not_touched_while_the_meter_cannot_be_opened(run, caplog):
+    async def scenario(rig):
+        rig.voltmeter.link_up = False
+        rig.multiplexer.link_up = False
+        await asyncio.sleep(5)
+        assert "voltmeter" in rig.acquisition.outage.reason
+
+    caplog.set_level(logging.WARNING)
+    run(scenario)

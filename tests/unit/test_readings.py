@@ -1,0 +1,145 @@
+"""What the scans are good for, and whether it is night."""
+
+import math
+
+import pytest
+
+from daemon.config import Settings
+from daemon.modes import Data
+from daemon.readings import Readings
+from daemon.records import FaceReading, Quality, Scan
+
+
+class SetClock:
+    now = 1000.0
+
+    def monotonic(self):
+        return self.now
+
+    def utc(self):
+        return self.now + 1.7e9
+
+
+class Rig:
+    """Readings under a sun in hand; a scan every 5 s."""
+
+    def __init__(self, optimal=None):
+        self.clock = SetClock()
+        self.sun_deg = 30.0
+        self.readings = Readings(Settings(), self.clock, lambda _utc_s: self.sun_deg, optimal)
+
+    def scan(self, zenith, bad=()):
+        self.clock.now += 5
+        faces = [
+            FaceReading(math.nan if name in bad else value, Quality.LATE if name in bad else Quality.OK, 0.0, self.now)
+            for name, value in (("east", 50.0), ("south", 60.0), ("west", 40.0), ("zenith", zenith))
+        ]
+        self.readings.add(Scan("cube", "s", 0, 0.0, self.now, *faces))
+
+    @property
+    def now(self):
+        return self.clock.now
+
+    def judge(self, **how):
+        return self.readings.judge(self.now, self.readings.mean(self.now), **how)
+
+    def minutes(self, zenith, count=3):
+        for _ in range(count * 12):
+            self.scan(zenith)
+        return self.judge()
+
+
+class Believing:
+    """A law that believes the zenith face, or does not."""
+
+    def __init__(self, believes):
+        self.believes = believes
+
+    def believes_zenith(self, _faces, _utc_s):
+        return self.believes
+
+
+def test_night_begins_below_one_brightness_and_ends_above_another():
+    rig = Rig()
+    rig.sun_deg = 2.0
+    assert rig.minutes(7.0)[2] is None
+    assert rig.minutes(4.0)[2] is not None
+    assert rig.minutes(7.0)[2] is not None, "between the thresholds it stays night"
+    assert rig.minutes(11.0)[2] is None
+    assert rig.minutes(7.0)[2] is None, "and day"
+
+
+def test_without_readings_the_sun_ends_the_night_half_a_degree_later_than_it_began_it():
+    rig = Rig()
+    seen = []
+    for sun_deg in (0.2, -0.2, 0.2, 0.6, 0.2):
+        rig.sun_deg = sun_deg
+        seen.append(rig.judge()[2] is not None)
+    assert seen == [False, True, True, False, False]
+
+
+def test_a_bright_zenith_face_with_the_sun_below_the_horizon_is_no_night():
+    rig = Rig()
+    rig.sun_deg = -3.0
+    assert rig.minutes(40.0)[2] is None
+
+
+def test_a_dark_zenith_face_under_a_high_sun_is_a_fault():
+    rig = Rig()
+    data, why, night = rig.minutes(2.0)
+    assert (data, night) == (Data.BAD, None)
+    assert "in daylight" in why
+
+
+@pytest.mark.parametrize("believes", [False, True])
+def test_optimal_asks_whether_its_zenith_face_is_to_be_believed_only_by_day(believes):
+    rig = Rig(Believing(believes))
+    assert rig.minutes(2.0)[0] is (Data.BAD if believes else Data.FRESH)
+    rig.sun_deg = -1.0
+    assert "zenith face reads 2.0" in rig.minutes(2.0)[2], "below the horizon dark is dark"
+
+
+def test_a_scan_of_which_a_face_is_bad_is_not_good_enough_but_for_optimal():
+    for optimal, expected in ((None, Data.WAITING), (Believing(believes=True), Data.FRESH)):
+        rig = Rig(optimal)
+        rig.minutes(100.0)
+        for _ in range(4):
+            rig.scan(100.0, bad=("east",))
+        assert rig.judge()[0] is expected
+
+
+def test_a_face_that_has_fallen_silent_drops_out_of_the_mean_when_it_is_stale():
+    rig = Rig(Believing(believes=True))
+    rig.minutes(100.0)
+    for _ in range(3):
+        rig.scan(100.0, bad=("east",))
+    assert rig.readings.mean(rig.now).east_w_m2 == pytest.approx(50)
+    rig.scan(100.0, bad=("east",))
+    assert math.isnan(rig.readings.mean(rig.now).east_w_m2)
+
+
+def test_no_mean_outlives_its_readings():
+    rig = Rig()
+    rig.minutes(100.0)
+    rig.clock.now += 15
+    assert rig.judge()[0] is Data.FRESH
+    rig.clock.now += 1
+    assert rig.readings.mean(rig.now) is None
+    assert rig.judge()[0] is Data.WAITING
+    rig.clock.now += 60
+    data, why, _ = rig.judge()
+    assert data is Data.BAD
+    assert "no good scan for 76 s" in why
+
+
+def test_with_the_clock_in_doubt_the_sun_begins_no_night_and_light_ends_one():
+    rig = Rig()
+    rig.minutes(100.0)
+    rig.sun_deg = -40.0
+    rig.clock.now += 30
+    assert rig.judge(sun_known=False)[2] is None
+    assert rig.judge()[2] is not None
+    assert rig.judge(sun_known=False)[2] is not None, "as it was"
+    for _ in range(36):
+        rig.scan(100.0)
+    assert rig.judge(sun_known=False)[2] is None

@@ -1,0 +1,103 @@
+"""Self-tests against every stuck address line: what the configuration promises is what a stuck switch shows."""
+
+import asyncio
+import itertools
+from random import Random
+
+import numpy as np
+import pytest
+
+from daemon.acquisition import Acquisition
+from daemon.clock import LoopClock
+from daemon.config import Settings
+from daemon.records import Quality
+from daemon.stuck_lines import self_test_gaps
+from daemon.timeloop import VirtualTimeLoop
+from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.voltmeter_core import VoltmeterCore
+
+FACES_MV = {"east": 30.0, "south": 41.0, "west": 6.0, "zenith": 47.0}
+BEST = {"east": 0, "south": 1, "west": 2, "zenith": 7}
+FIRST = {"east": 0, "south": 1, "west": 2, "zenith": 3}
+LINES = list(itertools.product((0, 1, 2), (False, True)))
+
+
+def settings_of(channels, tests):
+    cube = {name: {"channel": channel} for name, channel in channels.items()}
+    cube |= dict(zip(("self_test_channel", "second_self_test_channel"), tests, strict=False))
+    return Settings.model_validate({"cube": cube})
+
+
+def qualities(channels, tests, spoil, parallel=()):
+    """Return the qualities of two scans by a switch that `spoil` has done something to."""
+    settings = settings_of(channels, tests)
+    volts = {channel: 1e-3 * FACES_MV[name] for name, channel in channels.items()}
+    volts |= dict.fromkeys(tests, 0.0) | dict.fromkeys(parallel, 1e-3 * FACES_MV["zenith"])
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        loop = runner.get_loop()
+        switch = MultiplexerCore(inputs=lambda channel, _now: volts.get(channel), latency_s=0.0)
+        meter = VoltmeterCore(input_voltage=switch.output_voltage, random=np.random.default_rng(1))
+        acquisition = Acquisition(
+            settings.cube,
+            0.3,
+            InMemoryMultiplexer(switch, loop.time),
+            InMemoryVoltmeter(meter, loop.time),
+            LoopClock(loop.time, 1.7e9),
+            Random(1),
+            lambda _scan: None,
+            lambda _event: None,
+            lambda _utc_s: 30.0,
+            simulated=True,
+        )
+
+        async def twice():
+            await acquisition._open()
+            spoil(switch, loop.time())
+            return [face.quality for _ in range(2) for face in (await acquisition.scan()).faces]
+
+        return set(runner.run(twice()))
+
+
+@pytest.mark.parametrize(("bit", "high"), LINES)
+def test_the_wiring_of_the_manual_sees_every_line_stuck_either_way(bit, high):
+    seen = qualities(BEST, (3, 4), lambda switch, now: switch.stick(bit, high, now), parallel=(5, 6))
+    assert seen == {Quality.SELF_TEST_FAILED}
+
+
+def test_the_wiring_of_the_manual_sees_a_port_that_has_lost_its_supply():
+    def dead(switch, now):
+        for bit in (0, 1, 2):
+            switch.stick(bit, True, now)
+
+    assert qualities(BEST, (3, 4), dead, parallel=(5, 6)) == {Quality.SELF_TEST_FAILED}
+
+
+def test_the_wiring_of_the_manual_passes_while_nothing_is_stuck():
+    assert qualities(BEST, (3, 4), lambda _switch, _now: None, parallel=(5, 6)) == {Quality.OK}
+
+
+@pytest.mark.parametrize("test", range(4, 8))
+@pytest.mark.parametrize(("bit", "high"), LINES)
+def test_one_input_sees_a_line_only_the_way_that_changes_its_own_address(test, bit, high):
+    parallel = [channel for channel in range(4, 8) if channel != test]
+    seen = qualities(FIRST, (test,), lambda switch, now: switch.stick(bit, high, now), parallel)
+    sees = bool(test >> bit & 1) is not high
+    assert (Quality.SELF_TEST_FAILED in seen) is sees
+    (sentence, *_) = self_test_gaps(settings_of(FIRST, (test,)))
+    assert (f"line {bit} stuck {'high' if high else 'low'}" in sentence) is not sees
+
+
+def test_the_last_and_the_first_input_together_do_not_see_a_dead_port():
+    middle = {"east": 1, "south": 2, "west": 4, "zenith": 3}
+    (sentence, _) = self_test_gaps(settings_of(middle, (7, 0)))
+    assert "does not see a port without supply (all lines high)" in sentence
+
+
+def test_the_configuration_says_what_is_missing():
+    assert "no self-test" in self_test_gaps(settings_of(FIRST, ()))[0]
+    (sentence,) = self_test_gaps(settings_of(BEST, (3, 4)))
+    assert "read at input 5, 6: wire it in parallel" in sentence
+    full = {"east": 5, "south": 1, "west": 2, "zenith": 7}
+    (sentence,) = self_test_gaps(settings_of(full, (3, 4)))
+    assert "read at input 0, 6: wire" in sentence
