@@ -342,7 +342,7 @@ def test_a_move_returns_once_the_unit_has_taken_both_targets():
         await tracker.positioner.open()
         start = now()
         await tracker.positioner.move_to(-30.0, 45.0)
-        assert 0.06 <= now() - start <= 0.2
+        assert 0.06 <= now() - start <= 0.3
         seen = await tracker.positioner.read_telemetry()
         assert seen.position_a != seen.destination_a
         assert await tracker.rest() == pytest.approx((-30.0, 45.0), abs=0.5)
@@ -386,7 +386,7 @@ def test_a_silent_refusal_is_told_with_its_likely_cause(fault, cause):
         start = now()
         with pytest.raises(RefusedError, match=cause):
             await tracker.positioner.move_to(-30.0, 45.0)
-        assert now() - start < 0.7
+        assert now() - start < 1.3
 
     virtually(scene)
 
@@ -446,6 +446,9 @@ def test_homing_returns_once_it_shows_and_ends_at_the_low_switch(axis, end):
         await tracker.positioner.home(axis)
         assert (await tracker.positioner.read_telemetry()).homing
         assert await tracker.rest() == pytest.approx(end)
+        # That it stands takes two looks.
+        await tracker.positioner.read_telemetry()
+        await asyncio.sleep(1.0)
         assert not (await tracker.positioner.read_telemetry()).homing
         await tracker.positioner.home(axis)
         tracker.core.inject("undervoltage", now())
