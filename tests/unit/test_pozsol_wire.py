@@ -118,7 +118,7 @@ def test_no_bytes_whatever_upset_the_decoder(data):
 
 
 @pytest.mark.parametrize(("value", "number"), [
-    (b"24.00", 24.0), (b"24.0", 24.0), (b"24", 24.0), (b"24.", 24.0), (b" 24.000 ", 24.0), (b"+.5", 0.5), (b"-0.0", 0.0),
+    (b"24.00", 24.0), (b"24.0", 24.0), (b"24", 24.0), (b"24.", 24.0), (b" 24.000 ", 24.0), (b"+.5", 0.5), (b"-0.0", 0),
 ])  # fmt: skip
 def test_a_number_is_read_in_whatever_width_it_is_printed(value, number):
     assert parse_number(Field.SUPPLY, value) == number
