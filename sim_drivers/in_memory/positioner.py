@@ -5,7 +5,7 @@ from collections.abc import Callable
 from drivers import geometry
 from drivers.positioner import PozsolPositioner
 from drivers.positioner_line import Heard
-from drivers.pozsol_wire import B_OUT_BIT_STM, TokenStream, require_allowed
+from drivers.pozsol_wire import TokenStream, require_allowed
 from drivers.telemetry import FieldTable
 from sim_drivers.in_memory.link import Cabled
 from sim_drivers.positioner_core import PositionerCore
@@ -34,6 +34,7 @@ class CoreLine(Cabled):
         self._heard = Heard({})
         self._table = FieldTable()
         self._screens = b""
+        core.enumerate_usb(now())
 
     async def open(self) -> None:
         """Connect, and hear every screen once."""
@@ -64,6 +65,18 @@ class CoreLine(Cabled):
         self._heard = self._heard._replace(as_of_s=now_s)
         return self._heard
 
+    @property
+    def link_up(self) -> bool:
+        """Whether the cable is plugged in; the unit takes each plugging for a new host."""
+        return self._is_up
+
+    @link_up.setter
+    def link_up(self, up: bool) -> None:
+        if up and not self._is_up:
+            self._core.enumerate_usb(self._now())
+        self._is_up = up
+        self._is_open = self._is_open and up
+
     def has_lines(self) -> bool:
         """Tell that there are no modem lines."""
         return False
@@ -88,12 +101,13 @@ class InMemoryPositioner(PozsolPositioner):
 
     def __init__(self, core: PositionerCore, now: Callable[[], float], limits: Limits) -> None:
         self.cable = CoreLine(core, now)
+        a, b = core.setup.a_actuator, core.setup.b_actuator
         super().__init__(
             self.cable,
             now,
-            geometry.AxisSetup(_triangle(core.setup.a_actuator), limits.a_min_deg, limits.a_max_deg),
-            geometry.AxisSetup(_triangle(core.setup.b_actuator), limits.b_min_deg, limits.b_max_deg),
-            b_out_bit=B_OUT_BIT_STM,
+            geometry.AxisSetup(_triangle(a), limits.a_min_deg, limits.a_max_deg, a.zero_offset_mm),
+            geometry.AxisSetup(_triangle(b), limits.b_min_deg, limits.b_max_deg, b.zero_offset_mm),
+            b_out_bit=core.setup.b_out_bit,
         )
 
     @property
@@ -107,4 +121,11 @@ class InMemoryPositioner(PozsolPositioner):
 
 
 def _triangle(actuator: Actuator) -> geometry.Triangle:
-    return geometry.Triangle(actuator.arm_1_mm, actuator.arm_2_mm, actuator.apex_deg, actuator.low_deg)
+    return geometry.Triangle(
+        actuator.arm_1_mm,
+        actuator.arm_2_mm,
+        actuator.apex_deg,
+        actuator.low_deg,
+        actuator.holder_mm,
+        "raises" if actuator.raises else "lowers",
+    )
