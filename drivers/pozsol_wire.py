@@ -66,7 +66,7 @@ DECIMALS = {
     Field.B_REMAIN: 4,
     Field.A_CURRENT: 2,
     Field.B_CURRENT: 2,
-    Field.SUPPLY: 1,
+    Field.SUPPLY: 2,
 }
 """How many decimals the unit prints. Fewer or more means that bytes were lost."""
 

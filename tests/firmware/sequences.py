@@ -132,7 +132,7 @@ def _prelude(state: str, draw: random.Random) -> list[Step]:
         "homing A": [home_a],
         "homing B": [home_b],
         "run out": [moving, stop],
-        "fault": [moving, Step(event=f"overcurrent {axis}", wait_ms=wait_ms)],
+        "fault": [a, *draw.choice(([], [b])), Step(event="overcurrent A", wait_ms=wait_ms)],
         "undervoltage": [
             draw.choice((moving, home_a, home_b)),
             Step(event="supply low", wait_ms=wait_ms),
@@ -152,9 +152,9 @@ def _prelude(state: str, draw: random.Random) -> list[Step]:
 
 
 def _packets(draw: random.Random) -> tuple[bytes, ...]:
-    kind = draw.choices(
-        ("one", "joined", "split", "two", "garbage", "oversized", "unclosed"), (60, 6, 6, 10, 8, 5, 5)
-    )[0]
+    kind = draw.choices(("one", "joined", "split", "two", "garbage", "oversized", "unclosed"), (60, 6, 6, 10, 8, 5, 5))[
+        0
+    ]
     command = _command(draw)
     if kind == "joined":
         return (command + _command(draw),)
@@ -188,5 +188,7 @@ def _target(code: int, draw: random.Random) -> bytes:
     largest = {44: (-60, 60), 48: (10, 95), 46: (0, 380), 50: (0, 290)}[code]
     number = draw.uniform(*largest)
     text = f"{number:.4f}" if code in (44, 48) else f"{number:.0f}"
-    odd = draw.choice(("-5", "-400", "400", "99999", "nan", "inf", "1e1", "0x10", "\t20", "", "abc", "1e30", "-0", " 7"))
+    odd = draw.choice(
+        ("-5", "-400", "400", "99999", "nan", "inf", "1e1", "0x10", "\t20", "", "abc", "1e30", "-0", " 7")
+    )
     return b"$%c" % code + (odd if draw.random() < 0.1 else text).encode() + b"\r"
