@@ -64,7 +64,8 @@ class Axis:
         self._origin_mm = 0.0
         self._frozen_mm: float | None = None
         self._moving_until_s = self._last_edge_s = -math.inf
-        self._planned: float | None = None
+        self._planned: tuple[float, bool] | None = None
+        self._passes_s = math.inf
         self.target_mm = self.counted_mm(0.0)
 
     @property
@@ -120,7 +121,7 @@ class Axis:
             still_s = max(still_s, profile.last_edge_s + EDGE_MEMORY_S)
         starts_s = profile.first_edge_s if self._sees else math.inf
         low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.actuator.travel_mm, 1.0)
-        return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, low_s, high_s
+        return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, self._passes_s, low_s, high_s
 
     @property
     def crosses_s(self) -> float:
@@ -136,23 +137,25 @@ class Axis:
             return self._last_edge_s + PULSE_TIMEOUT_S
         return self._profile.last_edge_s + PULSE_TIMEOUT_S
 
-    def push(self, target_mm: float, now_s: float, *, outward: bool) -> None:
-        """Drive towards a target of the unit's count [mm]; infinite for a motion without end."""
+    def push(self, target_mm: float, now_s: float, *, outward: bool, brakes: bool = True) -> None:
+        """Drive towards a target of the unit's count [mm], or past it; infinite for a motion without end."""
         starts = not (self.active and self.outward is outward)
-        if self._hall_lost:
-            target_mm = math.inf
-        if not starts and self._profile and target_mm == self._planned:
+        brakes = brakes and not self._hall_lost and math.isfinite(target_mm)
+        plan = (target_mm, brakes)
+        if not starts and plan == self._planned:
+            # Against a hard stop it stays switched on, and at rest.
             return
         if starts:
             self._last_edge_s = now_s
-        self.active, self.outward, self._planned = True, outward, target_mm
+        self.active, self.outward, self._planned = True, outward, plan
         here, velocity, side = self.true_mm(now_s), self.velocity_mm_s(now_s), 1.0 if outward else -1.0
-        if math.isinf(target_mm):
-            self._replace(drive_on(now_s, here, velocity, side, self.drive), now_s)
-        else:
-            half = 0.5 / self.drive.counts_per_mm
-            goal = target_mm + self._origin_mm + half
+        goal = target_mm + self._origin_mm + 0.5 / self.drive.counts_per_mm
+        if brakes:
             self._replace(drive_to(now_s, here, velocity, goal, self.drive, starts=starts), now_s)
+        else:
+            profile = drive_on(now_s, here, velocity, side, self.drive)
+            self._replace(profile, now_s)
+            self._passes_s = profile.reaches(goal, side)
 
     def run_out(self, now_s: float) -> None:
         """Go on without a motor."""
@@ -232,4 +235,5 @@ class Axis:
 
     def _replace(self, profile: Profile, now_s: float) -> None:
         self._remember_edges(now_s)
+        self._passes_s = math.inf
         self._profile = profile.cut_at(-HARD_STOP_MM, self.actuator.travel_mm + HARD_STOP_MM)

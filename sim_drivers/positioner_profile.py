@@ -78,12 +78,11 @@ class Profile:
 
     def cut_at(self, low: float, high: float) -> "Profile":
         """Return the motion as it ends, at once, where it would leave low..high outwards."""
-        for limit, side in ((low, -1.0), (high, 1.0)):
-            met_s = self.reaches(limit, side)
-            if met_s < self.end_s:
-                pieces = tuple(piece for piece in self.pieces if piece.start_s <= met_s)
-                return replace(self, pieces=pieces, end_s=met_s, end=limit, last_edge_s=met_s, cut=True)
-        return self
+        met_s, limit = min((self.reaches(low, -1.0), low), (self.reaches(high, 1.0), high))
+        if met_s >= self.end_s:
+            return self
+        pieces = tuple(piece for piece in self.pieces if piece.start_s <= met_s)
+        return replace(self, pieces=pieces, end_s=met_s, end=limit, last_edge_s=met_s, cut=True)
 
     def reaches(self, limit: float, side: float) -> float:
         """When the motion first comes to a position from within, going to `side` (-1 in, 1 out); infinite if never."""
@@ -130,7 +129,8 @@ def _drive(start_s: float, position: float, velocity: float, target: float, driv
         stop = coast(start_s, position, velocity, drive)
         pieces += stop.pieces
         start_s, position, velocity = stop.end_s, stop.end, 0.0
-    side, distance, speed = math.copysign(1.0, target - position), abs(target - position), abs(velocity)
+    distance, speed = abs(target - position), abs(velocity)
+    side = math.copysign(1.0, target - position if distance else velocity)
     if starts and speed and distance > 0.75 * speed * _SAG_S:
         pieces.append(_Piece(start_s, position, velocity, -side * 0.5 * speed / _SAG_S))
         start_s, position = start_s + _SAG_S, position + side * 0.75 * speed * _SAG_S
@@ -145,7 +145,7 @@ def _drive(start_s: float, position: float, velocity: float, target: float, driv
     level = _Piece(start_s + up_s, position + side * up, side * top, 0.0)
     fall = _fall(level.start_s + level_s, level.position + side * top * level_s, side, top, fall_mm)
     end_s = fall.start_s + (2 * fall_mm / top if top else 0.0)
-    crosses_s = min(fall.time_at(target), end_s) if top and distance else end_s
+    crosses_s = min(fall.time_at(target), end_s) if top and distance else fall.start_s
     pieces += [rise, level, fall]
     return Profile(tuple(pieces), end_s, target + side * beyond, first_s, crosses_s + _BRAKED_EDGE_S, crosses_s)
 

@@ -100,9 +100,10 @@ class PositionerUnit:
         self.decide(now)
 
     def re_reference(self, now: float) -> None:
-        """Begin reference runs unasked, as the unit does every so many days; the second one ends the first."""
-        self._begin_homing("a", now)
+        """Order reference runs of both axes, as the unit does every so many days; only that of B takes place."""
         self._begin_homing("b", now)
+        # A was told first, and loses its turn before it has moved: it waits until something stops both.
+        self.axes["a"].control = "home"
         self.decide(now)
 
     def stop(self, now: float) -> None:
@@ -264,7 +265,9 @@ class PositionerUnit:
             if other.active:
                 # Both motors share a half bridge: the one that is switched on takes it from the other.
                 other.run_out(now)
-            axis.push(-math.inf if axis.control == "home" else axis.target_mm, now, outward=outward)
+            target_mm = -math.inf if axis.control == "home" else axis.target_mm
+            # With a button held it does not brake, and looks for its target from the other side then.
+            axis.push(target_mm, now, outward=outward, brakes=self.button is None)
             return
         if axis.active and way:
             # It notices a target behind it, and drives on until it gives up.
@@ -290,6 +293,8 @@ class PositionerUnit:
         self._choose(name, now)
         axis = self.axes[name]
         if not (axis.blocked or now < self._refuses_until_s or self.supply_v < MOVE_V):
+            # An axis at rest without a target of its own may lose its turn at once to one that has one.
+            self._take_turns(now)
             axis.control, axis.homing_since_s = "home", now
 
     def _finish_homing(self, axis: Axis, now: float) -> None:

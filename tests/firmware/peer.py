@@ -20,7 +20,6 @@ _POLL_MS = 20
 _SLOW_MM_S = 0.5
 _SUN_DEG = 33.08
 """What the firmware's own tracking makes of its clock and place, for both axes, in the first minutes."""
-# It has one current sensor, and blames the axis that it looks after.
 _FIRMWARE_EVENTS = {
     "button out": ("buttons 2",),
     "button in": ("buttons 1",),
@@ -32,7 +31,6 @@ _FIRMWARE_EVENTS = {
     "halls of A alive": ("freeze 0 0",),
     "halls of B alive": ("freeze 1 0",),
     "overcurrent A": ("overcurrent 0 9", "step 40", "overcurrent 0 0"),
-    "overcurrent B": ("overcurrent 0 9", "step 40", "overcurrent 0 0"),
     "A's switch closed": ("stucklow 0 1",),
     "B's switch dead": ("stucklow 1 -1",),
     "slave": ("mode 5",),
@@ -49,13 +47,12 @@ _SIMULATED_EVENTS = {
     "halls of A alive": ("repair", "a_hall_loss"),
     "halls of B alive": ("repair", "b_hall_loss"),
     "overcurrent A": ("inject", "a_overcurrent"),
-    "overcurrent B": ("inject", "b_overcurrent"),
     "A's switch closed": ("inject", "a_switch_closed"),
     "B's switch dead": ("inject", "b_switch_open"),
     "slave": ("inject", "slave_standby"),
     "replug": ("replug", ""),
 }
-_EVENT_MS = {"overcurrent A": 40, "overcurrent B": 40}
+_EVENT_MS = {"overcurrent A": 40}
 
 
 def missing() -> str | None:
@@ -107,7 +104,7 @@ class Firmware:
     def __init__(self, module: ModuleType, a_deg: float, b_deg: float) -> None:
         self.unit = module.Unit(BUILD)
         module.provision(self.unit, a_deg, b_deg)
-        self.unit.step(-self.unit.state()["ms"] % _POLL_MS)
+        self.step(-self.unit.state()["ms"] % _POLL_MS)
 
     def step(self, ms: int) -> None:
         """Let time pass."""

@@ -132,7 +132,7 @@ def _prelude(state: str, draw: random.Random) -> list[Step]:
         "homing A": [home_a],
         "homing B": [home_b],
         "run out": [moving, stop],
-        "fault": [moving, Step(event=f"overcurrent {axis}", wait_ms=wait_ms)],
+        "fault": [a, *draw.choice(([], [b])), Step(event="overcurrent A", wait_ms=wait_ms)],
         "undervoltage": [
             draw.choice((moving, home_a, home_b)),
             Step(event="supply low", wait_ms=wait_ms),
