@@ -9,6 +9,8 @@ Sense = Literal["raises", "lowers"]
 # Angles come rounded to a tenth, and a unit of another generation may cut its positions to whole units.
 _ANGLE_STEP_DEG = 0.1
 _POSITION_STEP = 1.0
+# How far an actuator comes to rest beyond its target.
+_RUN_OUT_MM = 0.15
 _HAIR = 1e-9
 
 
@@ -130,7 +132,8 @@ class AxisSetup:
         wanted = self.geometry.position(angle_deg) - self.zero_offset
         if not (math.isfinite(wanted) and math.isfinite(sum(ends))):
             raise ValueError(f"the axis' geometry has no position for {angle_deg:g} deg or for its limits")
-        lowest, highest = max(math.ceil(min(ends) - _HAIR), 0), math.floor(max(ends) + _HAIR)
+        spare = _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
+        lowest, highest = max(math.ceil(min(ends) + spare), 0), math.floor(max(ends) - spare)
         if lowest > highest:
             raise ValueError("the axis' geometry has no whole position unit between its limits")
         return min(max(math.floor(wanted + 0.5), lowest), highest)
