@@ -111,6 +111,15 @@ class AxisGeometry(Section):
     apex_deg: float = Field(
         gt=-90, lt=180, description="Unit mm: angle between the fixed sides where the tracker's angle is 0."
     )
+    holder_mm: float = Field(
+        0.0, ge=0, le=1000, description="Unit mm: how far the actuator lies beside the third side, by its clamp."
+    )
+    sense: Literal["raises", "lowers"] = Field(
+        "raises", description="Unit mm: whether extension raises or lowers the tracker's angle."
+    )
+    zero_offset: float = Field(
+        0.0, ge=-1000, le=1000, description="What the unit adds to every destination (field 192 or 193), in its units."
+    )
     impulses_per_deg: Positive = Field(59.5, le=100000, description="Unit impulse: motor impulses per degree.")
 
 
@@ -143,7 +152,7 @@ class PositionerSettings(Section):
         "mm", description="What the unit counts positions in: mm with linear actuators, deg with slew drives."
     )
     status_layout: Literal["unknown", "stm", "lpc"] = Field(
-        "unknown", description="Where the status word has axis B's bits; unknown infers B's homing from its position."
+        "unknown", description="Where the status word has axis B's bits; what B's moves show goes before it."
     )
     a_axis: AxisGeometry = AxisGeometry(low_deg=-52.0, apex_deg=90.0)
     b_axis: AxisGeometry = AxisGeometry(low_deg=13.0, apex_deg=37.5)

@@ -10,16 +10,16 @@ from daemon.config import Settings
 from daemon.real_rig import axis_setups, build_positioner, positioner_port
 from drivers.errors import RefusedError
 from drivers.geometry import AxisSetup
-from drivers.interfaces import Axis, Telemetry
+from drivers.interfaces import Axis, PositionerIdentity, Telemetry
 from drivers.own_moves import own_moves
 from drivers.positioner import PozsolPositioner
 from drivers.pozsol_wire import Field, TokenStream
 from drivers.transcript import Direction, Tap
+from drivers.unit_setup import unheard
 
 Say = Callable[[str], object]
 
 _SHEET = (*range(70, 80), 83, *range(96, 108), *range(110, 114), 117, 118, *range(121, 128), 192, 193, 194)
-_ANGLE_STEP_DEG = 0.1
 _LOOK_EVERY_S = 0.1
 _STILL_S = 2.0
 _MOVE_WITHIN_S = 120.0
@@ -56,8 +56,11 @@ async def probe_positioner(
         fields = positioner.fields()
         _report_state(telemetry, fields, say)
         _report_geometry(telemetry, axis_setups(settings), say)
+        _report_setup(identity, fields, say)
         say("configuration sheet: " + ", ".join(f"{code}={fields[code]}" for code in _SHEET if code in fields))
         if move_deg is not None:
+            if identity.setup_conflicts:
+                raise RefusedError("positioner", "is not moved while it contradicts the configuration, as said above")
             await _time_moves(positioner, axis_setups(settings), move_deg, clock, say)
         for line in _BY_HAND:
             say(line)
@@ -116,7 +119,8 @@ def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> Non
     states = {
         f"faults: {', '.join(telemetry.faults)}": bool(telemetry.faults),
         "it has restarted since its status was cleared: the reference is in doubt": telemetry.was_reset,
-        "a button on the box has been used": telemetry.button_pressed,
+        "a button on the box is being pressed": telemetry.button_pressed,
+        f"end switches closed: {', '.join(telemetry.end_switches)}": bool(telemetry.end_switches),
         "its own tracking, wind or snow mode is ON: it may move by itself": telemetry.autonomous,
     }
     for text, present in states.items():
@@ -130,8 +134,7 @@ def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], 
     shown = ((telemetry.a_deg, telemetry.position_a), (telemetry.b_deg, telemetry.position_b))
     for name, setup, (angle_deg, position) in zip("ab", setups, shown, strict=True):
         expected = setup.geometry.position(angle_deg)
-        around = [setup.geometry.position(angle_deg + step) for step in (-_ANGLE_STEP_DEG, _ANGLE_STEP_DEG)]
-        if min(around) - 1 <= position <= max(around) + 1:
+        if setup.fits(angle_deg, position):
             say(f"geometry of {name.upper()} fits: {angle_deg:.1f} deg is {expected:.1f}, it shows {position:g}")
         else:
             say(
@@ -140,11 +143,22 @@ def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], 
             )
 
 
+def _report_setup(identity: PositionerIdentity, fields: dict[int, str], say: Say) -> None:
+    compared = "geometry (70-77, 83, 96-103, 107), zero offsets (192, 193) and ranges (79, 105, 110, 111)"
+    for conflict in identity.setup_conflicts:
+        say(f"  CONFLICT, nothing will be moved: {conflict}")
+    missing = ", ".join(str(code) for code in unheard(fields))
+    if missing:
+        say(f"  fields that did not come as numbers, so they were not compared: {missing}")
+    if not identity.setup_conflicts:
+        say(f"its {compared} agree with the configuration as far as they came")
+
+
 async def _time_moves(
     positioner: PozsolPositioner, setups: tuple[AxisSetup, AxisSetup], move_deg: float, clock: Clock, say: Say
 ) -> None:
     try:
-        await positioner.stop()
+        await positioner.halt()
         await positioner.disable_autonomy()
         start = await positioner.read_telemetry()
         if start.faults or start.was_reset:
@@ -162,7 +176,7 @@ async def _time_moves(
                 await positioner.move_to(*targets)
                 say(f"  {axis.upper()} to {target_deg:.1f} deg: {await _watch(positioner, axis, clock)}")
     finally:
-        await positioner.stop()
+        await positioner.halt()
 
 
 async def _watch(positioner: PozsolPositioner, axis: Axis, clock: Clock) -> str:

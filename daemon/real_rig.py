@@ -16,12 +16,15 @@ from drivers.interfaces import ElectronicLoad
 from drivers.keithley2000 import Keithley2000
 from drivers.multiplexer import NiMultiplexer
 from drivers.positioner import PozsolPositioner
+from drivers.positioner_line import SerialLine
 from drivers.serial_port import SerialPort
 from drivers.transcript import Tap, no_tap
 from drivers.visa_line import VisaLine, VisaSettings
 
 MARGIN_OF_LEAST_V = 0.9
 """The lowest voltage of a sweep may be read this much lower without ending it."""
+_STEP = {"mm": 0.02, "deg": 0.02, "impulse": 1.5}
+"""A Hall count and a little, where the unit does not tell how many there are to a unit."""
 _B_OUT_BIT = {"unknown": None, "stm": pozsol_wire.B_OUT_BIT_STM, "lpc": pozsol_wire.B_OUT_BIT_LPC}
 
 
@@ -67,15 +70,14 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
 def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PozsolPositioner:
     """Return the positioner, not yet connected; `UserError` if the settings do not say where it is."""
     positioner = settings.instruments.positioner
+    port = partial(SerialPort, "positioner", positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts)
     return PozsolPositioner(
-        partial(SerialPort, "positioner", positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts),
+        SerialLine(port, clock.monotonic, boot_s=positioner.boot_s, banner=positioner.boot_banner),
         clock.monotonic,
         *axis_setups(settings),
         boards=positioner.boards,
         stale_s=positioner.telemetry_stale_s,
         b_out_bit=_B_OUT_BIT[positioner.status_layout],
-        boot_s=positioner.boot_s,
-        banner=positioner.boot_banner,
     )
 
 
@@ -102,9 +104,10 @@ def build_load(settings: Settings, tap: Tap = no_tap) -> ElectronicLoad | None:
 def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:
     """Return geometry and limits of the axes A and B."""
     positioner, limits = settings.instruments.positioner, settings.limits
+    a, b, step = positioner.a_axis, positioner.b_axis, _STEP[positioner.position_unit]
     return (
-        AxisSetup(_geometry(positioner, positioner.a_axis), limits.a_min_deg, limits.a_max_deg),
-        AxisSetup(_geometry(positioner, positioner.b_axis), limits.b_min_deg, limits.b_max_deg),
+        AxisSetup(_geometry(positioner, a), limits.a_min_deg, limits.a_max_deg, a.zero_offset, step),
+        AxisSetup(_geometry(positioner, b), limits.b_min_deg, limits.b_max_deg, b.zero_offset, step),
     )
 
 
@@ -121,6 +124,6 @@ def positioner_port(settings: Settings) -> str:
 
 def _geometry(positioner: PositionerSettings, axis: AxisGeometry) -> Geometry:
     if positioner.position_unit == "mm":
-        return Triangle(axis.arm_1_mm, axis.arm_2_mm, axis.apex_deg, axis.low_deg)
+        return Triangle(axis.arm_1_mm, axis.arm_2_mm, axis.apex_deg, axis.low_deg, axis.holder_mm, axis.sense)
     units_per_deg = axis.impulses_per_deg if positioner.position_unit == "impulse" else 1.0
     return Proportional(units_per_deg, axis.low_deg)

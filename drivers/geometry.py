@@ -2,19 +2,32 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
+
+Sense = Literal["raises", "lowers"]
+
+# Angles come rounded to a tenth, and a unit of another generation may cut its positions to whole units.
+_ANGLE_STEP_DEG = 0.1
+_POSITION_STEP = 1.0
+# How far an actuator comes to rest beyond its target.
+_RUN_OUT_MM = 0.15
+_HAIR = 1e-9
 
 
 class Geometry(Protocol):
     """The position that belongs to an angle."""
 
+    @property
+    def low_deg(self) -> float:
+        """The tracker's angle at the low end switch, where the position is 0."""
+
     def position(self, angle_deg: float) -> float:
-        """Return the position from the low end switch, in the unit's own units."""
+        """Return the position from the low end switch, in the unit's own units; NaN where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Triangle:
-    """A linear actuator between two fixed arms; positions are mm of extension, which raises the angle.
+    """A linear actuator between two fixed arms; positions are mm of extension.
 
     Attributes
     ----------
@@ -24,20 +37,43 @@ class Triangle:
         Angle between them where the tracker's angle is 0.
     low_deg
         The tracker's angle at the low end switch.
+    holder_mm
+        How far the actuator's own line lies beside the third side: the clamp that holds it.
+    sense
+        Whether extension raises or lowers the tracker's angle.
     """
 
     arm_1_mm: float
     arm_2_mm: float
     apex_deg: float
     low_deg: float
+    holder_mm: float = 0.0
+    sense: Sense = "raises"
+
+    @property
+    def low_length_mm(self) -> float:
+        """Length of the actuator at the low end switch."""
+        return self._length_mm(self.low_deg)
 
     def position(self, angle_deg: float) -> float:
         """Return the extension [mm] beyond that at the low end switch, by the law of cosines."""
-        return self._side_mm(angle_deg) - self._side_mm(self.low_deg)
+        return self._length_mm(angle_deg) - self._length_mm(self.low_deg)
 
-    def _side_mm(self, angle_deg: float) -> float:
-        cosine = math.cos(math.radians(self.apex_deg + angle_deg))
-        return math.sqrt(self.arm_1_mm**2 + self.arm_2_mm**2 - 2 * self.arm_1_mm * self.arm_2_mm * cosine)
+    def angle_at_length(self, length_mm: float) -> float:
+        """Return the tracker's angle [deg] at a length of the actuator; NaN where the triangle does not close."""
+        side_2 = length_mm**2 + self.holder_mm**2
+        cosine = (self.arm_1_mm**2 + self.arm_2_mm**2 - side_2) / (2 * self.arm_1_mm * self.arm_2_mm)
+        if not abs(cosine) <= 1:
+            return math.nan
+        turned = math.degrees(math.acos(cosine)) - self.apex_deg
+        return turned if self.sense == "raises" else -turned
+
+    def _length_mm(self, angle_deg: float) -> float:
+        turned = angle_deg if self.sense == "raises" else -angle_deg
+        cosine = math.cos(math.radians(self.apex_deg + turned))
+        side_2 = self.arm_1_mm**2 + self.arm_2_mm**2 - 2 * self.arm_1_mm * self.arm_2_mm * cosine
+        square = side_2 - self.holder_mm**2
+        return math.sqrt(square) if square >= 0 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +98,53 @@ class Proportional:
 
 @dataclass(frozen=True, slots=True)
 class AxisSetup:
-    """Geometry of one axis, and the angles [deg] that it may be sent to."""
+    """One axis: how it is built, and where it may be sent.
+
+    Attributes
+    ----------
+    geometry
+        How position units become degrees.
+    minimum_deg, maximum_deg
+        The angles that it may be sent to.
+    zero_offset
+        What the unit adds to each destination, in position units.
+    step
+        The smallest change of position that means something, a Hall count and a little.
+    """
 
     geometry: Geometry
     minimum_deg: float
     maximum_deg: float
+    zero_offset: float = 0.0
+    step: float = 0.02
 
     def allows(self, angle_deg: float) -> bool:
         """Tell whether an angle is within the limits; NaN is not."""
         return self.minimum_deg <= angle_deg <= self.maximum_deg
 
     def destination(self, angle_deg: float) -> int:
-        """Return the whole position units that the unit makes of an angle, cut off as it does."""
-        return max(int(self.geometry.position(angle_deg)), 0)
+        """Return the whole position units to send for an angle, so that the axis stands within the limits.
+
+        That is half a unit from the angle at most, but at a limit, where it is the first whole unit inside. Raises
+        `ValueError` where the geometry has no such position.
+        """
+        ends = [self.geometry.position(end_deg) - self.zero_offset for end_deg in (self.minimum_deg, self.maximum_deg)]
+        wanted = self.geometry.position(angle_deg) - self.zero_offset
+        if not (math.isfinite(wanted) and math.isfinite(sum(ends))):
+            raise ValueError(f"the axis' geometry has no position for {angle_deg:g} deg or for its limits")
+        spare = _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
+        lowest, highest = max(math.ceil(min(ends) + spare), 0), math.floor(max(ends) - spare)
+        if lowest > highest:
+            raise ValueError("the axis' geometry has no whole position unit between its limits")
+        return min(max(math.floor(wanted + 0.5), lowest), highest)
+
+    def units(self, angle_deg: float) -> float:
+        """Return how many position units an angle [deg] is where the travel begins."""
+        way = abs(self.geometry.position(self.geometry.low_deg + angle_deg))
+        back = abs(self.geometry.position(self.geometry.low_deg - angle_deg))
+        return max(way, back) if math.isfinite(way + back) else abs(angle_deg)
+
+    def fits(self, angle_deg: float, position: float) -> bool:
+        """Tell whether this geometry makes `position` of `angle_deg`, as far as the unit's roundings let one see."""
+        around = [self.geometry.position(angle_deg + step) for step in (-_ANGLE_STEP_DEG, _ANGLE_STEP_DEG)]
+        return min(around) - _POSITION_STEP <= position <= max(around) + _POSITION_STEP

@@ -1,69 +1,129 @@
-"""Whether a reference run has begun and whether it is over, from telemetry that says so late or not at all."""
+"""Whether a reference run has begun, whether it is over, and whether it ended on its switch.
+
+The unit tells of a run late and only while Hall pulses come, and it breaks a run off without a word when its supply
+dips. So the verdict takes the homing bit, the position and the end switch together.
+"""
 
 from dataclasses import dataclass, field
 
-from drivers.interfaces import Axis, Telemetry
+from drivers.geometry import AxisSetup
+from drivers.interfaces import Axis
 from drivers.pozsol_wire import Status
 
 # More than an axis runs out on its ramp, in the unit's position units.
 _MOVED = 1.0
-_STILL_S = 5.0
+_STILL_S = 0.5
+# While homing the unit aims at ten units inwards of where it is.
+_AIMS_INWARDS = 2.0
+# An axis coasts past its switch; a count that differs from 0 by more was not set there.
+_COAST_DEG = 0.15
+# What an axis may have lost or gained since its last run without anything being wrong.
+_SLIP_DEG = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What one look shows of one axis; `time_s` is that of its position, `status_s` that of the status."""
+
+    position: float
+    destination: float
+    remain: float
+    time_s: float
+    status: Status
+    status_s: float
 
 
 @dataclass
 class HomingRun:
-    """One axis on its way to the low end switch, where its position and destination become 0.
+    """One axis on its way to the low end switch, where the unit sets position and destination to 0.
 
     Parameters
     ----------
-    axis
+    axis, setup
         Which one.
     before
-        Telemetry just before the command.
+        The look just before the command.
     sent_s
         Time from which telemetry may show the command's effect.
-    status_shows
-        The status word is known to tell of this axis' homing.
+    trusted
+        The count was not in doubt before.
 
     Attributes
     ----------
     begun, over
         What has shown so far.
+    failure
+        Once over: why the run did not find the switch; empty if it did.
+    mismatch
+        Once over without failure: how the switch contradicts the count; empty if it does not.
     """
 
     axis: Axis
-    before: Telemetry
+    setup: AxisSetup
+    before: Seen
     sent_s: float
-    status_shows: bool
+    trusted: bool
     begun: bool = False
     over: bool = False
+    failure: str = ""
+    mismatch: str = ""
+    travelled: bool = False
     _last: float | None = field(default=None, repr=False)
     _changed_s: float = field(default=0.0, repr=False)
-    _moved: bool = field(default=False, repr=False)
 
-    def look(
-        self,
-        positions: tuple[float, float],
-        destinations: tuple[float, float],
-        status: Status,
-        status_s: float,
-        now_s: float,
-    ) -> None:
-        """Take note of the newest positions and destinations of A and B, and of the status with its time [s]."""
-        index = 0 if self.axis == "a" else 1
-        position, at_zero = positions[index], positions[index] == destinations[index] == 0.0
-        start = self.before.position_a if self.axis == "a" else self.before.position_b
-        if position != self._last:
-            self._last, self._changed_s = position, now_s
-        self._moved = self._moved or abs(position - start) > _MOVED
-        fresh = status_s > self.sent_s
-        if fresh and self.status_shows:
-            self.begun = self.begun or status.homing or at_zero
-            self.over = not status.homing
+    def look(self, seen: Seen) -> None:
+        """Take note of the newest telemetry."""
+        if self.over or seen.time_s <= self.sent_s:
             return
+        if self._last is None or abs(seen.position - self._last) > self.setup.step:
+            self._last, self._changed_s = seen.position, seen.time_s
+        self.travelled = self.travelled or self._moved(seen)
+        fresh = seen.status_s > self.sent_s
+        self.begun = self.begun or self._begins(seen, fresh)
+        rested = seen.time_s - self._changed_s >= _STILL_S and seen.status_s >= self._changed_s
+        aims_here = abs(seen.destination - seen.position) <= _MOVED
+        if self.begun and fresh and rested and aims_here and not self._bit(seen.status):
+            self.over = True
+            self._judge(seen)
+
+    def _moved(self, seen: Seen) -> bool:
+        return abs(seen.position - self.before.position) > _MOVED and not self._at_zero(seen)
+
+    def _begins(self, seen: Seen, fresh: bool) -> bool:
+        inwards = seen.destination < seen.position - _AIMS_INWARDS
         # An axis that stands on its switch is home before anybody can look.
-        self.begun = self.begun or self._moved or (at_zero and (start != 0.0 or fresh))
-        if self.status_shows:
-            return
-        still = now_s - max(self._changed_s, self.sent_s) > _STILL_S
-        self.over = self.begun and ((at_zero and (self._moved or still)) or (still and fresh))
+        return (fresh and bool(self._bit(seen.status))) or self._moved(seen) or inwards or self._at_zero(seen)
+
+    def _bit(self, status: Status) -> bool | None:
+        return status.a_homing if self.axis == "a" else status.b_homing
+
+    def _at_zero(self, seen: Seen) -> bool:
+        coast = self.setup.units(_COAST_DEG)
+        return abs(seen.position) <= coast and abs(seen.destination) <= coast
+
+    def _judge(self, seen: Seen) -> None:
+        name, faults = self.axis.upper(), [fault for fault in seen.status.faults if fault.startswith(self.axis)]
+        if faults:
+            self.failure = f"the reference run of {name} ended with {', '.join(faults)}"
+        elif not self._at_zero(seen):
+            self.failure = f"the reference run of {name} ended at {seen.position:g}, not on its end switch"
+        elif f"{self.axis}_low" not in seen.status.end_switches:
+            self.failure = f"after the reference run of {name} its low end switch does not show as closed"
+        else:
+            self.mismatch = self._mismatch(seen)
+
+    def _mismatch(self, seen: Seen) -> str:
+        slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
+        if not self.travelled and abs(self.before.position) > slip:
+            return (
+                f"axis {name} did not move on its reference run although it stood at {self.before.position:g}:"
+                " its low end switch may be stuck"
+            )
+        if f"{self.axis}_high" in seen.status.end_switches:
+            return f"axis {name} shows both of its end switches closed"
+        if self.trusted and abs(seen.remain) > slip:
+            return (
+                f"axis {name} met its end switch where its count was {seen.remain:g}, not 0: home it again to see"
+                " whether count or switch is wrong"
+            )
+        return ""

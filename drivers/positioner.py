@@ -1,59 +1,64 @@
-"""The POZSOL36A1 positioner on its USB port: telemetry streams in, commands go out, and nothing answers.
+"""The POZSOL36A1 positioner: telemetry streams in, commands go out, and nothing answers.
 
 A command has worked when its effect shows in the telemetry. Angles, positions and destinations come every 120 ms,
 status, supply and mode every 3.24 s. A unit goes on with a move when the host falls silent: over USB nothing can stop
-it but a stop that was sent.
+it but a stop that arrives, and the first packet after each enumeration does not. So a stop is sent until both axes
+stand, and whatever else is sent first has a stop before it.
 
-All of this is as public firmware of the same product family does it, and has not been measured on a rig: the layout of
-the status word, the 60 ms between commands, the cut to whole position units, and that no checksum is needed. Older
-firmware had one; how it was formed is not known, so there is no such mode here. docs/hardware.md lists what to check.
+Targets go out as whole positions (codes 46 and 50). The unit cuts the position of an angle down to whole units, which
+takes an axis past a limit on one side; a whole position is taken as it is, and may be chosen on the inner side.
+
+All of this is as public firmware of the same product family does it, in an emulator, and has not been measured on a
+rig. Older firmware had a checksum; how it was formed is not known, so there is no such mode here. docs/hardware.md
+lists what to check.
 """
 
 import asyncio
-import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from drivers import pozsol_wire as wire
-from drivers.errors import ConnectError, IdentityError, LinkLostError, ProtocolError, RefusedError
-from drivers.executor import DeviceThread
+from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
 from drivers.geometry import AxisSetup
-from drivers.homing import HomingRun
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
-from drivers.own_moves import OWN_MOVES, own_moves
-from drivers.pozsol_wire import Field, Status, encode_command, parse_number, parse_status
-from drivers.telemetry import Port, TelemetryReader, Value
+from drivers.positioner_line import Line
+from drivers.positioner_watch import FAST, SLOW, PositionerWatch
+from drivers.pozsol_wire import Field, encode_command
+from drivers.standstill import Standstill
+from drivers.telemetry import Value
+from drivers.unit_setup import SETUP_FIELDS, conflicts, count_step
 
 _DEVICE = "positioner"
-_FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
-_SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _IDENTITY = (Field.BOARD, Field.VERSION, Field.SERIAL)
 _HOME: dict[Axis, str] = {"a": wire.HOME_A, "b": wire.HOME_B}
+_TARGET: dict[Axis, Field] = {"a": Field.A_DESTINATION, "b": Field.B_DESTINATION}
 
-_OPEN_S = 5.0
 _HEAR_WITHIN_S = 2.5
 _KNOW_WITHIN_S = 8.0
-_SLOW_STALE_S = 8.0
+# One turn of the slow screens, and a little.
+_SETUP_WITHIN_S = 4.5
 _LOOK_EVERY_S = 0.04
 _TARGET_SHOWS_S = 1.0
 # Two turns of the slow screens, and a little.
 _STATUS_SHOWS_S = 7.0
 # A screen that was under way when a command was sent says nothing about it.
 _UNDER_WAY_S = 0.1
-_WRITE_S = 1.0
-_CLOSE_S = 1.0
-_JUMP_SHOWS_S = 1.0
+_STOP_EVERY_S = 0.15
+_STAND_WITHIN_S = 12.0
 _LOWEST_SUPPLY_V = 20.0
+# A Hall count, and what rounding to four decimals adds.
+_JITTER_COUNTS = 1.2
 
 
 class PozsolPositioner:
-    """Two motor axes behind one USB port.
+    """Two motor axes behind one line.
 
     Parameters
     ----------
-    connect
-        Opens the port; called in the instrument's thread at each `open`.
+    line
+        The link; opened and closed with the positioner.
     now
-        The service's monotonic time [s]; also called in the reader's thread.
+        The service's monotonic time [s].
     a, b
         Geometry and limits of the axes; targets beyond the limits are refused before anything is sent.
     boards
@@ -61,17 +66,12 @@ class PozsolPositioner:
     stale_s
         Silence of the fast fields after which the unit counts as lost.
     b_out_bit
-        Where the status word has axis B's motion bits; None where that is not known.
-    boot_s
-        How long the unit may take to restart because its port was opened; 0 if it does not.
-    banner
-        What the unit prints when it has restarted; None if nothing is known of that. Whenever it comes, the reference
-        is in doubt; in the midst of things the link counts as lost too.
+        Where the status word has axis B's motion bits; None where that is not known until B has moved.
     """
 
     def __init__(
         self,
-        connect: Callable[[], Port],
+        line: Line,
         now: Callable[[], float],
         a: AxisSetup,
         b: AxisSetup,
@@ -79,147 +79,168 @@ class PozsolPositioner:
         boards: tuple[str, ...] = ("36A1",),
         stale_s: float = 2.0,
         b_out_bit: int | None = None,
-        boot_s: float = 0.0,
-        banner: str | None = None,
     ) -> None:
-        self._connect = connect
+        self._line = line
         self._now = now
-        self._axes = {"a": a, "b": b}
+        self._axes: dict[Axis, AxisSetup] = {"a": a, "b": b}
         self._boards = boards
-        self._stale_s = stale_s
-        self._b_out_bit = b_out_bit
-        self._boot_s = boot_s
-        self._banner = b"" if banner is None else banner.encode("latin-1")
-        self._thread = DeviceThread(_DEVICE)
+        self._watch = PositionerWatch(now, self._axes, stale_s, b_out_bit)
+        self._jitter = (a.step, b.step)
         self._sending = asyncio.Lock()
-        self._port: Port | None = None
-        self._reader: TelemetryReader | None = None
         self._identified = False
+        self._nothing_sent = True
         self._sent_s = now() - wire.COMMAND_SPACING_S
         self._stops = 0
-        self._homing: HomingRun | None = None
-        self._forgiven_s = -math.inf
-        self._reference_lost = False
-        self._restarted_s: float | None = None
 
     async def open(self) -> PositionerIdentity:
         """Connect and identify by listening alone; takes up to one turn of the slow screens, 3.3 s, and any restart."""
         await self.close()
         try:
-            self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
-            self._reader = TelemetryReader(port, self._now, boot_s=self._boot_s, banner=self._banner)
-            identity = await self._identify(self._reader)
+            await self._line.open()
+            identity = await self._identify()
+            await self._hear_setup()
         except BaseException:
             await self.close()
             raise
-        self._restarted_s = self._reader.restarted_s
-        self._reference_lost = self._reference_lost or self._restarted_s is not None
-        return identity
+        self._watch.start(self._line.heard().restarted_s)
+        fields = self.fields()
+        self._jitter = (self._jitter_of("a", fields), self._jitter_of("b", fields))
+        return replace(identity, setup_conflicts=conflicts(fields, self._axes["a"], self._axes["b"]))
 
     async def close(self) -> None:
-        """Release the port; a move goes on."""
-        reader, self._reader, self._port = self._reader, None, None
+        """Release the link; a move goes on."""
         self._identified = False
-        self._homing = None
-        if reader is not None:
-            reader.stop()
-        await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
+        self._nothing_sent = True
+        self._watch.break_off_run()
+        await self._line.close()
 
     async def read_telemetry(self) -> Telemetry:
         """Return the newest telemetry; `LinkLostError` when it is old."""
-        return self._look()[0]
+        return self._look()
 
     def fields(self) -> dict[int, str]:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
-        return {code: _text(value) for code, value in sorted(self._require_reader().snapshot().items())}
+        return {code: _text(value) for code, value in sorted(self._line.heard().values.items())}
 
     def has_lines(self) -> bool:
-        """Tell whether the port has modem lines, which are then as they were asked for."""
-        self._require_reader()
-        return self._port is not None and self._port.has_lines()
+        """Tell whether the line has modem lines, which are then as they were asked for."""
+        return self._line.has_lines()
 
     async def disable_autonomy(self) -> None:
-        """Switch the unit's own tracking off if it is on; a slave would take the command for "on"."""
-        if not self._look()[0].autonomous:
+        """Switch the unit's own tracking off if it is on, and halt: that alone stops no motor that runs."""
+        if not self._look().autonomous:
             return
         stops = self._stops
         sent_s = await self._send(Field.MODE, wire.TRACKING_OFF, stops)
+        await self._stand(stops)
         await self._confirm(
-            lambda seen, status_s: status_s > sent_s and not seen.autonomous,
+            lambda seen: seen.status_monotonic_s > sent_s and not seen.autonomous,
             "to leave its own tracking",
             stops,
             _STATUS_SHOWS_S,
         )
 
-    async def move_to(self, a_deg: float, b_deg: float) -> None:
-        """Send both targets and wait until the unit shows them as its destinations, within a second."""
+    async def move_to(self, a_deg: float, b_deg: float, *, first: Axis = "a") -> None:
+        """Send both targets as whole positions, `first` first, and wait until the unit shows them, within a second.
+
+        Nothing is sent while a fault or a reference run shows, or while angle and position do not go together.
+        """
         a, b = self._axes["a"], self._axes["b"]
         if not (a.allows(a_deg) and b.allows(b_deg)):
             limits = f"A {a.minimum_deg:g} to {a.maximum_deg:g}, B {b.minimum_deg:g} to {b.maximum_deg:g} deg"
             raise ValueError(f"target A {a_deg}, B {b_deg} deg is outside the limits ({limits})")
-        stops = self._stops
-        await self._send(Field.A_ANGLE, a_deg, stops)
-        await self._send(Field.B_ANGLE, b_deg, stops)
-        wanted = (a.destination(a_deg), b.destination(b_deg))
-        await self._confirm(
-            lambda seen, _: abs(seen.destination_a - wanted[0]) <= 1 and abs(seen.destination_b - wanted[1]) <= 1,
-            f"the target A {a_deg:.2f}, B {b_deg:.2f} deg (destinations {wanted[0]} and {wanted[1]})",
-            stops,
-            _TARGET_SHOWS_S,
-        )
+        whole: dict[Axis, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
+        what = f"the target A {a_deg:.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
+        self._require_fit(what)
+        stops, sent_s = self._stops, 0.0
+        for axis in (first, "b" if first == "a" else "a"):
+            sent_s = await self._send(_TARGET[axis], whole[axis], stops)
+        wanted = (whole["a"] + a.zero_offset, whole["b"] + b.zero_offset)
+        try:
+            await self._confirm(
+                lambda seen: (
+                    seen.time_monotonic_s > sent_s
+                    and abs(seen.destination_a - wanted[0]) <= 0.5
+                    and abs(seen.destination_b - wanted[1]) <= 0.5
+                ),
+                what,
+                stops,
+                _TARGET_SHOWS_S,
+            )
+        except RefusedError:
+            # One axis may have taken its target, and drives to it.
+            await self._transmit(encode_command(Field.ACTION, wire.STOP))
+            raise
 
     async def stop(self) -> None:
         """Send stop now; whoever is in the middle of sending something else sends no more."""
         self._stops += 1
-        self._homing = None
-        await self._transmit(encode_command(Field.ACTION, wire.STOP))
+        self._watch.break_off_run()
+        packet = encode_command(Field.ACTION, wire.STOP)
+        first = self._nothing_sent
+        await self._transmit(packet)
+        if first:
+            await asyncio.sleep(wire.COMMAND_SPACING_S)
+            await self._transmit(packet)
+
+    async def halt(self) -> None:
+        """Send stop now, and again every 0.15 s until fresh telemetry shows both axes standing, within 12 s."""
+        self._stops += 1
+        await self._stand(self._stops, heeding=False)
 
     async def home(self, axis: Axis) -> None:
-        """Start a reference run and wait until it shows, up to 7 s: the unit tells of homing in its slow status."""
+        """Halt, start a reference run and wait until it shows, up to 7 s.
+
+        To home one axis while the other moves would leave that one running without control.
+        """
         stops = self._stops
-        before = self._look()[0]
-        sent_s = await self._send(Field.ACTION, _HOME[axis], stops)
-        status_shows = axis == "a" or self._b_out_bit is not None
-        run = HomingRun(axis, before, sent_s, status_shows=status_shows)
-        self._homing = run
+        await self._stand(stops)
+        before = self._look()
+        self._watch.begin_run(axis, before, self._now() + _UNDER_WAY_S)
         try:
-            await self._confirm(
-                lambda _seen, _status_s: run.begun, f"to home axis {axis.upper()}", stops, _STATUS_SHOWS_S
-            )
+            run = self._watch.begin_run(axis, before, await self._send(Field.ACTION, _HOME[axis], stops))
+            await self._confirm(lambda _: run.begun, f"to home axis {axis.upper()}", stops, _STATUS_SHOWS_S)
         except BaseException:
-            self._homing = None
+            self._watch.break_off_run()
             raise
 
-    async def clear_faults(self) -> None:
-        """Clear faults and the reset mark, after a stop: the unit would go on with what was pending behind a fault."""
-        stops = self._stops
-        await self._send(Field.ACTION, wire.STOP, stops)
+    async def clear_faults(self) -> Telemetry:
+        """Halt, look at a status younger than the call, clear, and wait until it shows; return that look.
+
+        The unit would go on with what was pending behind a fault, so both axes stand first.
+        """
+        stops, called_s = self._stops, self._now()
+        await self._stand(stops)
+        seen = await self._confirm(
+            lambda seen: seen.status_monotonic_s > called_s, "to tell its status", stops, _STATUS_SHOWS_S
+        )
+        kinds = self._watch.reference.kinds
         sent_s = await self._send(Field.STATUS, wire.CLEAR, stops)
-        self._reference_lost, self._forgiven_s = False, sent_s
         await self._confirm(
-            lambda seen, status_s: status_s > sent_s and not (seen.faults or seen.was_reset),
+            lambda seen: seen.status_monotonic_s > sent_s and not (seen.faults or seen.was_reset),
             "to clear its status",
             stops,
             _STATUS_SHOWS_S,
         )
+        self._watch.forgive(kinds)
+        return seen
 
-    async def _identify(self, reader: TelemetryReader) -> PositionerIdentity:
+    async def _identify(self) -> PositionerIdentity:
         start_s = self._now()
         while True:
-            known = reader.snapshot()
+            known, restarted_s = self._listen()
             board = _text(known.get(Field.BOARD))
             if board and board not in self._boards:
                 raise IdentityError(
                     _DEVICE, f"says it is board {board[:20]!r}, not {' or '.join(self._boards)}: nothing is sent to it"
                 )
-            missing = [field for field in (*_IDENTITY, *_SLOW, *_FAST) if field not in known]
+            missing = [field for field in (*_IDENTITY, *SLOW, *FAST) if field not in known]
             if not missing:
                 self._identified = True
-                return PositionerIdentity(board, _text(known[Field.VERSION]), _text(known[Field.SERIAL]))
-            if reader.lost:
-                raise ConnectError(_DEVICE, reader.lost)
-            waited_s = self._now() - max(start_s + self._boot_s, reader.restarted_s or start_s)
-            if waited_s > _HEAR_WITHIN_S and not reader.heard:
+                firmware, serial = _text(known[Field.VERSION]), _text(known[Field.SERIAL])
+                return PositionerIdentity(board, firmware, serial, self._line.simulated)
+            waited_s = self._now() - max(start_s + self._line.boot_s, restarted_s or start_s)
+            if waited_s > _HEAR_WITHIN_S and not known:
                 message = "sends no telemetry: it is in its bootloader or hangs, or this is another device"
                 raise ConnectError(_DEVICE, message)
             if waited_s > _KNOW_WITHIN_S:
@@ -227,18 +248,74 @@ class PozsolPositioner:
                 raise IdentityError(_DEVICE, f"sends something, but not the fields {names} of a positioner")
             await asyncio.sleep(_LOOK_EVERY_S)
 
-    def _require_reader(self) -> TelemetryReader:
-        reader = self._reader
-        if reader is None:
-            raise LinkLostError(_DEVICE, "has to be opened first")
-        if reader.lost:
-            raise LinkLostError(_DEVICE, reader.lost)
-        return reader
+    async def _hear_setup(self) -> None:
+        """Wait for the screens that tell how the unit is set; older units may not have all of them."""
+        deadline_s = self._now() + _SETUP_WITHIN_S
+        while True:
+            if self._listen()[0].keys() >= SETUP_FIELDS or self._now() >= deadline_s:
+                return
+            await asyncio.sleep(_LOOK_EVERY_S)
+
+    def _jitter_of(self, axis: Axis, fields: dict[int, str]) -> float:
+        step = count_step(fields, axis)
+        return self._axes[axis].step if step is None else _JITTER_COUNTS * step
+
+    def _listen(self) -> tuple[dict[int, Value], float | None]:
+        try:
+            heard = self._line.heard()
+        except LinkLostError as error:
+            raise ConnectError(_DEVICE, error.message) from error
+        return dict(heard.values), heard.restarted_s
+
+    def _look(self) -> Telemetry:
+        return self._watch.look(self._line.heard())
+
+    def _require_fit(self, what: str) -> None:
+        seen = self._look()
+        if seen.faults or seen.homing:
+            raise RefusedError(_DEVICE, f"is not given {what}: {_likely_cause(seen)}")
+        shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
+        for axis, (angle_deg, position) in shown.items():
+            setup = self._axes["a" if axis == "a" else "b"]
+            if not setup.fits(angle_deg, position):
+                raise RefusedError(
+                    _DEVICE,
+                    f"is not given {what}: it shows {angle_deg:.1f} deg at position {position:g} of axis"
+                    f" {axis.upper()}, where instruments.positioner.{axis}_axis makes"
+                    f" {setup.geometry.position(angle_deg):.1f} of that angle; is the geometry that of this unit?",
+                )
+
+    async def _stand(self, stops: int, *, heeding: bool = True) -> None:
+        """Send stop again and again until both axes stand and aim at where they stand."""
+        begin_s = self._now()
+        self._watch.break_off_run()
+        standstill = Standstill(begin_s, self._jitter)
+        # A person's stop takes the place of what was sent an instant ago; our own must not.
+        again_s = self._sent_s + wire.COMMAND_SPACING_S if heeding else begin_s
+        packet, sent = encode_command(Field.ACTION, wire.STOP), 0
+        while sent < 2 or not standstill.reached:
+            if heeding:
+                self._heed(stops)
+            if self._now() - begin_s > _STAND_WITHIN_S:
+                raise StillMovingError(_DEVICE, _why_not_standing(self._look(), standstill))
+            if self._now() >= again_s:
+                await self._transmit(packet)
+                # The very first packet of a connection is lost.
+                pause_s = wire.COMMAND_SPACING_S if sent == 0 else _STOP_EVERY_S
+                sent, again_s = sent + 1, self._now() + pause_s
+            await asyncio.sleep(_LOOK_EVERY_S)
+            seen = self._look()
+            standstill.look(
+                (seen.position_a, seen.position_b), (seen.destination_a, seen.destination_b), seen.time_monotonic_s
+            )
 
     async def _send(self, field: Field, value: float | str, stops: int) -> float:
         """Send when the last command is long enough ago; return the time from which telemetry may show its effect."""
         packet = encode_command(field, value)
         async with self._sending:
+            if self._nothing_sent:
+                self._heed(stops)
+                await self._transmit(encode_command(Field.ACTION, wire.STOP))
             wait_s = self._sent_s + wire.COMMAND_SPACING_S - self._now()
             while wait_s > 0:
                 await asyncio.sleep(wait_s)
@@ -249,92 +326,42 @@ class PozsolPositioner:
             return self._now() + _UNDER_WAY_S
 
     async def _transmit(self, packet: bytes) -> None:
-        self._require_reader()
-        port = self._port
-        if port is None or not self._identified:
+        if not self._identified:
+            self._line.heard()
             raise LinkLostError(_DEVICE, "has not been identified, so nothing is sent to it")
         self._sent_s = self._now()
         try:
-            await self._thread.call(lambda: port.write(packet), _WRITE_S)
+            await self._line.send(packet)
         finally:
             self._sent_s = self._now()
+        self._nothing_sent = False
 
     def _heed(self, stops: int) -> None:
         if self._stops != stops:
             raise RefusedError(_DEVICE, "a stop came in between")
 
-    async def _confirm(self, done: Callable[[Telemetry, float], bool], what: str, stops: int, within_s: float) -> None:
-        """Wait until `done`, of telemetry and the time of its status, says so."""
+    async def _confirm(self, done: Callable[[Telemetry], bool], what: str, stops: int, within_s: float) -> Telemetry:
+        """Wait until `done` says so of the telemetry, and return that."""
         deadline_s = self._now() + within_s
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             self._heed(stops)
-            seen, status_s = self._look()
-            if done(seen, status_s):
-                return
+            seen = self._look()
+            if done(seen):
+                return seen
             if self._now() >= deadline_s:
                 raise RefusedError(_DEVICE, f"did not take {what}: {_likely_cause(seen)}")
-
-    def _look(self) -> tuple[Telemetry, float]:
-        """Return the newest telemetry and the time of its status."""
-        reader = self._require_reader()
-        if reader.restarted_s != self._restarted_s:
-            self._reference_lost = True
-            raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
-        known, now = reader.snapshot(), self._now()
-        try:
-            oldest_s = min(known[field].time_s for field in _FAST)
-            oldest_slow_s = min(known[field].time_s for field in _SLOW)
-            if now - oldest_s > self._stale_s or now - oldest_slow_s > max(_SLOW_STALE_S, self._stale_s):
-                raise LinkLostError(_DEVICE, f"has been silent for {now - min(oldest_s, oldest_slow_s):.1f} s")
-            status = parse_status(_text(known[Field.STATUS]), self._b_out_bit)
-            telemetry = self._telemetry(known, status, oldest_s)
-        except (KeyError, ValueError) as error:
-            raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
-        return telemetry, known[Field.STATUS].time_s
-
-    def _telemetry(self, known: dict[int, Value], status: Status, oldest_s: float) -> Telemetry:
-        numbers = {field: parse_number(field, known[field].text) for field in (*_FAST, Field.SUPPLY)}
-        positions = (numbers[Field.A_POSITION], numbers[Field.B_POSITION])
-        destinations = (numbers[Field.A_DESTINATION], numbers[Field.B_DESTINATION])
-        homing = status.homing
-        if self._homing is not None:
-            self._homing.look(positions, destinations, status, known[Field.STATUS].time_s, self._now())
-            homing = homing or (self._homing.begun and not self._homing.over)
-            if self._homing.over:
-                self._homing = None
-                self._forgiven_s = self._now()
-        self._note_jump(homing)
-        return Telemetry(
-            time_monotonic_s=oldest_s,
-            a_deg=numbers[Field.A_ANGLE],
-            b_deg=numbers[Field.B_ANGLE],
-            position_a=positions[0],
-            position_b=positions[1],
-            destination_a=destinations[0],
-            destination_b=destinations[1],
-            supply_v=numbers[Field.SUPPLY],
-            faults=status.faults,
-            was_reset=status.was_reset or self._reference_lost,
-            button_pressed=status.button_pressed,
-            homing=homing,
-            autonomous=status.autonomous,
-            mode_text=_text(known[Field.MODE]),
-            own_moves=own_moves({code: _text(known[code]) for code in known.keys() & OWN_MOVES}),
-        )
-
-    def _note_jump(self, homing: bool) -> None:
-        reader = self._reader
-        if reader is None or reader.jumped_s is None:
-            return
-        # At the end of a reference run the count is meant to jump, and what was cleared may still be on its way.
-        if not homing and reader.jumped_s > self._forgiven_s + _JUMP_SHOWS_S:
-            self._reference_lost = True
-        reader.jumped_s = None
 
 
 def _text(value: Value | None) -> str:
     return "" if value is None else value.text.decode("latin-1").strip()
+
+
+def _why_not_standing(seen: Telemetry, standstill: Standstill) -> str:
+    if standstill.still:
+        aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
+        return f"takes no stop: it stands, but is still to go from {aims}"
+    return f"keeps moving after {_STAND_WITHIN_S:g} s of stops, at A {seen.a_deg:.1f}, B {seen.b_deg:.1f} deg"
 
 
 def _likely_cause(seen: Telemetry) -> str:

@@ -66,20 +66,34 @@ DECIMALS = {
     Field.B_REMAIN: 4,
     Field.A_CURRENT: 2,
     Field.B_CURRENT: 2,
-    Field.SUPPLY: 1,
+    Field.SUPPLY: 2,
 }
-"""How many decimals the unit prints. Fewer or more means that bytes were lost."""
+"""How many decimals public firmware prints; older and newer units differ, so a reader takes any number of them."""
 
-_NUMBER: dict[int, re.Pattern[bytes]] = {
-    field: re.compile(rb"-?\d{1,7}\.\d{%d}" % decimals) for field, decimals in DECIMALS.items()
+_FAR = 99_999.0
+_RANGES = {
+    Field.A_ANGLE: (-360.0, 360.0),
+    Field.B_ANGLE: (-360.0, 360.0),
+    Field.A_POSITION: (-_FAR, _FAR),
+    Field.B_POSITION: (-_FAR, _FAR),
+    Field.A_DESTINATION: (-_FAR, _FAR),
+    Field.B_DESTINATION: (-_FAR, _FAR),
+    Field.A_REMAIN: (-_FAR, _FAR),
+    Field.B_REMAIN: (-_FAR, _FAR),
+    Field.A_CURRENT: (-50.0, 50.0),
+    Field.B_CURRENT: (-50.0, 50.0),
+    Field.SUPPLY: (-1.0, 100.0),
 }
+"""What each field can say; anything beyond is garbage."""
+_NUMBER = re.compile(rb" *([+-]?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})) *")
 _INTEGER = re.compile(r" *-?[0-9]{1,10} *")
 _LETTERS = {Field.MODE: ("N",), Field.ACTION: ("s", "5", "6"), Field.STATUS: ("0",)}
 _ANGLES = (Field.A_ANGLE, Field.B_ANGLE)
 _DESTINATIONS = (Field.A_DESTINATION, Field.B_DESTINATION)
-_LARGEST = 99_999.0
-_ALLOWED = re.compile(rb"\$(?:[,0]-?\d{1,5}\.\d{4}|[.2]-?\d{1,5}|8N|9[s56]|\x880)\r")
-"""Codes 44 and 48 with an angle, 46 and 50 with a whole number, 56 N, 57 s, 5 or 6, and 136."""
+_LARGEST = _FAR
+_ALLOWED = re.compile(rb"\$(?:[,0]-?\d{1,5}\.\d{4}|[.2]\d{1,5}|8N|9[s56]|\x880)\r")
+"""Codes 44 and 48 with an angle, 46 and 50 with a whole number that has no sign (the unit takes minus one for a very
+large number and goes to its maximum), 56 N, 57 s, 5 or 6, and 136."""
 
 TRACKING_OFF = "N"
 STOP = "s"
@@ -103,7 +117,7 @@ def encode_command(field: int, value: float | str) -> bytes:
     ------
     ValueError
         The field is not on that list, the value is not one it may have, or the number is NaN, infinite, too large or,
-        for a destination, not whole.
+        for a destination, negative or not whole.
     """
     text = _letter(field, value) if field in _LETTERS else _number(field, value)
     # The unit keeps the end of a longer earlier command behind a shorter one, so the value must be closed.
@@ -135,9 +149,9 @@ def _number(field: int, value: float | str) -> str:
     # A bool is a number to Python, and never an angle.
     if isinstance(value, str | bool) or not (-_LARGEST <= value <= _LARGEST):
         raise ValueError(f"positioner command {field} needs a number of at most {_LARGEST:g}, not {value!r}")
-    if field in _DESTINATIONS and not math.floor(value) == value:
-        raise ValueError(f"positioner command {field} takes whole position units, not {value!r}")
-    return f"{float(value):.4f}" if field in _ANGLES else f"{float(value):.0f}"
+    if field in _DESTINATIONS and not (value >= 0 and math.floor(value) == value):
+        raise ValueError(f"positioner command {field} takes whole position units from 0 on, not {value!r}")
+    return f"{float(value):.4f}" if field in _ANGLES else f"{int(value)}"
 
 
 class TokenStream:
@@ -169,11 +183,13 @@ class TokenStream:
 
 
 def parse_number(field: int, value: bytes) -> float:
-    """Return the number of a fixed-decimals field; `ValueError` if it does not have exactly those decimals."""
-    if not _NUMBER[field].fullmatch(value):
-        decimals = DECIMALS[Field(field)]
-        raise ValueError(f"positioner field {field} should be a number with {decimals} decimals, not {value!r}")
-    return float(value)
+    """Return the number of a field, printed in whatever width; `ValueError` if it is none or one that cannot be."""
+    found = _NUMBER.fullmatch(value)
+    low, high = _RANGES[Field(field)]
+    number = float(found[1]) if found else math.nan
+    if not (low <= number <= high):
+        raise ValueError(f"positioner field {field} should be a number from {low:g} to {high:g}, not {value!r}")
+    return number
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,11 +202,14 @@ class Status:
         The 32 bits, unsigned.
     faults
         Latched faults by name, such as ``a_overcurrent``; `FAULT_BITS` has them all.
-    was_reset, button_pressed, bus_timeout
+    was_reset, bus_timeout
         Marks that stay until the status is cleared.
-    a_moving, homing
-        Axis A moves; axis A runs a homing. With a known place of B's bits `homing` covers both axes.
-    b_moving
+    button_pressed
+        A button on the box is being pressed.
+    a_moving, a_homing
+        Axis A moves; axis A is on a reference run. The unit tells of a run some screens late, and no longer while no
+        Hall pulses come.
+    b_moving, b_homing
         None where the place of B's bits is not known.
     memory_fault
         The parameter memory could not be read or written.
@@ -206,13 +225,19 @@ class Status:
     button_pressed: bool
     bus_timeout: bool
     a_moving: bool
-    homing: bool
+    a_homing: bool
     b_moving: bool | None
+    b_homing: bool | None
     memory_fault: bool
     end_switches: tuple[str, ...]
     own_tracking: bool
     snow: bool
     wind: bool
+
+    @property
+    def homing(self) -> bool:
+        """Whether an axis is known to be on a reference run."""
+        return self.a_homing or bool(self.b_homing)
 
     @property
     def autonomous(self) -> bool:
@@ -231,6 +256,8 @@ FAULT_BITS = {
     "b_cable": 7,
     "a_pulse_loss": 23,
     "b_pulse_loss": 24,
+    "a_destination_error": 28,
+    "b_destination_error": 31,
 }
 RESET_BIT, BUTTON_BIT, BUS_TIMEOUT_BIT = 8, 9, 10
 A_OUT_BIT, A_IN_BIT, A_HOMING_BIT = 11, 12, 13
@@ -252,8 +279,8 @@ def parse_status(text: str, b_out_bit: int | None = None) -> Status:
         As the unit prints it.
     b_out_bit
         `B_OUT_BIT_STM` or `B_OUT_BIT_LPC` where the firmware's generation is known. The generations disagree, so
-        nothing is said of B's motion and high end switch without it. In the LPC layout the bit of B's homing is also
-        that of its high end switch, so homing is then reported for both.
+        nothing is said of B's motion and high end switch without it. In the LPC layout the bit of B's homing may also
+        be that of its high end switch, so homing is then reported for both.
 
     Raises
     ------
@@ -264,11 +291,11 @@ def parse_status(text: str, b_out_bit: int | None = None) -> Status:
         raise ValueError(f"positioner status should be a whole number of 32 bits, not {text!r}")
     word = int(text) & 0xFFFF_FFFF
     switches = [name for name, bit in SWITCH_BITS.items() if word >> bit & 1]
-    b_moving, b_homing = None, False
+    b_moving = b_homing = None
     if b_out_bit is not None:
         b_moving = bool(word >> b_out_bit & 0b11)
         b_homing = bool(word >> b_out_bit + 2 & 1)
-        if b_out_bit == B_OUT_BIT_STM and word >> B_HIGH_BIT_STM & 1:
+        if word >> B_HIGH_BIT_STM & 1:
             switches.append("b_high")
     return Status(
         word=word,
@@ -277,8 +304,9 @@ def parse_status(text: str, b_out_bit: int | None = None) -> Status:
         button_pressed=bool(word >> BUTTON_BIT & 1),
         bus_timeout=bool(word >> BUS_TIMEOUT_BIT & 1),
         a_moving=bool(word >> A_OUT_BIT & 0b11),
-        homing=bool(word >> A_HOMING_BIT & 1) or b_homing,
+        a_homing=bool(word >> A_HOMING_BIT & 1),
         b_moving=b_moving,
+        b_homing=b_homing,
         memory_fault=any(word >> bit & 1 for bit in _MEMORY_BITS),
         end_switches=tuple(switches),
         own_tracking=bool(word >> TRACKING_BIT & 1),

@@ -1,7 +1,8 @@
-"""The newest value of each telemetry field, read in a thread as the positioner streams them."""
+"""The newest value of each telemetry field, and the thread that reads them as the positioner streams them."""
 
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
@@ -13,6 +14,7 @@ _LOOK_AT_ECHO_EVERY_S = 1.0
 # An axis turns by a tenth of this between two screens; more means that the unit counts from elsewhere now.
 _JUMP_DEG = 2.0
 _JUMP_WITHIN_S = 1.0
+_ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
 
 
 class Port(Protocol):
@@ -35,10 +37,73 @@ class Port(Protocol):
 
 
 class Value(NamedTuple):
-    """A field as it was printed, and when it came [s]."""
+    """A field as it was printed, when it came [s], and its number; NaN for a text."""
 
     text: bytes
     time_s: float
+    number: float = math.nan
+
+
+class FieldTable:
+    """The newest value of each field that can be believed; filled by one thread, read by any.
+
+    Parameters
+    ----------
+    jumps
+        By field, the change within a second that is believed only once the next value confirms it.
+
+    Attributes
+    ----------
+    jumped_s
+        When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
+    """
+
+    def __init__(self, jumps: Mapping[int, float] = _ANGLES) -> None:
+        self._jumps = jumps
+        self._values: dict[int, Value] = {}
+        self._suspect: dict[int, float] = {}
+        self.jumped_s: float | None = None
+
+    def get(self, field: int) -> Value | None:
+        """Return the newest value of a field, or None if it never came."""
+        return self._values.get(field)
+
+    def snapshot(self) -> dict[int, Value]:
+        """Return all fields."""
+        return dict(self._values)
+
+    def forget(self) -> None:
+        """Start anew."""
+        self._values = {}
+
+    def take(self, tokens: Iterable[tuple[int, bytes]], now_s: float) -> None:
+        """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again."""
+        for code, text in tokens:
+            number = math.nan
+            try:
+                if code in DECIMALS:
+                    number = parse_number(code, text)
+                elif code == Field.STATUS:
+                    parse_status(text.decode("latin-1"))
+            except ValueError:
+                continue
+            if code not in self._jumps or self._plausible(code, number, now_s):
+                self._values[code] = Value(text, now_s, number)
+
+    def _plausible(self, code: int, number: float, now_s: float) -> bool:
+        """Tell whether a value can be; a jump is one once the next value confirms it."""
+        known, most = self._values.get(code), self._jumps[code]
+        if known is None or now_s - known.time_s > _JUMP_WITHIN_S or abs(number - known.number) <= most:
+            self._suspect.pop(code, None)
+            return True
+        suspect = self._suspect.get(code)
+        self._suspect[code] = number
+        if suspect is None or abs(number - suspect) > most:
+            return False
+        del self._suspect[code]
+        if code in _ANGLES:
+            self.jumped_s = now_s
+        return True
 
 
 class TelemetryReader:
@@ -64,33 +129,31 @@ class TelemetryReader:
         Why nothing comes any more, or None.
     heard
         Whether anything at all has come that looks like telemetry.
-    jumped_s
-        When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
+    table
+        The newest values.
     """
 
-    def __init__(self, port: Port, now: Callable[[], float], *, boot_s: float = 0.0, banner: bytes = b"") -> None:
+    def __init__(
+        self,
+        port: Port,
+        now: Callable[[], float],
+        *,
+        boot_s: float = 0.0,
+        banner: bytes = b"",
+        table: FieldTable | None = None,
+    ) -> None:
         self._port = port
         self._now = now
         self._boot_s = boot_s
         self._banner = banner
         self._end = b""
         self._closing = threading.Event()
-        self._values: dict[int, Value] = {}
-        self._suspect: dict[int, float] = {}
+        self.table = table or FieldTable()
         self.lost: str | None = None
         self.heard = False
-        self.jumped_s: float | None = None
         self.restarted_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="heliocube-positioner-reader", daemon=True)
         self._thread.start()
-
-    def get(self, field: int) -> Value | None:
-        """Return the newest value of a field, or None if it never came."""
-        return self._values.get(field)
-
-    def snapshot(self) -> dict[int, Value]:
-        """Return all fields."""
-        return dict(self._values)
 
     def stop(self) -> None:
         """Ask for the end, without waiting for it."""
@@ -118,12 +181,13 @@ class TelemetryReader:
             now = self._now()
             if self._has_banner(data):
                 self.restarted_s, believe_s = now, min(believe_s, now)
-                stream, self._values = TokenStream(), {}
+                stream = TokenStream()
+                self.table.forget()
                 data = data.rpartition(self._banner)[2]
-            for code, text in stream.feed(data):
-                if now >= believe_s:
-                    self.heard = True
-                    self._take(code, text, now)
+            tokens = stream.feed(data)
+            if tokens and now >= believe_s:
+                self.heard = True
+                self.table.take(tokens, now)
             if now >= look_s:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
                 if self._port.echoes():
@@ -136,31 +200,3 @@ class TelemetryReader:
         text = self._end + data
         self._end = text[-(len(self._banner) - 1) :] if len(self._banner) > 1 else b""
         return self._banner in text
-
-    def _take(self, code: int, text: bytes, now: float) -> None:
-        try:
-            if code in (Field.A_ANGLE, Field.B_ANGLE):
-                if not self._plausible(code, parse_number(code, text), now):
-                    return
-            elif code in DECIMALS:
-                parse_number(code, text)
-            elif code == Field.STATUS:
-                parse_status(text.decode("latin-1"))
-        except ValueError:
-            # Bytes were lost on the way; the next screen has it again.
-            return
-        self._values[code] = Value(text, now)
-
-    def _plausible(self, code: int, angle_deg: float, now: float) -> bool:
-        """Tell whether an angle can be; a jump is one once the next value confirms it."""
-        known = self._values.get(code)
-        if known is None or now - known.time_s > _JUMP_WITHIN_S or abs(angle_deg - float(known.text)) <= _JUMP_DEG:
-            self._suspect.pop(code, None)
-            return True
-        suspect = self._suspect.get(code)
-        self._suspect[code] = angle_deg
-        if suspect is None or abs(angle_deg - suspect) > _JUMP_DEG:
-            return False
-        del self._suspect[code]
-        self.jumped_s = now
-        return True

@@ -1,30 +1,38 @@
 """The simulated POZSOL36A1 positioner with its two axes: bytes in, bytes out, time as an argument.
 
-Behaves as public firmware of the same product family was seen to. A checksum on commands is left out: older firmware
-had one, but how it was formed is not known. Commands that set the clock are accepted and change nothing; parameter
-writes change what the slow screens print, not how the axes move.
+Behaves as the maker's public firmware does in an emulator; docs/hardware.md tells how that is compared and where they
+differ. A checksum on commands is left out: older firmware had one, but how it was formed is not known. Commands that
+set the clock are accepted and change nothing; parameter writes change what the slow screens print, not how the axes
+move.
 """
 
 import math
 import re
+import struct
 
 from drivers import pozsol_wire as wire
 from drivers.interfaces import Axis
 from drivers.pozsol_wire import Field
+from sim_drivers import positioner_faults as faults
 from sim_drivers import positioner_screens as screens
 from sim_drivers.positioner_screens import Readout
 from sim_drivers.positioner_setup import Setup
-from sim_drivers.positioner_unit import FAULTS as UNIT_FAULTS
 from sim_drivers.positioner_unit import POLL_S, PositionerUnit
 from solar.frames import Angles
 
 DEAF = "deaf"
 """The fault of a unit that sends telemetry but takes no commands."""
-FAULTS = (*UNIT_FAULTS, DEAF)
+FAULTS = (*faults.FAULTS, DEAF)
 """Everything that `PositionerCore.inject` can do."""
 
 _FIRST_PARAMETER = 70
-_NUMBER = re.compile(rb" *([+-]?(?:\d+\.?\d*|\.\d+))")
+_REBOOT_S = 1.0
+_SPACE = rb"[ \t\n\v\f\r]*"
+_HEX = re.compile(_SPACE + rb"([+-]?)0x([0-9a-f]+\.?[0-9a-f]*|\.[0-9a-f]+)(p[+-]?\d+)?", re.IGNORECASE)
+_DECIMAL = re.compile(_SPACE + rb"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)", re.IGNORECASE)
+_NO_NUMBER = re.compile(_SPACE + rb"[+-]?(?:nan|inf)", re.IGNORECASE)
+_WHOLE = re.compile(_SPACE + rb"([+-]?\d+)")
+_LARGEST_WHOLE = (1 << 31) - 1
 _JOG: dict[bytes, tuple[Axis, bool]] = {
     b"1": ("b", True),
     b"2": ("a", True),
@@ -48,12 +56,12 @@ class PositionerCore:
 
     def __init__(self, now: float = 0.0, setup: Setup | None = None) -> None:
         self._unit = PositionerUnit(now, setup or Setup())
-        a, b = self._unit.axes.values()
-        self.parameters = screens.default_parameters(a.actuator, b.actuator)
+        self.parameters = screens.default_parameters(self._unit.setup)
         self._start_s = self._now = now
         self._buffer = bytearray(wire.MAXIMUM_PACKET)
         self._poll_s = math.inf
-        self._deaf = False
+        self._deaf = self._mislays_packet = False
+        self._reboot_s = math.inf
         self._slot = self._slow = self._links = 0
 
     @property
@@ -66,9 +74,17 @@ class PositionerCore:
         self.advance(now)
         for start in range(0, len(data), wire.MAXIMUM_PACKET):
             packet = data[start : start + wire.MAXIMUM_PACKET]
+            if self._mislays_packet:
+                self._mislays_packet = False
+                continue
             self._buffer[: len(packet)] = packet
         if data and self._poll_s == math.inf:
             self._poll_s = self._start_s + POLL_S * (math.floor((now - self._start_s) / POLL_S) + 1)
+
+    def enumerate_usb(self, now: float) -> None:
+        """Connect the cable, or connect it anew: the first packet after that is lost, as the firmware mislays it."""
+        self.advance(now)
+        self._mislays_packet = True
 
     def advance(self, now: float) -> None:
         """Let everything happen that is due until `now`; `ValueError` if that lies in the past."""
@@ -77,13 +93,16 @@ class PositionerCore:
         if self._poll_s <= now:
             self._unit.advance(self._poll_s)
             self._poll(self._poll_s)
+        if self._reboot_s <= now:
+            self._unit.advance(self._reboot_s)
+            self._restart(self._reboot_s, keep_position=True)
         self._unit.advance(now)
         self._now = now
 
     def next_event(self, now: float) -> float | None:
         """Return when the state next changes by itself, or None if it does not."""
         self.advance(now)
-        due_s = min(self._poll_s, self._unit.due_s)
+        due_s = min(self._poll_s, self._reboot_s, self._unit.due_s)
         return None if due_s == math.inf else due_s
 
     def truth(self, now: float) -> Angles:
@@ -131,12 +150,13 @@ class PositionerCore:
         if fault == DEAF:
             self._deaf = present
             return
-        self._unit.inject(fault, now, present=present)
+        faults.inject(self._unit, fault, now, present=present)
 
     def _restart(self, now: float, keep_position: bool) -> None:
         self._unit.power_cycle(now, keep_position=keep_position)
         self._buffer = bytearray(wire.MAXIMUM_PACKET)
-        self._poll_s = math.inf
+        self._poll_s = self._reboot_s = math.inf
+        self._mislays_packet = True
         self._start_s = now
 
     def _readout(self, now: float) -> Readout:
@@ -148,40 +168,58 @@ class PositionerCore:
         text = bytes(self._buffer).split(b"\0", 1)[0]
         # Only the first byte is cleared: the rest of a command stays behind a shorter one that follows.
         self._buffer[0] = 0
-        at = text.find(b"$")
-        if not self._deaf and 0 <= at < len(text) - 1:
-            self._execute(text[at + 1], text[at + 2 :], now)
+        # A `$` anywhere else than at the very beginning is none to the unit.
+        if not self._deaf and text.startswith(b"$") and len(text) > 1:
+            self._execute(text[1], text[2:], now)
 
     def _execute(self, code: int, value: bytes, now: float) -> None:
         unit, letter = self._unit, value[:1].lower()
         if code in (Field.A_ANGLE, Field.B_ANGLE):
             unit.point("a" if code == Field.A_ANGLE else "b", _number(value), now)
         elif code in (Field.A_DESTINATION, Field.B_DESTINATION):
-            unit.go("a" if code == Field.A_DESTINATION else "b", int(_number(value)), now)
+            unit.go("a" if code == Field.A_DESTINATION else "b", _whole(value), now)
         elif code == Field.MODE and letter in (b"n", b"y"):
             unit.switch_tracking(letter == b"y", now)
         elif code == Field.ACTION:
             self._act(letter, now)
         elif code == Field.STATUS:
             unit.clear(now)
-        elif code == Field.REBOOT:
-            self._restart(now, keep_position=True)
+        elif code == Field.REBOOT and value[:5].lower() == b"reset":
+            self._reboot_s = now + _REBOOT_S
         elif code >= _FIRST_PARAMETER and code in self.parameters:
             self.parameters[code] = value.split(b"$", 1)[0].strip().decode("latin-1")
 
     def _act(self, letter: bytes, now: float) -> None:
         if letter == wire.STOP.encode():
             self._unit.stop(now)
-        elif letter == wire.HOME_A.encode():
-            self._unit.home("a", now)
-        elif letter == wire.HOME_B.encode():
-            self._unit.home("b", now)
+        elif letter in (wire.HOME_A.encode(), wire.HOME_B.encode()):
+            self._unit.home("a" if letter == wire.HOME_A.encode() else "b", now)
         elif letter in _JOG:
             axis, outwards = _JOG[letter]
             self._unit.jog(axis, outwards, now)
+        else:
+            self._unit.act(now)
 
 
 def _number(value: bytes) -> float:
-    """Read the number at the start of a value; without one it is 0, as the unit's C library has it."""
-    match = _NUMBER.match(value)
-    return float(match[1]) if match else 0.0
+    """Read the number at the start of a value as the unit's C library does; without one it is 0."""
+    if _NO_NUMBER.match(value):
+        return math.nan
+    try:
+        if match := _HEX.match(value):
+            sign, digits, power = match.groups()
+            number = float.fromhex((sign + b"0x" + digits + (power or b"")).decode())
+        else:
+            match = _DECIMAL.match(value)
+            number = float(match[1]) if match else 0.0
+        # The unit holds it in single precision.
+        return float(struct.unpack("f", struct.pack("f", number))[0])
+    except OverflowError:
+        return math.nan
+
+
+def _whole(value: bytes) -> int:
+    """Read the whole number at the start of a value; the unit takes a negative one for a very large one."""
+    match = _WHOLE.match(value)
+    number = int(match[1]) if match else 0
+    return number if 0 <= number <= _LARGEST_WHOLE else _LARGEST_WHOLE

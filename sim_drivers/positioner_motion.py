@@ -1,146 +1,82 @@
-"""One motor axis of the simulated positioner, moving on closed-form ramps.
+"""One motor axis of the simulated positioner: its motor, its mechanics, its Hall sensors and its end switches.
 
 Positions are in mm of actuator travel. The true position counts from the low end switch; the unit's own count differs
-from it once its reference is lost. Nothing here runs by ticks: a move is planned once and evaluated at any time.
+from it once its reference is lost. What the axis is told to do is the unit's business.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
+from sim_drivers.positioner_profile import Profile, coast, drive_on, drive_to
 from sim_drivers.positioner_setup import Actuator, Drive
 
 HARD_STOP_MM = 1.0
-"""How far beyond the low end switch the mechanics go if the switch does not act."""
-_FAR_MM = 1e5
-_HAIR_MM = 1e-9
+"""How far beyond an end switch the mechanics go if the switch does not act."""
+PULSE_TIMEOUT_S = 2.0
+HOMING_TIMEOUT_S = 600.0
+EDGE_MEMORY_S = 0.4
+"""For so long after an impulse an axis counts as moving."""
+HOMING_AHEAD_MM = 10.0
+"""During homing the destination is this far inwards of the position, wherever that is."""
+ERRORS = frozenset(("overcurrent", "cable", "homing_too_long"))
+"""Faults with which an axis refuses targets."""
+_HAIR_MM = 1e-6
 
-
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    start_s: float
-    position: float
-    velocity: float
-    acceleration: float
-
-    def at(self, time_s: float) -> tuple[float, float]:
-        dt = time_s - self.start_s
-        return (
-            self.position + dt * (self.velocity + 0.5 * dt * self.acceleration),
-            self.velocity + dt * self.acceleration,
-        )
-
-    def time_at(self, position: float) -> float:
-        """When this piece, moving towards `position`, gets there."""
-        way = position - self.position
-        if self.acceleration == 0.0:
-            return self.start_s + way / self.velocity
-        square = max(self.velocity**2 + 2 * self.acceleration * way, 0.0)
-        end_velocity = math.copysign(math.sqrt(square), way)
-        return self.start_s + (end_velocity - self.velocity) / self.acceleration
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """A planned motion: pieces of constant acceleration, and where and when it ends."""
-
-    pieces: tuple[_Piece, ...]
-    end_s: float
-    end: float
-    cut: bool = False
-
-    def at(self, time_s: float) -> tuple[float, float]:
-        """Position [mm] and velocity [mm/s]."""
-        if time_s >= self.end_s:
-            return self.end, 0.0
-        for piece in reversed(self.pieces):
-            if time_s >= piece.start_s:
-                return piece.at(time_s)
-        return self.pieces[0].position, self.pieces[0].velocity
-
-    def cut_at(self, low: float, high: float) -> "Profile":
-        """Return the motion as it ends, at once, where it would leave low..high outwards."""
-        for index, piece in enumerate(self.pieces):
-            end_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else self.end_s
-            end = piece.at(end_s)[0] if end_s < self.end_s else self.end
-            for limit, side in ((low, -1.0), (high, 1.0)):
-                if side * end > side * limit + _HAIR_MM and side * (end - piece.position) > 0:
-                    if side * piece.position >= side * limit:
-                        return Profile(self.pieces[: index + 1], piece.start_s, piece.position, cut=True)
-                    return Profile(self.pieces[: index + 1], piece.time_at(limit), limit, cut=True)
-        return self
-
-
-def brake(start_s: float, position: float, velocity: float, drive: Drive) -> Profile:
-    """Plan a stop on the ramp."""
-    duration = abs(velocity) / drive.acceleration_mm_s2
-    piece = _Piece(start_s, position, velocity, -math.copysign(drive.acceleration_mm_s2, velocity))
-    return Profile((piece,), start_s + duration, position + 0.5 * velocity * duration)
-
-
-def travel(start_s: float, position: float, velocity: float, target: float, drive: Drive) -> Profile:
-    """Plan a move to `target` [mm], with a stop first where it lies behind or within the stopping distance."""
-    rate, full = drive.acceleration_mm_s2, drive.speed_mm_s
-    pieces: tuple[_Piece, ...] = ()
-    way = target - position
-    if velocity != 0.0 and not (way * velocity > 0 and abs(way) >= velocity**2 / (2 * rate)):
-        stop = brake(start_s, position, velocity, drive)
-        pieces = stop.pieces
-        start_s, position, velocity = stop.end_s, stop.end, 0.0
-        way = target - position
-    side, distance, speed = math.copysign(1.0, way), abs(way), abs(velocity)
-    peak = min(full, math.sqrt(rate * distance + 0.5 * speed**2))
-    up_s, down_s = (peak - speed) / rate, peak / rate
-    up = 0.5 * (peak + speed) * up_s
-    down = 0.5 * peak * down_s
-    cruise_s = max(distance - up - down, 0.0) / peak if peak > 0 else 0.0
-    rise = _Piece(start_s, position, velocity, side * rate)
-    level = _Piece(start_s + up_s, position + side * up, side * peak, 0.0)
-    fall = _Piece(level.start_s + cruise_s, target - side * down, side * peak, -side * rate)
-    return Profile((*pieces, rise, level, fall), fall.start_s + down_s, target)
-
-
-Driven = Literal["target", "home", "stop"]
+Control = Literal["idle", "track", "stop", "home"]
 
 
 class Axis:
     """State of one axis between events.
 
-    The owner calls `begin`, `halt` and `arrive` at the right times; everything else can be asked at any time.
+    Attributes
+    ----------
+    control
+        What the unit wants of it.
+    active
+        Its motor is switched on.
+    outward
+        Which way it was last driven.
+    manual
+        Driven by hand: it is stopped as soon as nobody presses a button.
+    enabled
+        Not switched off by a lost Hall signal.
     """
 
-    PULSE_TIMEOUT_S = 2.0
-    HOMING_TIMEOUT_S = 600.0
-
     def __init__(self, actuator: Actuator, drive: Drive, angle_deg: float) -> None:
-        if not (actuator.low_deg <= angle_deg <= actuator.high_deg):
-            raise ValueError(
-                f"the axis can stand between {actuator.low_deg} and {actuator.high_deg}, not {angle_deg} deg"
-            )
+        low, high = sorted((actuator.low_deg, actuator.high_deg))
+        if not (low <= angle_deg <= high):
+            raise ValueError(f"the axis can stand between {low} and {high}, not {angle_deg} deg")
         self.actuator = actuator
         self.drive = drive
         self.range_mm = math.floor(actuator.travel_mm)
-        self.destination = actuator.position_mm(angle_deg)
-        self.remain = 0.0
-        self.pending = False
-        self.homing = False
-        self.driven: Driven | None = None
+        self.control: Control = "idle"
+        self.active = self.manual = False
+        self.outward = self.enabled = True
         self.faults: set[str] = set()
-        self.hall_lost = False
-        self.cable_broken = False
+        self.remain = 0.0
+        self.cable_broken = self.ignores_targets = False
         self.low_switch: Literal["works", "closed", "open"] = "works"
-        self.trip_s = math.inf
-        self._homing_ends_s = math.inf
-        self._rest_mm = self.destination
+        self.homing_since_s = math.inf
+        self._hall_lost = False
+        self._counting = True
+        self._rest_mm = actuator.position_mm(angle_deg)
         self._profile: Profile | None = None
         self._origin_mm = 0.0
-        self._frozen_count: float | None = None
+        self._frozen_mm: float | None = None
+        self._moving_until_s = self._last_edge_s = -math.inf
+        self._planned: tuple[float, bool] | None = None
+        self._passes_s = math.inf
+        self.target_mm = self.counted_mm(0.0)
 
     @property
-    def event_s(self) -> float:
-        """When this axis next changes by itself."""
-        arrives_s = self._profile.end_s if self._profile else math.inf
-        return min(arrives_s, self.trip_s, self._homing_ends_s)
+    def blocked(self) -> bool:
+        """Whether the unit drives it at all."""
+        return not self.enabled or bool(self.faults & ERRORS)
+
+    @property
+    def hall_lost(self) -> bool:
+        """Whether its Hall sensors are dead."""
+        return self._hall_lost
 
     def true_mm(self, now_s: float) -> float:
         """Where the actuator is, from the low end switch."""
@@ -151,8 +87,20 @@ class Axis:
         return self._profile.at(now_s)[1] if self._profile else 0.0
 
     def counted_mm(self, now_s: float) -> float:
-        """Where the unit believes it is."""
-        return self.true_mm(now_s) - self._origin_mm if self._frozen_count is None else self._frozen_count
+        """Where the unit believes it is, in whole impulses."""
+        counts = math.floor(self._exact_mm(now_s) * self.drive.counts_per_mm + 1e-6)
+        return counts / self.drive.counts_per_mm
+
+    def counts(self, way_mm: float) -> int:
+        """Return a distance in whole impulses."""
+        return round(way_mm * self.drive.counts_per_mm)
+
+    def moving(self, now_s: float) -> bool:
+        """Tell whether the unit has seen an impulse lately."""
+        profile = self._profile
+        if profile and self._sees and profile.first_edge_s <= now_s < profile.last_edge_s + EDGE_MEMORY_S:
+            return True
+        return now_s < self._moving_until_s
 
     def low_closed(self, now_s: float) -> bool:
         """Tell what the low end switch says."""
@@ -164,105 +112,128 @@ class Axis:
         """Tell what the high end switch says."""
         return self.true_mm(now_s) >= self.actuator.travel_mm - _HAIR_MM
 
-    def aim(self, destination: float, now_s: float) -> None:
-        """Take a destination [mm, by the unit's count]; it is driven to once `begin` is called."""
-        self.destination = destination
-        way = destination - self.counted_mm(now_s)
-        self.pending = self.driven is not None or abs(way) > self.drive.dead_band_mm
+    def events(self) -> tuple[float, ...]:
+        """Return when this axis next changes by itself, in times that may lie in the past."""
+        still_s = self._moving_until_s
+        if not (profile := self._profile):
+            return still_s, self.fault_s
+        if self._sees:
+            still_s = max(still_s, profile.last_edge_s + EDGE_MEMORY_S)
+        starts_s = profile.first_edge_s if self._sees else math.inf
+        low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.actuator.travel_mm, 1.0)
+        return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, self._passes_s, low_s, high_s
 
-    def begin(self, now_s: float) -> None:
-        """Drive towards the destination, or inwards for the low end switch, from the present motion."""
-        self.driven = "home" if self.homing else "target"
-        if self.homing and self._homing_ends_s == math.inf:
-            self._homing_ends_s = now_s + self.HOMING_TIMEOUT_S
-        here, velocity = self.true_mm(now_s), self.velocity_mm_s(now_s)
-        if not self.hall_lost:
-            self._count_again(here)
-            self.trip_s = math.inf
-        target = -_FAR_MM if self.homing else self.destination + self._origin_mm
-        if self.hall_lost:
-            # Without pulses the unit sees no progress and drives on until it notices.
-            target = math.copysign(_FAR_MM, target - here)
-            self._frozen_count = self.counted_mm(now_s)
-            self.trip_s = min(self.trip_s, now_s + self.PULSE_TIMEOUT_S)
-        elif not self.homing:
-            target += math.copysign(self.drive.overshoot_mm, target - here)
-        self._profile = travel(now_s, here, velocity, target, self.drive).cut_at(*self._walls())
+    @property
+    def crosses_s(self) -> float:
+        """When the motor reaches its target; infinite while it has none."""
+        return self._profile.crosses_s if self._profile and self.active else math.inf
 
-    def replan(self, now_s: float) -> None:
-        """Take a changed condition into account while driving."""
-        if self.driven == "stop":
-            self._brake(now_s)
-        elif self.driven:
-            self.begin(now_s)
+    @property
+    def fault_s(self) -> float:
+        """When the unit's patience with a motor that gives no impulses ends."""
+        if not self.active:
+            return math.inf
+        if self._hall_lost or self._profile is None:
+            return self._last_edge_s + PULSE_TIMEOUT_S
+        return self._profile.last_edge_s + PULSE_TIMEOUT_S
 
-    def halt(self, now_s: float) -> None:
-        """Run out on the ramp; the destination becomes where that ends."""
-        self.homing, self.pending, self._homing_ends_s = False, False, math.inf
-        self.trip_s = math.inf
-        if self._profile is None:
-            self._count_again(self._rest_mm)
-            self.destination = self.counted_mm(now_s)
-            self.driven = None
+    def push(self, target_mm: float, now_s: float, *, outward: bool, brakes: bool = True) -> None:
+        """Drive towards a target of the unit's count [mm], or past it; infinite for a motion without end."""
+        starts = not (self.active and self.outward is outward)
+        brakes = brakes and not self._hall_lost and math.isfinite(target_mm)
+        plan = (target_mm, brakes)
+        if not starts and plan == self._planned:
+            # Against a hard stop it stays switched on, and at rest.
             return
-        self.driven = "stop"
-        self._brake(now_s)
+        if starts:
+            self._last_edge_s = now_s
+        self.active, self.outward, self._planned = True, outward, plan
+        here, velocity, side = self.true_mm(now_s), self.velocity_mm_s(now_s), 1.0 if outward else -1.0
+        goal = target_mm + self._origin_mm + 0.5 / self.drive.counts_per_mm
+        if brakes:
+            self._replace(drive_to(now_s, here, velocity, goal, self.drive, starts=starts), now_s)
+        else:
+            profile = drive_on(now_s, here, velocity, side, self.drive)
+            self._replace(profile, now_s)
+            self._passes_s = profile.reaches(goal, side)
 
-    def cut_power(self, now_s: float) -> None:
-        """Stand still at once; what is pending stays pending, but a homing run is over."""
-        self._rest_mm = self.true_mm(now_s)
-        self._count_again(self._rest_mm)
-        self._profile, self.trip_s = None, math.inf
-        if self.homing or self.driven == "stop":
-            self.destination, self.pending = self.counted_mm(now_s), False
-        self.homing, self.driven, self._homing_ends_s = False, None, math.inf
+    def run_out(self, now_s: float) -> None:
+        """Go on without a motor."""
+        if self._profile:
+            self._planned = None
+            self._replace(coast(now_s, self.true_mm(now_s), self.velocity_mm_s(now_s), self.drive), now_s)
 
-    def forget_position(self) -> None:
-        """Lose the count: wherever the axis stands is now 0."""
-        self._origin_mm = self._rest_mm
-        self.destination = 0.0
+    def release(self, now_s: float) -> None:
+        """Switch the motor off."""
+        if self.active:
+            self.active = self.manual = False
+            self.run_out(now_s)
 
-    def arrive(self, now_s: float) -> None:
-        """Carry out what is due at `now_s`: the end of a motion or of the unit's patience."""
-        if now_s >= self.trip_s:
-            self._fail(now_s, "hall_fault", "pulse_loss")
-        elif now_s >= self._homing_ends_s:
-            self._fail(now_s, "homing_too_long")
-        elif self._profile and now_s >= self._profile.end_s:
-            self._come_to_rest(now_s, self._profile)
+    def freeze(self, now_s: float) -> None:
+        """Stand still at once, as without power in a simulation that is switched off."""
+        self._rest_mm, self._profile = self.true_mm(now_s), None
+        self.active = self.manual = False
+        self._moving_until_s = -math.inf
 
-    def _come_to_rest(self, now_s: float, profile: Profile) -> None:
-        self._rest_mm = profile.end
-        self._profile = None
-        at_switch = profile.cut and (self.low_closed(now_s) or self.high_closed(now_s))
-        if not at_switch and (profile.cut or self.trip_s < math.inf):
-            # Against the hard stop behind a dead switch, or without pulses: driven, and nothing seems to turn.
-            self.trip_s = min(self.trip_s, now_s + self.PULSE_TIMEOUT_S)
-            return
-        self.trip_s = math.inf
-        self._count_again(self._rest_mm)
-        if self.homing:
-            self.remain = self.counted_mm(now_s)
-            self._origin_mm = self._rest_mm
-            self.destination = 0.0
-            self.homing, self._homing_ends_s = False, math.inf
-        elif at_switch or self.driven == "stop":
-            self.destination = self.counted_mm(now_s)
-        self.driven, self.pending = None, False
+    def lose_hall(self, lost: bool, now_s: float) -> None:
+        """Let the Hall sensors die, or come back to life."""
+        if lost is not self._hall_lost:
+            self._stop_looking(now_s)
+            self._hall_lost = lost
+            self._look_again(now_s)
+            self._last_edge_s, self._planned = now_s, None
 
-    def _fail(self, now_s: float, *faults: str) -> None:
-        self.cut_power(now_s)
-        self.faults.update(faults)
+    def count(self, counting: bool, now_s: float) -> None:
+        """Begin or end to count impulses: the unit counts those of one axis at a time."""
+        if counting is not self._counting:
+            self._stop_looking(now_s)
+            self._counting = counting
+            self._look_again(now_s)
 
-    def _count_again(self, here_mm: float) -> None:
-        if self._frozen_count is not None:
-            self._origin_mm, self._frozen_count = here_mm - self._frozen_count, None
+    def slip(self, way_mm: float) -> None:
+        """Falsify the count."""
+        self._origin_mm -= way_mm
 
-    def _brake(self, now_s: float) -> None:
-        here, velocity = self.true_mm(now_s), self.velocity_mm_s(now_s)
-        self._profile = brake(now_s, here, velocity, self.drive).cut_at(*self._walls())
+    def forget_position(self, now_s: float) -> None:
+        """Lose the count: wherever the axis is now is 0."""
+        self._origin_mm, self._frozen_mm = self.true_mm(now_s), None
 
-    def _walls(self) -> tuple[float, float]:
-        # A switch that is stuck closed ends every inward motion where it begins.
-        low = {"works": 0.0, "open": -HARD_STOP_MM, "closed": _FAR_MM}[self.low_switch]
-        return low, self.actuator.travel_mm
+    def settle(self, now_s: float) -> None:
+        """Carry out the end of a motion, and of the unit's patience, if they are due."""
+        if now_s >= self.fault_s:
+            self.faults.add("hall_fault")
+            self.enabled = False
+            self._last_edge_s = now_s
+        if self._profile and now_s >= self._profile.end_s:
+            profile, self._profile = self._profile, None
+            self._rest_mm = profile.end
+            self._last_edge_s = max(self._last_edge_s, profile.last_edge_s)
+            if self._sees:
+                self._moving_until_s = max(self._moving_until_s, profile.last_edge_s + EDGE_MEMORY_S)
+
+    @property
+    def _sees(self) -> bool:
+        return self._counting and not self._hall_lost
+
+    def _exact_mm(self, now_s: float) -> float:
+        return self.true_mm(now_s) - self._origin_mm if self._frozen_mm is None else self._frozen_mm
+
+    def _stop_looking(self, now_s: float) -> None:
+        if self._sees:
+            self._remember_edges(now_s)
+            self._frozen_mm = self._exact_mm(now_s)
+
+    def _look_again(self, now_s: float) -> None:
+        if self._sees and self._frozen_mm is not None:
+            self._origin_mm, self._frozen_mm = self.true_mm(now_s) - self._frozen_mm, None
+
+    def _remember_edges(self, now_s: float) -> None:
+        profile = self._profile
+        if profile and self._sees and profile.first_edge_s <= now_s:
+            last_s = min(now_s, profile.last_edge_s)
+            self._moving_until_s = max(self._moving_until_s, last_s + EDGE_MEMORY_S)
+
+    def _replace(self, profile: Profile, now_s: float) -> None:
+        self._remember_edges(now_s)
+        self._passes_s = math.inf
+        self._profile = profile.cut_at(-HARD_STOP_MM, self.actuator.travel_mm + HARD_STOP_MM)

@@ -3,45 +3,82 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.pozsol_wire import DECIMALS, SEPARATOR, Field
-from sim_drivers.positioner_setup import Actuator
+from drivers.pozsol_wire import SEPARATOR, Field
+from sim_drivers.positioner_setup import Actuator, Setup
 
 BOARD = "36A1"
 VERSION = "1.402 (B1.100)"
-SERIAL = "0A1B2C3D 4E5F6071 8293A4B5 C6D7E8F9"
+SERIAL = "0A1B2C3D-4E5F6071-8293A4B5-C6D7E8F9"
 
 SLOTS = 6
 SLOW_SCREENS: tuple[tuple[int, ...], ...] = (
-    (Field.BOARD,),
-    (Field.VERSION,),
-    (Field.SUPPLY,),
-    (Field.SERIAL,),
-    (Field.STATUS,),
-    (Field.MODE,),
-    (Field.LINK_COUNTER,),
-    (Field.LATITUDE, Field.LONGITUDE),
-    (Field.TRACKING_INTERVAL,),
-    (70, 71, 72, 73),
-    (74, 75, 76, 77),
-    (78, 79, 80, 83),
-    (96, 97, 98, 99),
-    (100, 101, 102, 103),
-    (104, 105, 106, 107),
-    (108, 109),
-    (110, 111, 192, 193),
-    (112, 113),
-    (117, 118),
-    (119, 120, 121, 122),
-    (123, 124, 125),
-    (126, 127),
-    (141, 142, 143, 144),
-    (157, 158, 159, 160, 161),
-    (190, 191),
-    (194, 197, 198, 199),
-    (204,),
+    (130, 131, 134, 135),
+    (43, 59, Field.VERSION, Field.SUPPLY, Field.SERIAL),
+    (Field.STATUS, Field.MODE),
+    (118, 94, 95, 83, 116, 117),
+    (70, 71, 72, 73, 74, 75),
+    (76, 77, 78, 79, 80, Field.LATITUDE),
+    (84, 85, 86, 194, Field.LONGITUDE, 114),
+    (90, Field.BOARD, Field.LINK_COUNTER, 61, 62),
+    (91, Field.TRACKING_INTERVAL, 93, 81, 92),
+    (96, 97, 98, 99, 100, 101),
+    (102, 103, 104, 105, 106, 107),
+    (108, 110, 112, 192, 138, 137),
+    (109, 111, 113, 193, 161, 160),
+    (141, 143, 142, 144, 145),
+    (119, 120, 121, 133, 126, 122),
+    (127, 123, 195, 197),
+    (124, 125, 139, 140, 199),
+    (147, 148, 149, 150, 151),
+    (152, 153, 154, 155, 156),
+    (158, 159),
+    (200, 162, 163),
+    (164, 165),
+    (166, 167, 168, 169, 170),
+    (171, 172, 60, 157, 180, 179),
+    (187, 188, 189, 190, 191),
+    (204, 205, 206, 209),
+    (226, 214, 215, 216, 217, 220, 223, 225),
 )
-_GEAR_RATIO = "800.0"
 _TWO_ARMS_GEOMETRY = "3"
+_ELEVATION = "2"
+_ONE_DECIMAL = (*range(61, 63), 94, 95, 73, 99, 77, 103, 119, 120, 134, 135, 137, 138, 157, 160, 161)
+_TWO_DECIMALS = (*range(147, 157), *range(162, 166), 192, 193, 199)
+_PRINTED: dict[int, str] = {
+    **dict.fromkeys(_ONE_DECIMAL, "0.0"),
+    **dict.fromkeys(_TWO_DECIMALS, "0.00"),
+    **dict.fromkeys((84, 85, 114), "28.0"),
+    **dict.fromkeys((86, 91, 130, 131, 194), "0000"),
+    **dict.fromkeys((108, 109, 122, 123, 126, 127), "off"),
+    **dict.fromkeys((Field.LATITUDE, Field.LONGITUDE), "0.0000"),
+    **dict.fromkeys((112, 113), "2.00"),
+    **dict.fromkeys((141, 142), "3.0"),
+    **dict.fromkeys((143, 144), "500"),
+    **dict.fromkeys((158, 159), "06:00:00 (Local:06:00:00)"),
+    **dict.fromkeys(range(166, 172), "00:00"),
+    **dict.fromkeys((190, 191), "0.00\xf8(PM), 0.00\xf8(AE)"),
+    **dict.fromkeys((206, 209), "800.000"),
+    Field.BOARD: BOARD,
+    Field.VERSION: VERSION,
+    Field.SERIAL: SERIAL,
+    Field.TRACKING_INTERVAL: "300",
+    43: "01",
+    59: "01",
+    60: "2000",
+    90: "16",
+    124: "0.000",
+    145: "0.1",
+    179: "00/00/0000 00:00:00",
+    197: "4.95",
+    214: "42",
+    216: "7",
+    217: "8",
+    220: "-164",
+    223: "19200",
+    225: "65538",
+    226: "116",
+}
+"""What is printed of everything that a simulated unit has no use for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,20 +106,27 @@ class Readout:
     link_counter: int
 
 
-def default_parameters(a: Actuator, b: Actuator) -> dict[int, str]:
-    """Return what is stored (identity, geometry, ranges, protection, autonomy) as the unit prints them."""
-    parameters = {code: "0.0" for screen in SLOW_SCREENS[7:] for code in screen}
-    for first, ratio, largest, geometry, actuator in ((70, 78, 79, 83, a), (96, 104, 105, 107, b)):
-        parameters[first] = f"{actuator.arm_1_mm:.1f}"
-        parameters[first + 1] = f"{actuator.arm_2_mm:.1f}"
-        parameters[first + 2] = f"{actuator.apex_deg:.1f}"
-        parameters[ratio] = _GEAR_RATIO
-        parameters[largest] = f"{int(actuator.travel_mm):.1f}"
-        parameters[geometry] = _TWO_ARMS_GEOMETRY
-    parameters.update({Field.BOARD: BOARD, Field.VERSION: VERSION, Field.SERIAL: SERIAL})
-    parameters.update({Field.TRACKING_INTERVAL: "300", 112: "2.0", 113: "2.0"})
-    parameters.update(dict.fromkeys((108, 109, 126, 127), "off"))
+def default_parameters(setup: Setup) -> dict[int, str]:
+    """Return what is stored (identity, geometry, ranges, protection, autonomy) as the unit prints it."""
+    parameters = {code: "0" for screen in SLOW_SCREENS for code in screen} | _PRINTED
+    for first, codes, actuator in (
+        (70, (78, 79, 80, 83), setup.a_actuator),
+        (96, (104, 105, 106, 107), setup.b_actuator),
+    ):
+        values = (f"{setup.drive.counts_per_mm:.1f}", f"{int(actuator.travel_mm)}", _ELEVATION, _TWO_ARMS_GEOMETRY)
+        parameters.update(zip(codes, values, strict=True))
+        parameters.update(_triangle(first, actuator))
+    parameters[192] = f"{setup.a_actuator.zero_offset_mm:.2f}"
+    parameters[193] = f"{setup.b_actuator.zero_offset_mm:.2f}"
     return parameters
+
+
+def _triangle(first: int, actuator: Actuator) -> dict[int, str]:
+    """Return stator, both arms, holder, sense and angle as the unit has them: it counts angles from the lower side."""
+    angle_deg = -actuator.apex_deg if actuator.raises else 180 - actuator.apex_deg
+    sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm)
+    numbers = (*sides, 0.0, actuator.holder_mm, float(actuator.raises), angle_deg, 0.0)
+    return {first + offset: f"{number:.1f}" for offset, number in enumerate(numbers)}
 
 
 def fast_screen(slot: int, now: Readout) -> bytes:
@@ -112,7 +156,7 @@ def fast_screen(slot: int, now: Readout) -> bytes:
 def slow_screen(index: int, now: Readout, parameters: Mapping[int, str]) -> bytes:
     """Return one of the 27 slow screens."""
     live: dict[int, str] = {
-        Field.SUPPLY: f"{now.supply_v:.{DECIMALS[Field.SUPPLY]}f}",
+        Field.SUPPLY: f"{now.supply_v:.2f}",
         Field.STATUS: f"{_signed(now.status):04d}",
         Field.MODE: now.mode,
         Field.LINK_COUNTER: str(now.link_counter),
@@ -126,7 +170,7 @@ def live_screens(now: Readout) -> bytes:
         (
             _axis(Field.A_ANGLE, Field.A_REMAIN, now.a),
             _axis(Field.B_ANGLE, Field.B_REMAIN, now.b),
-            token(Field.SUPPLY, f"{now.supply_v:.{DECIMALS[Field.SUPPLY]}f}"),
+            token(Field.SUPPLY, f"{now.supply_v:.2f}"),
             token(Field.MODE, now.mode),
             token(Field.STATUS, f"{_signed(now.status):04d}"),
         )

@@ -9,7 +9,7 @@ from solar.frames import Angles
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """The triangle of a linear actuator and two fixed arms; extension raises the angle.
+    """The triangle of a linear actuator and two fixed arms.
 
     Attributes
     ----------
@@ -19,6 +19,12 @@ class Actuator:
         Angle between the arms where the tracker's angle is 0.
     low_deg, high_deg
         The tracker's angle at the low and at the high end switch.
+    holder_mm
+        How far the holder sets the actuator off the line between its joints.
+    raises
+        Extension raises the tracker's angle; else it lowers it, and `low_deg` is the higher of the two.
+    zero_offset_mm
+        What the unit adds to every target, as its fields 192 and 193 have it.
     """
 
     arm_1_mm: float
@@ -26,12 +32,22 @@ class Actuator:
     apex_deg: float
     low_deg: float
     high_deg: float
+    holder_mm: float = 0.0
+    raises: bool = True
+    zero_offset_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.arm_1_mm > 0 and self.arm_2_mm > 0 and self.low_deg < self.high_deg):
-            raise ValueError(f"an actuator needs arms longer than 0 and a low end below its high end, not {self}")
-        if not (self.apex_deg + self.low_deg > 0 and self.apex_deg + self.high_deg < 180):
+        if not (self.arm_1_mm > 0 and self.arm_2_mm > 0 and (self.low_deg < self.high_deg) is self.raises):
+            raise ValueError(f"an actuator needs arms longer than 0 and a low end where it is retracted, not {self}")
+        if not (self._between_deg(self.low_deg) > 0 and self._between_deg(self.high_deg) < 180):
             raise ValueError(f"the triangle must stay between 0 and 180 deg over the whole travel, not {self}")
+        if not (0 <= self.holder_mm < self._side_mm(self.low_deg) and math.isfinite(self.zero_offset_mm)):
+            raise ValueError(f"the holder must be shorter than the retracted actuator, not {self}")
+
+    @property
+    def stator_mm(self) -> float:
+        """Length of the actuator at the low end switch."""
+        return self._length_mm(self.low_deg)
 
     @property
     def travel_mm(self) -> float:
@@ -39,39 +55,68 @@ class Actuator:
         return self.position_mm(self.high_deg)
 
     def position_mm(self, angle_deg: float) -> float:
-        """Extension beyond the low end switch at a tracker angle [deg]."""
-        return self._length_mm(angle_deg) - self._length_mm(self.low_deg)
+        """Extension beyond the low end switch at a tracker angle [deg]; NaN where the triangle does not close."""
+        return self._length_mm(angle_deg) - self.stator_mm
 
     def angle_deg(self, position_mm: float) -> float:
         """Tracker angle [deg] at an extension beyond the low end switch."""
-        length = position_mm + self._length_mm(self.low_deg)
+        square = (position_mm + self.stator_mm) ** 2 + self.holder_mm**2
         a, b = self.arm_1_mm, self.arm_2_mm
-        cosine = (a * a + b * b - length * length) / (2 * a * b)
-        return math.degrees(math.acos(min(max(cosine, -1.0), 1.0))) - self.apex_deg
+        cosine = (a * a + b * b - square) / (2 * a * b)
+        beyond = math.degrees(math.acos(min(max(cosine, -1.0), 1.0))) - self.apex_deg
+        return beyond if self.raises else -beyond
 
     def _length_mm(self, angle_deg: float) -> float:
+        square = self._side_mm(angle_deg) ** 2 - self.holder_mm**2
+        return math.sqrt(square) if square >= 0 else math.nan
+
+    def _side_mm(self, angle_deg: float) -> float:
         a, b = self.arm_1_mm, self.arm_2_mm
-        return math.sqrt(a * a + b * b - 2 * a * b * math.cos(math.radians(self.apex_deg + angle_deg)))
+        cosine = math.cos(math.radians(max(self._between_deg(angle_deg), 0.0)))
+        return math.sqrt(max(a * a + b * b - 2 * a * b * cosine, 0.0))
+
+    def _between_deg(self, angle_deg: float) -> float:
+        return self.apex_deg + (angle_deg if self.raises else -angle_deg)
 
 
-A_ACTUATOR = Actuator(300.0, 300.0, apex_deg=90.0, low_deg=-52.0, high_deg=52.0)
+A_ACTUATOR = Actuator(300.0, 300.0, apex_deg=90.0, low_deg=-52.0, high_deg=54.7)
 B_ACTUATOR = Actuator(300.0, 300.0, apex_deg=37.5, low_deg=13.0, high_deg=92.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How an axis moves: full speed, ramp, the smallest move it starts, and how far it runs past its target."""
+    """How an axis moves. The defaults are those of the maker's firmware on mechanics of 235 impulses per second.
 
-    speed_mm_s: float = 3.2
-    acceleration_mm_s2: float = 6.4
-    dead_band_mm: float = 0.05
-    overshoot_mm: float = 0.0
+    Attributes
+    ----------
+    speed_mm_s, acceleration_mm_s2
+        Full speed, and how fast it is reached.
+    run_out_s
+        How long an axis runs out from full speed once its motor is off.
+    braking_mm
+        How far before its target an axis at full speed begins to brake.
+    overshoot_mm
+        How far beyond its target an axis comes to rest.
+    dead_band_mm
+        The smallest move that an axis starts when the other one was the last to move.
+    counts_per_mm
+        Impulses of the Hall sensors; the unit knows positions in whole impulses.
+    """
+
+    speed_mm_s: float = 235 / 75
+    acceleration_mm_s2: float = 8.7
+    run_out_s: float = 0.25
+    braking_mm: float = 0.156
+    overshoot_mm: float = 0.143
+    dead_band_mm: float = 5 / 75
+    counts_per_mm: float = 75.0
 
     def __post_init__(self) -> None:
-        if not (self.speed_mm_s > 0 and self.acceleration_mm_s2 > 0):
-            raise ValueError(f"speed and acceleration must be positive, not {self}")
-        if not (self.dead_band_mm >= 0 and self.overshoot_mm >= 0):
-            raise ValueError(f"dead-band and overshoot must not be negative, not {self}")
+        positive = (self.speed_mm_s, self.acceleration_mm_s2, self.run_out_s, self.counts_per_mm)
+        if not all(value > 0 for value in positive):
+            raise ValueError(f"speed, acceleration, run-out and impulses must be positive, not {self}")
+        if not (self.dead_band_mm >= 0 and self.overshoot_mm >= 0 and self.braking_mm >= 0):
+            raise ValueError(f"dead-band, braking distance and overshoot must not be negative, not {self}")
 
 
 _DRIVE = Drive()
@@ -94,7 +139,11 @@ class Setup:
     start
         Where the tracker stands at first.
     synchronous
-        Both axes may move at once.
+        What the unit says of this setting in its service text; its axes take turns all the same.
+    high_switches
+        The unit looks at its high end switches; the maker's build for this board does not.
+    b_out_bit, b_high_bit
+        Where the status word has the first of B's three motion bits, and B's high end switch.
     own_target
         Where the unit's own sun tracking would point, of time [s].
     own_interval_s
@@ -110,6 +159,9 @@ class Setup:
     drive: Drive = _DRIVE
     start: Angles = FLAT
     synchronous: bool = False
+    high_switches: bool = True
+    b_out_bit: int = 15
+    b_high_bit: int = 22
     own_target: Callable[[float], Angles] = _flat
     own_interval_s: float = 300.0
     wind_stow: Angles | None = None

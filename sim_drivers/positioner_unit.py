@@ -1,45 +1,37 @@
-"""What the simulated positioner does, whoever asks: two axes that take turns, protection, stow modes, faults."""
+"""What the simulated positioner does, whoever asks: two axes of which it drives one at a time, and its own modes.
+
+The rules are those that the maker's public firmware was seen to follow, odd ones included. It looks after one axis, the
+chosen one: only that axis' impulses are counted, and only its motor is controlled.
+"""
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
-from drivers import pozsol_wire as wire
 from drivers.interfaces import Axis as AxisName
-from sim_drivers.positioner_motion import Axis
+from sim_drivers.positioner_modes import OwnModes
+from sim_drivers.positioner_motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
 from sim_drivers.positioner_screens import AxisReadout, Readout
 from sim_drivers.positioner_setup import Setup
+from sim_drivers.positioner_status import mode_text, status_word
 from solar.frames import Angles
 
 POLL_S = 0.02
-JOG_POLLS = 13
+MANUAL_POLLS = 14
+"""So many looks at the input after an action (code 57) the unit takes its axes for driven by hand."""
 SELF_CLEAR_S = 900.0
 NOMINAL_V, LOW_V = 24.0, 15.0
 MOVE_V, CUT_OFF_V = 20.0, 17.0
+RECOVERY_S = 5.0
+"""For so long after an undervoltage targets are refused."""
+BRAKING_S = 0.34
+"""From its target until the unit has braked an axis; what it is told in that time is lost."""
+IDLE_S = 1.0
+"""For so long an axis without a reason to be driven stays switched on."""
+BUTTON_S = 0.32
+"""How long a button has to be held before it does something, and again."""
 MOTOR_CURRENT_A = 0.8
-
-_AXIS_FAULTS = ("overcurrent", "hall_loss", "cable", "switch_closed", "switch_open")
-_UNIT_CONDITIONS = ("undervoltage", "own_tracking", "slave_mode", "wind", "snow")
-_UNIT_EVENTS = ("button", "re_reference", "reset_position_kept", "reset_position_lost")
-FAULTS = (*(f"{axis}_{fault}" for axis in "ab" for fault in _AXIS_FAULTS), *_UNIT_CONDITIONS, *_UNIT_EVENTS)
-"""Everything that `PositionerUnit.inject` can do."""
-
-
-@dataclass(slots=True)
-class _Stow:
-    """One of the unit's own stow modes: entered `delay_s` after its cause appears, left `hold_s` after it ends."""
-
-    pose: Angles | None
-    delay_s: float
-    hold_s: float
-    active: bool = False
-    change_s: float = math.inf
-
-    def cause(self, present: bool, now_s: float) -> None:
-        if self.pose is None or present is self.active:
-            self.change_s = math.inf
-        else:
-            self.change_s = now_s + (self.delay_s if present else self.hold_s)
+Button = Literal["out", "in", "both"]
+"""Which of the unit's buttons is held; both together choose the other axis."""
 
 
 class PositionerUnit:
@@ -54,15 +46,19 @@ class PositionerUnit:
             "a": Axis(setup.a_actuator, setup.drive, setup.start.a_deg),
             "b": Axis(setup.b_actuator, setup.drive, setup.start.b_deg),
         }
-        self._wind = _Stow(setup.wind_stow, 0.5, setup.wind_hold_s)
-        self._snow = _Stow(setup.snow_stow, 10.0, setup.snow_hold_s)
-        self._own_tracking = False
-        self._slave = False
-        self._supply_v = NOMINAL_V
-        self._was_reset = self._button = self._manual = False
+        self.axes["b"].count(False, now)
+        self.modes = OwnModes(setup)
+        self.was_reset = False
+        self.supply_v = NOMINAL_V
+        self.button: Button | None = None
+        self.due_s = math.inf
+        self._chosen: AxisName = "a"
+        self._by_button: AxisName = "a"
         self._self_clear_s = now + SELF_CLEAR_S
-        self._jog_ends_s = self._own_s = math.inf
-        self._schedule()
+        self._refuses_until_s = -math.inf
+        self._button_s = self._manual_s = self._idle_s = self._braked_s = math.inf
+        self._homing_ordered = self._runs_out = self._idled = False
+        self._schedule(now)
 
     def advance(self, now: float) -> None:
         """Let everything happen that is due until `now`."""
@@ -71,231 +67,313 @@ class PositionerUnit:
 
     def point(self, name: AxisName, angle_deg: float, now: float) -> None:
         """Go to an angle, truncated to a whole unit of position and held in the unit's range."""
-        if not self._own_tracking:
-            self._go(self.axes[name], self._position(name, angle_deg), now)
+        self.go(name, self._position(name, angle_deg), now)
 
     def go(self, name: AxisName, position: int, now: float) -> None:
         """Go to a position in whole units."""
-        if not self._own_tracking:
-            self._go(self.axes[name], position, now)
+        if not self.modes.owns_targets:
+            self._take_back()
+            if not self.axes[name].ignores_targets:
+                self._aim(name, position, now)
+        self.decide(now)
+
+    def act(self, now: float) -> None:
+        """Take note of any action (code 57): unless it is a reference run, the unit soon stops what moves."""
+        self._homing_ordered = False
+        self._manual_s = now + MANUAL_POLLS * POLL_S
+        self.decide(now)
 
     def jog(self, name: AxisName, outwards: bool, now: float) -> None:
         """Drive towards an end for as long as this is repeated."""
-        if self._own_tracking:
-            return
-        # The unit takes the end point of A for B as well; B's own range still holds.
-        self._go(self.axes[name], self.axes["a"].range_mm if outwards else 0, now)
-        self._jog_ends_s = now + JOG_POLLS * POLL_S
-        self._schedule()
+        self.act(now)
+        if not self.modes.tracking:
+            self._set_manual(False)
+            # The unit takes the end point of A for B as well; B's own range still holds.
+            self._aim(name, self.axes["a"].range_mm if outwards else 0, now)
+        self.decide(now)
 
     def home(self, name: AxisName, now: float) -> None:
         """Begin a reference run, which also clears the status."""
+        self.act(now)
         self.clear(now)
-        self._home(self.axes[name], now)
-        self._settle(now)
+        self._begin_homing(name, now)
+        self.decide(now)
+
+    def re_reference(self, now: float) -> None:
+        """Order reference runs of both axes, as the unit does every so many days; only that of B takes place."""
+        self._begin_homing("b", now)
+        # A was told first, and loses its turn before it has moved: it waits until something stops both.
+        self.axes["a"].control = "home"
+        self.decide(now)
 
     def stop(self, now: float) -> None:
-        """Run both axes out on their ramps and forget every target."""
-        self._jog_ends_s = math.inf
-        for axis in self.axes.values():
-            axis.halt(now)
-        self._settle(now)
+        """Switch both motors off and forget every target."""
+        self.act(now)
+        self._stop_all(now)
+        self.decide(now)
 
     def switch_tracking(self, on: bool, now: float) -> None:
-        """Switch the unit's own sun tracking; a slave takes "off" for "the other way round"."""
-        self._own_tracking = not self._own_tracking if self._slave and not on else on
-        self._own_s = now if self._own_tracking else math.inf
-        self._schedule()
+        """Switch the unit's own sun tracking; a running motor goes on."""
+        self.modes.switch(on, now)
+        self.decide(now)
 
     def clear(self, now: float) -> None:
-        """Clear the status and enable the axes; what was pending behind a fault goes on."""
-        self._was_reset = self._button = False
-        self._clear_faults()
-        self._settle(now)
+        """Clear the status and enable the axes."""
+        self.was_reset = False
+        self.clear_faults()
+        self.decide(now)
+
+    def clear_faults(self) -> None:
+        """Forget all faults but a broken cable."""
+        for axis in self.axes.values():
+            axis.faults = {"cable"} if axis.cable_broken else set()
+            axis.enabled = True
 
     def power_cycle(self, now: float, *, keep_position: bool = True) -> None:
         """Restart: faults are gone, the reset mark is set, the count is kept or starts at 0."""
         for axis in self.axes.values():
-            axis.cut_power(now)
-            axis.halt(now)
-            axis.faults.clear()
+            axis.freeze(now)
             if not keep_position:
-                axis.forget_position()
-        self._power_up(now)
+                axis.forget_position(now)
+            axis.control, axis.target_mm, axis.outward = "idle", axis.counted_mm(now), True
+        self._choose("a", now)
+        self._forget_orders()
+        self.clear_faults()
+        self.modes.restart(now)
+        self.was_reset, self._self_clear_s = True, now + SELF_CLEAR_S
+        self.decide(now)
 
-    def inject(self, fault: str, now: float, *, present: bool = True) -> None:
-        """Begin, or with `present` false end, one of `FAULTS`; `ValueError` for any other, or for ending an event."""
-        if fault not in FAULTS:
-            raise ValueError(f"the simulated positioner has no fault {fault!r}; it has {', '.join(FAULTS)}")
-        if not present and fault.endswith(("overcurrent", *_UNIT_EVENTS)):
-            raise ValueError(f"{fault!r} is an event, not a condition: there is nothing to end")
-        name, _, kind = fault.partition("_")
-        if kind in _AXIS_FAULTS:
-            self._inject_axis(self.axes["a" if name == "a" else "b"], kind, present, now)
-        elif fault == "undervoltage":
-            self._supply_v = LOW_V if present else NOMINAL_V
-            if present:
-                self._cut_off(now)
-        elif fault == "button":
-            self._button = True
-            self._take_by_hand(now)
-        elif fault in ("own_tracking", "slave_mode"):
-            self._slave = present and (self._slave or fault == "slave_mode")
-            self._own_tracking = present
-            self._own_s = now if present else math.inf
-        elif fault == "re_reference":
-            for axis in self.axes.values():
-                self._home(axis, now)
-        elif fault in ("wind", "snow"):
-            (self._wind if fault == "wind" else self._snow).cause(present, now)
-        else:
-            self.power_cycle(now, keep_position=fault == "reset_position_kept")
-        self._settle(now)
+    def set_supply(self, volts: float, now: float) -> None:
+        """Change the motor supply."""
+        if self.supply_v < MOVE_V <= volts:
+            self._refuses_until_s = now + RECOVERY_S
+        self.supply_v = volts
+        if volts < CUT_OFF_V:
+            self._stop_all(now)
+        self.decide(now)
+
+    def press(self, button: Button | None, now: float) -> None:
+        """Hold one of the unit's buttons (out, in, both), or let it go."""
+        self.button = button
+        self._button_s = now + BUTTON_S if button else math.inf
+        self.decide(now)
 
     def truth(self, now: float) -> Angles:
         """Return where the axes really stand."""
         a, b = self.axes.values()
         return Angles(a.actuator.angle_deg(a.true_mm(now)), b.actuator.angle_deg(b.true_mm(now)))
 
+    def destination(self, name: AxisName, now: float) -> float:
+        """Return the destination [mm] that the unit shows; where it only follows the position, that moves with it."""
+        axis = self.axes[name]
+        if name == self._chosen:
+            if axis.blocked or axis.control == "stop" or self._runs_out:
+                return axis.counted_mm(now)
+            if axis.control == "home":
+                return axis.counted_mm(now) - HOMING_AHEAD_MM
+        return axis.target_mm
+
     def readout(self, now: float, link_counter: int) -> Readout:
         """Return what the unit would print now."""
-        a, b = (self._axis_readout(axis, now) for axis in self.axes.values())
-        service = "Run:synch" if self.setup.synchronous else "Run:normal"
-        return Readout(a, b, now, service, self._supply_v, self._mode(), self._status(now), link_counter)
+        a, b = (self._axis_readout(name, now) for name in self.axes)
+        service = f"Run:{'synch' if self.setup.synchronous else 'normal'},Wi=0,Si=0"
+        return Readout(a, b, now, service, self.supply_v, mode_text(self), status_word(self, now), link_counter)
+
+    def decide(self, now: float) -> None:
+        """Let the unit look at its state, and find out when it has to do so again."""
+        for name, angle_deg in self.modes.targets(now):
+            self._take_back()
+            self._aim(name, self._position(name, angle_deg), now)
+        # One decision can make the next one possible at once, as the end of a reference run at standstill does.
+        for _ in range(3):
+            self._control(now)
+        self._schedule(now)
 
     def _run(self, now: float) -> None:
         for axis in self.axes.values():
-            if axis.event_s <= now:
-                axis.arrive(now)
-        if self._jog_ends_s <= now:
-            self._take_by_hand(now)
+            axis.settle(now)
         if self._self_clear_s <= now:
             self._self_clear_s = math.inf
-            self._clear_faults()
-        for stow in (self._wind, self._snow):
-            if stow.change_s <= now:
-                stow.active, stow.change_s = not stow.active, math.inf
-                self._own_s = now if self._own_tracking else math.inf
-        if self._own_s <= now:
-            self._own_s = now + self.setup.own_interval_s
-            self._track(now)
-        self._settle(now)
+            self.clear_faults()
+        self._run_timers(now)
+        self.decide(now)
 
-    def _settle(self, now: float) -> None:
-        """Start the axes whose turn it is, and find out when something happens next."""
-        a, b = self.axes.values()
-        powered = self._supply_v >= MOVE_V
-        for axis, other in ((a, b), (b, a)):
-            turn = self.setup.synchronous or other.driven is None
-            if powered and turn and axis.driven is None and not axis.faults and (axis.homing or axis.pending):
-                axis.begin(now)
-        self._schedule()
+    def _run_timers(self, now: float) -> None:
+        axis = self._axis
+        if axis.crosses_s <= now < self._braked_s == math.inf:
+            self._braked_s = now + BRAKING_S
+        if self._braked_s <= now:
+            self._end_braking(now)
+        if self._idle_s <= now:
+            self._idle_s, self._idled = math.inf, True
+            axis.target_mm, axis.control = self.destination(self._chosen, now), "idle"
+            axis.release(now)
+        if self._manual_s <= now:
+            self._manual_s = math.inf
+            if self._homing_ordered:
+                self._manual_s = now + MANUAL_POLLS * POLL_S
+            else:
+                self._set_manual(True)
+        if self._button_s <= now:
+            self._obey_button(now)
+        if now - axis.homing_since_s >= HOMING_TIMEOUT_S and axis.control == "home":
+            axis.faults.add("homing_too_long")
 
-    def _schedule(self) -> None:
-        a, b = self.axes.values()
-        changes = (self._jog_ends_s, self._self_clear_s, self._own_s, self._wind.change_s, self._snow.change_s)
-        self.due_s = min(a.event_s, b.event_s, *changes)
+    def _control(self, now: float) -> None:
+        if self._runs_out and not self._axis.moving(now):
+            self._axis.target_mm, self._axis.control = self._axis.counted_mm(now), "idle"
+            self._runs_out = False
+            self._axis.release(now)
+        self._take_turns(now)
+        axis = self._axis
+        if axis.blocked:
+            axis.target_mm, axis.control = axis.counted_mm(now), "idle"
+            axis.release(now)
+        elif axis.low_closed(now) and axis.control == "home":
+            self._finish_homing(axis, now)
+        elif self._at_switch(axis, now):
+            axis.target_mm, axis.control = axis.counted_mm(now), "stop"
+            axis.release(now)
+        else:
+            self._drive(axis, now)
+        if self.button is None and any(one.manual and one.active for one in self.axes.values()):
+            self._stop_all(now)
 
-    def _power_up(self, now: float) -> None:
-        self._self_clear_s = now + SELF_CLEAR_S
-        self._jog_ends_s = math.inf
-        self._own_s = now if self._own_tracking else math.inf
-        self._was_reset, self._button, self._manual = True, False, False
-        self._clear_faults()
-        self._schedule()
-
-    def _go(self, axis: Axis, position: int, now: float) -> None:
-        self._manual, self._jog_ends_s = False, math.inf
-        if not (axis.faults or self._homing or self._supply_v < MOVE_V):
-            axis.aim(min(max(position, 0), axis.range_mm), now)
-            if axis.driven:
-                axis.begin(now)
-        self._settle(now)
-
-    def _home(self, axis: Axis, now: float) -> None:
-        if not (axis.faults or self._supply_v < MOVE_V):
-            axis.homing, axis.pending = True, False
-            axis.replan(now)
-
-    def _track(self, now: float) -> None:
-        if self._manual:
+    def _take_turns(self, now: float) -> None:
+        other: AxisName = "b" if self._chosen == "a" else "a"
+        dead_mm = self.setup.drive.dead_band_mm
+        if self._any_moving(now) or abs(self._way(self._chosen, now)) >= dead_mm:
             return
-        stow = self._wind if self._wind.active else self._snow if self._snow.active else None
-        pose = stow.pose if stow and stow.pose else self.setup.own_target(now)
-        for name, angle_deg in (("a", pose.a_deg), ("b", pose.b_deg)):
-            axis_name: AxisName = "a" if name == "a" else "b"
-            self._go(self.axes[axis_name], self._position(axis_name, angle_deg), now)
+        if abs(self._way(other, now)) > dead_mm:
+            self._choose(other, now)
+            self._axis.control = "track"
+
+    def _at_switch(self, axis: Axis, now: float) -> bool:
+        way = self._way(self._chosen, now)
+        inwards = axis.low_closed(now) and way < 0
+        return inwards or (self.setup.high_switches and axis.high_closed(now) and way > 0)
+
+    def _drive(self, axis: Axis, now: float) -> None:
+        if self._braked_s < math.inf:
+            return
+        way = axis.counts(self._way(self._chosen, now))
+        moving = self._any_moving(now)
+        outward = way > 0
+        if way and not (moving and axis.outward is not outward):
+            self._idle_s, self._idled = math.inf, False
+            other = self.axes["b" if self._chosen == "a" else "a"]
+            if other.active:
+                # Both motors share a half bridge: the one that is switched on takes it from the other.
+                other.run_out(now)
+            target_mm = -math.inf if axis.control == "home" else axis.target_mm
+            # With a button held it does not brake, and looks for its target from the other side then.
+            axis.push(target_mm, now, outward=outward, brakes=self.button is None)
+            return
+        if axis.active and way:
+            # It notices a target behind it, and drives on until it gives up.
+            axis.push(math.inf, now, outward=axis.outward)
+        elif axis.active and axis.velocity_mm_s(now):
+            axis.run_out(now)
+            self._braked_s = now + BRAKING_S
+        if self._idle_s == math.inf and not self._idled:
+            self._idle_s = now + IDLE_S
+
+    def _aim(self, name: AxisName, position: float, now: float) -> None:
+        axis = self.axes[name]
+        refuses = now < self._refuses_until_s or self.supply_v < MOVE_V
+        if refuses or axis.faults & ERRORS or axis.control == "home" or axis.manual:
+            return
+        held = min(max(position + axis.actuator.zero_offset_mm, 0), axis.range_mm)
+        per_mm = axis.drive.counts_per_mm
+        axis.target_mm, axis.control = math.floor(held * per_mm + 1e-6) / per_mm, "track"
+
+    def _begin_homing(self, name: AxisName, now: float) -> None:
+        self._set_manual(False)
+        self._homing_ordered = True
+        self._choose(name, now)
+        axis = self.axes[name]
+        if not (axis.blocked or now < self._refuses_until_s or self.supply_v < MOVE_V):
+            # An axis at rest without a target of its own may lose its turn at once to one that has one.
+            self._take_turns(now)
+            axis.control, axis.homing_since_s = "home", now
+
+    def _finish_homing(self, axis: Axis, now: float) -> None:
+        axis.remain = axis.counted_mm(now)
+        axis.forget_position(now)
+        self._set_manual(True)
+        self._stop_all(now)
+        self._runs_out = True
+
+    def _stop_all(self, now: float) -> None:
+        for axis in self.axes.values():
+            axis.target_mm, axis.control = axis.counted_mm(now), "stop"
+            axis.release(now)
+
+    def _end_braking(self, now: float) -> None:
+        self._braked_s = math.inf
+        self._axis.target_mm = self._axis.counted_mm(now)
+        self._axis.release(now)
+        for axis in self.axes.values():
+            axis.control = "stop"
+
+    def _choose(self, name: AxisName, now: float) -> None:
+        if name == self._chosen:
+            return
+        self._axis.target_mm = self.destination(self._chosen, now)
+        self._axis.count(False, now)
+        self._chosen = name
+        self._axis.count(True, now)
+        if self._braked_s < math.inf:
+            self._braked_s = min(self._braked_s, now + 2 * POLL_S)
+
+    def _obey_button(self, now: float) -> None:
+        self._button_s = now + BUTTON_S
+        if self.button == "both":
+            self._by_button = "b" if self._by_button == "a" else "a"
+            self._set_manual(True)
+            self._stop_all(now)
+        elif self.button:
+            self._set_manual(False)
+            self._aim(self._by_button, self.axes[self._by_button].range_mm if self.button == "out" else 0, now)
+            self._set_manual(True)
+
+    def _take_back(self) -> None:
+        self._manual_s = math.inf
+        self._set_manual(False)
+
+    def _set_manual(self, manual: bool) -> None:
+        for axis in self.axes.values():
+            axis.manual = manual
+
+    def _forget_orders(self) -> None:
+        self._homing_ordered = self._runs_out = self._idled = False
+        self._manual_s = self._idle_s = self._braked_s = math.inf
+
+    def _schedule(self, now: float) -> None:
+        a, b = self.axes.values()
+        homing_s = self._axis.homing_since_s + HOMING_TIMEOUT_S
+        own = (self._manual_s, self._idle_s, self._braked_s, self._self_clear_s, self._button_s, homing_s)
+        times = (*own, *self.modes.events(), *a.events(), *b.events())
+        self.due_s = min((time_s for time_s in times if time_s > now), default=math.inf)
 
     def _position(self, name: AxisName, angle_deg: float) -> int:
         # The unit computes an unsigned whole number: no fraction, and nothing below 0.
-        return max(int(self.axes[name].actuator.position_mm(angle_deg)), 0)
+        position = self.axes[name].actuator.position_mm(angle_deg) if math.isfinite(angle_deg) else 0.0
+        return int(max(position, 0.0)) if math.isfinite(position) else 0
 
     @property
-    def _homing(self) -> bool:
-        return any(axis.homing for axis in self.axes.values())
+    def _axis(self) -> Axis:
+        return self.axes[self._chosen]
 
-    def _take_by_hand(self, now: float) -> None:
-        self._manual, self._jog_ends_s = True, math.inf
-        for axis in self.axes.values():
-            if not axis.homing:
-                axis.halt(now)
+    def _way(self, name: AxisName, now: float) -> float:
+        return self.destination(name, now) - self.axes[name].counted_mm(now)
 
-    def _cut_off(self, now: float) -> None:
-        for axis in self.axes.values():
-            axis.cut_power(now)
-            axis.halt(now)
+    def _any_moving(self, now: float) -> bool:
+        return any(axis.moving(now) for axis in self.axes.values())
 
-    def _clear_faults(self) -> None:
-        for axis in self.axes.values():
-            axis.faults = {"cable"} if axis.cable_broken else set()
-
-    def _inject_axis(self, axis: Axis, kind: str, present: bool, now: float) -> None:
-        if kind == "hall_loss":
-            axis.hall_lost = present
-            axis.replan(now)
-        elif kind in ("switch_closed", "switch_open"):
-            stuck: Literal["closed", "open"] = "closed" if kind == "switch_closed" else "open"
-            axis.low_switch = stuck if present else "works"
-            axis.replan(now)
-        else:
-            axis.cable_broken = present if kind == "cable" else axis.cable_broken
-            if present:
-                axis.cut_power(now)
-                axis.faults.add(kind)
-
-    def _axis_readout(self, axis: Axis, now: float) -> AxisReadout:
+    def _axis_readout(self, name: AxisName, now: float) -> AxisReadout:
+        axis = self.axes[name]
         counted = axis.counted_mm(now)
-        current_a = MOTOR_CURRENT_A if axis.driven else 0.0
-        return AxisReadout(axis.actuator.angle_deg(counted), counted, axis.destination, current_a, axis.remain)
-
-    def _mode(self) -> str:
-        if self._slave:
-            return "sigma tracking" if self._own_tracking else "sigma standby"
-        if not self._own_tracking:
-            return "tracking disabled"
-        return "wind mode" if self._wind.active else "snow mode" if self._snow.active else "Micro tracking"
-
-    def _status(self, now: float) -> int:
-        a, b = self.axes.values()
-        word = sum(1 << wire.FAULT_BITS[f"{name}_{fault}"] for name, axis in self.axes.items() for fault in axis.faults)
-        for axis, out_bit in ((a, wire.A_OUT_BIT), (b, wire.B_OUT_BIT_STM)):
-            velocity = axis.velocity_mm_s(now)
-            if velocity:
-                word |= 1 << (out_bit if velocity > 0 else out_bit + 1)
-            if axis.homing:
-                word |= 1 << out_bit + 2
-        marks = (
-            (self._was_reset, wire.RESET_BIT),
-            (self._button, wire.BUTTON_BIT),
-            (a.low_closed(now), wire.SWITCH_BITS["a_low"]),
-            (a.high_closed(now), wire.SWITCH_BITS["a_high"]),
-            (b.low_closed(now), wire.SWITCH_BITS["b_low"]),
-            (b.high_closed(now), wire.B_HIGH_BIT_STM),
-            (self._own_tracking, wire.TRACKING_BIT),
-            (self._own_tracking and self._snow.active, wire.SNOW_BIT),
-            (self._own_tracking and self._wind.active, wire.WIND_BIT),
-        )
-        for on, bit in marks:
-            if on:
-                word |= 1 << bit
-        return word
+        current_a = MOTOR_CURRENT_A if axis.active and axis.velocity_mm_s(now) else 0.0
+        angle_deg = axis.actuator.angle_deg(counted)
+        return AxisReadout(angle_deg, counted, self.destination(name, now), current_a, axis.remain)

@@ -18,6 +18,7 @@ from drivers import pozsol_wire as wire
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError
 from drivers.geometry import AxisSetup, Proportional, Triangle
 from drivers.positioner import PozsolPositioner
+from drivers.positioner_line import SerialLine
 from drivers.pozsol_wire import Field, TokenStream
 from drivers.serial_port import SerialPort
 from sim_drivers.hosts.positioner_host import BANNER
@@ -30,7 +31,13 @@ B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
 def positioner_on(link, a=A, b=B, **options):
-    return PozsolPositioner(lambda: SerialPort("positioner", str(link)), time.monotonic, a, b, **options)
+    line = SerialLine(
+        lambda: SerialPort("positioner", str(link)),
+        time.monotonic,
+        boot_s=options.pop("boot_s", 0.0),
+        banner=options.pop("banner", None),
+    )
+    return PozsolPositioner(line, time.monotonic, a, b, **options)
 
 
 async def until(condition, within_s=20.0):
@@ -101,7 +108,7 @@ def test_the_driver_sends_these_bytes_and_believes_this_telemetry(transcript, tm
     identity, telemetry = asyncio.run(scene())
     assert player.received == [piece.data for piece in pieces if piece.direction == ">"]
     assert (identity.board, identity.firmware, identity.simulated) == ("36A1", "1.402 (B1.100)", False)
-    assert (telemetry.destination_a, telemetry.destination_b) == (264.0, 227.0)
+    assert (telemetry.destination_a, telemetry.destination_b) == (264.0, 228.0)
     assert (telemetry.a_deg, telemetry.position_a, telemetry.supply_v) == (0.1, 229.3232, 24.0)
 
 
@@ -135,7 +142,7 @@ def test_listening_identifies_and_a_move_is_confirmed_followed_and_stopped(posit
 
             await until(arrived)
             assert host.core.truth(host._now()).a_deg == pytest.approx(-20.0, abs=0.5)
-            assert set(host.received) == {Field.A_ANGLE, Field.B_ANGLE}
+            assert set(host.received) == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
             await positioner.close()
 
     asyncio.run(scene())
@@ -155,10 +162,10 @@ def test_a_port_with_echo_does_harm_and_the_driver_avoids_it(positioner_host):
             positioner = positioner_on(host.port.link)
             await positioner.open()
             await positioner.move_to(5.0, 80.0)
-            assert set(host.received) == {Field.A_ANGLE, Field.B_ANGLE}
-            mode = termios.tcgetattr(positioner._port._port.fileno())
+            assert set(host.received) == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
+            mode = termios.tcgetattr(positioner._line._port._port.fileno())
             mode[3] |= termios.ECHO
-            termios.tcsetattr(positioner._port._port.fileno(), termios.TCSANOW, mode)
+            termios.tcsetattr(positioner._line._port._port.fileno(), termios.TCSANOW, mode)
             await until(lambda: _lost(positioner, "echo"))
             await positioner.close()
 
@@ -183,12 +190,14 @@ def test_a_stop_goes_out_at_once_and_a_move_that_was_being_sent_goes_no_further(
             positioner = positioner_on(host.port.link)
             await positioner.open()
             move = asyncio.create_task(positioner.move_to(-30.0, 50.0))
-            await until(lambda: _true(host.received[Field.A_ANGLE] == 1))
+            await until(lambda: _true(host.received[Field.A_DESTINATION] == 1))
+            # One stop was spent on the first packet of the connection, which is lost.
+            assert host.received[Field.ACTION] == 1
             await positioner.stop()
             with pytest.raises(RefusedError, match="a stop came in between"):
                 await move
-            await until(lambda: _true(host.received[Field.ACTION] == 1))
-            assert host.received[Field.B_ANGLE] == 0
+            await until(lambda: _true(host.received[Field.ACTION] == 2))
+            assert host.received[Field.B_DESTINATION] == 0
 
             async def still():
                 before = await positioner.read_telemetry()
@@ -215,10 +224,11 @@ def test_commands_keep_their_distance(positioner_host):
             await positioner.stop()
             await positioner.move_to(5.0, 80.0)
             await positioner.close()
-        assert len(times) == 5
+        # A stop first: the first packet of a connection is lost.
+        assert len(times) == 6
         gaps = [after - before for before, after in pairwise(times)]
         # The stop alone goes out at once.
-        assert min(gap for index, gap in enumerate(gaps) if index != 1) > wire.COMMAND_SPACING_S - 0.02
+        assert min(gap for index, gap in enumerate(gaps) if index != 2) > wire.COMMAND_SPACING_S - 0.02
 
     asyncio.run(scene())
 
@@ -467,8 +477,9 @@ def test_a_geometry_that_is_not_the_units_is_told_and_no_move_passes_for_taken(p
             wrong = AxisSetup(Proportional(59.5, -52.0), -50.0, 50.0)
             positioner = positioner_on(host.port.link, a=wrong)
             await positioner.open()
-            with pytest.raises(RefusedError, match=r"destinations 3689 and 227.*is the geometry"):
+            with pytest.raises(RefusedError, match=r"a_axis makes 3094.0 of that angle; is the geometry"):
                 await positioner.move_to(10.0, 70.0)
+            assert not host.received
             await positioner.stop()
             await positioner.close()
 
@@ -503,9 +514,10 @@ def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypa
 def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_host):
     async def scene():
         async with positioner_host() as host:
-            positioner = PozsolPositioner(
-                lambda: SerialPort("positioner", str(host.port.link), dtr=False, rts=False), time.monotonic, A, B
+            line = SerialLine(
+                lambda: SerialPort("positioner", str(host.port.link), dtr=False, rts=False), time.monotonic
             )
+            positioner = PozsolPositioner(line, time.monotonic, A, B)
             assert (await positioner.open()).board == "36A1"
             assert positioner.has_lines() is False
             await positioner.close()
@@ -541,9 +553,9 @@ def test_a_banner_in_mid_run_is_a_restart_that_loses_link_and_reference(position
             await until(lambda: _lost(positioner, "has restarted: it prints its banner"))
             await positioner.stop()
             await positioner.open()
-            assert (await positioner.read_telemetry()).was_reset
+            assert (await positioner.read_telemetry()).reference_doubt == "the positioner has restarted"
             await positioner.clear_faults()
-            assert not (await positioner.read_telemetry()).was_reset
+            assert not (await positioner.read_telemetry()).reference_doubt
             await positioner.close()
 
     asyncio.run(scene())

@@ -17,8 +17,17 @@ def test_an_angle_command_is_one_dollar_one_code_a_number_and_a_byte_that_ends_i
 
 def test_a_destination_command_is_a_whole_number():
     assert encode_command(Field.A_DESTINATION, 120) == b"$.120\r"
+    assert encode_command(Field.A_DESTINATION, -0.0) == b"$.0\r"
     with pytest.raises(ValueError, match="whole"):
         encode_command(Field.B_DESTINATION, 12.5)
+
+
+@pytest.mark.parametrize("field", [Field.A_DESTINATION, Field.B_DESTINATION])
+def test_a_destination_with_a_minus_sign_leaves_neither_the_encoder_nor_the_last_gate(field):
+    with pytest.raises(ValueError, match="from 0 on"):
+        encode_command(field, -1)
+    with pytest.raises(ValueError, match="no command"):
+        wire.require_allowed(b"$%c-1\r" % field)
 
 
 def test_the_commands_without_a_number():
@@ -108,12 +117,32 @@ def test_no_bytes_whatever_upset_the_decoder(data):
     assert len(stream._pending) <= 1 + wire.MAXIMUM_VALUE
 
 
-def test_a_number_with_lost_bytes_is_not_taken_for_a_smaller_one():
-    assert parse_number(Field.A_ANGLE, b"-12.3") == -12.3
-    assert parse_number(Field.A_POSITION, b"123.4567") == 123.4567
-    for value in (b"-12", b"-12.", b"12.34", b"1", b"", b"nan", b"1e5.0", b" 12.3", b"12.3-4.5"):
-        with pytest.raises(ValueError, match="decimals"):
-            parse_number(Field.A_ANGLE, value)
+@pytest.mark.parametrize(("value", "number"), [
+    (b"24.00", 24.0), (b"24.0", 24.0), (b"24", 24.0), (b"24.", 24.0), (b" 24.000 ", 24.0), (b"+.5", 0.5), (b"-0.0", 0),
+])  # fmt: skip
+def test_a_number_is_read_in_whatever_width_it_is_printed(value, number):
+    assert parse_number(Field.SUPPLY, value) == number
+
+
+@pytest.mark.parametrize("field", wire.DECIMALS)
+def test_what_is_no_number_or_beyond_what_the_field_can_say_is_refused(field):
+    assert parse_number(field, b"12.3456") == 12.3456
+    for value in (
+        b"",
+        b".",
+        b"nan",
+        b"inf",
+        b"1e1",
+        b"0x10",
+        b"12.3-4.5",
+        b"--1",
+        b"1 2",
+        b"1,5",
+        b"100000",
+        b"-100000",
+    ):
+        with pytest.raises(ValueError, match="should be a number from"):
+            parse_number(field, value)
 
 
 def test_a_quiet_status_says_nothing():

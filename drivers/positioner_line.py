@@ -1,0 +1,124 @@
+"""How the positioner is reached: a line that streams in the newest values and takes commands out, whatever it is."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Protocol
+
+from drivers.errors import LinkLostError
+from drivers.executor import DeviceThread
+from drivers.telemetry import FieldTable, Port, TelemetryReader, Value
+
+_DEVICE = "positioner"
+_OPEN_S = 5.0
+_WRITE_S = 1.0
+_CLOSE_S = 1.0
+
+
+class Heard(NamedTuple):
+    """What has come over a line.
+
+    Attributes
+    ----------
+    values
+        The newest value of each field. The same object as long as nothing has changed, for a line that can tell.
+    as_of_s
+        Time [s] at which everything that changes by itself was said again; -inf where each value has its own time.
+    jumped_s
+        When the unit has last begun to count from elsewhere, or None.
+    restarted_s
+        When the unit has last printed its banner, or None.
+    """
+
+    values: Mapping[int, Value]
+    as_of_s: float = -math.inf
+    jumped_s: float | None = None
+    restarted_s: float | None = None
+
+
+class Line(Protocol):
+    """The positioner's link. Raises `drivers.errors.DeviceError` and nothing else."""
+
+    simulated: bool
+    boot_s: float
+    """How long the unit may take to restart because the line was opened."""
+
+    async def open(self) -> None:
+        """Connect and begin to listen."""
+
+    async def close(self) -> None:
+        """Release the link; never raises."""
+
+    async def send(self, packet: bytes) -> None:
+        """Send one command as one packet."""
+
+    def heard(self) -> Heard:
+        """Return what has come since `open`; `LinkLostError` when the link is lost or not open."""
+
+    def has_lines(self) -> bool:
+        """Tell whether there are modem lines, which are then as they were asked for."""
+
+
+class SerialLine:
+    """A serial port, read by a thread.
+
+    Parameters
+    ----------
+    connect
+        Opens the port; called in the instrument's thread at each `open`.
+    now
+        The service's monotonic time [s]; also called in the reader's thread.
+    boot_s
+        How long the unit may take to restart because its port was opened; 0 if it does not.
+    banner
+        What the unit prints when it has restarted; None if nothing is known of that.
+    """
+
+    simulated = False
+
+    def __init__(
+        self, connect: Callable[[], Port], now: Callable[[], float], *, boot_s: float = 0.0, banner: str | None = None
+    ) -> None:
+        self._connect = connect
+        self._now = now
+        self.boot_s = boot_s
+        self._banner = b"" if banner is None else banner.encode("latin-1")
+        self._thread = DeviceThread(_DEVICE)
+        self._port: Port | None = None
+        self._reader: TelemetryReader | None = None
+
+    async def open(self) -> None:
+        """Open the port and begin to read it."""
+        self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
+        self._reader = TelemetryReader(port, self._now, boot_s=self.boot_s, banner=self._banner, table=FieldTable())
+
+    async def close(self) -> None:
+        """Release the port."""
+        reader, self._reader, self._port = self._reader, None, None
+        if reader is not None:
+            reader.stop()
+        await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
+
+    async def send(self, packet: bytes) -> None:
+        """Write one packet, within a second."""
+        self._require_reader()
+        port = self._port
+        assert port is not None  # noqa: S101 - narrowing; there is a port where there is a reader
+        await self._thread.call(lambda: port.write(packet), _WRITE_S)
+
+    def heard(self) -> Heard:
+        """Return the newest values."""
+        reader = self._require_reader()
+        return Heard(reader.table.snapshot(), jumped_s=reader.table.jumped_s, restarted_s=reader.restarted_s)
+
+    def has_lines(self) -> bool:
+        """Tell whether the port has modem lines."""
+        self._require_reader()
+        return self._port is not None and self._port.has_lines()
+
+    def _require_reader(self) -> TelemetryReader:
+        reader = self._reader
+        if reader is None:
+            raise LinkLostError(_DEVICE, "has to be opened first")
+        if reader.lost:
+            raise LinkLostError(_DEVICE, reader.lost)
+        return reader

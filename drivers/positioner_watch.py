@@ -1,0 +1,210 @@
+"""What the positioner's telemetry says, put together over time: the newest look, reference runs, doubts."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from drivers.errors import LinkLostError, ProtocolError
+from drivers.geometry import AxisSetup
+from drivers.homing import HomingRun, Seen
+from drivers.interfaces import Axis, Telemetry
+from drivers.own_moves import OWN_MOVES, own_moves
+from drivers.positioner_line import Heard
+from drivers.pozsol_wire import Field, Status, parse_status
+from drivers.reference import Reference
+from drivers.switches import BLayout, SwitchCheck
+
+_DEVICE = "positioner"
+AXES: tuple[Axis, Axis] = ("a", "b")
+FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
+SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
+_EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
+_SLOW_STALE_S = 8.0
+_JUMP_SHOWS_S = 1.0
+
+
+class PositionerWatch:
+    """Makes one `Telemetry` after another of what a line has heard.
+
+    Parameters
+    ----------
+    now
+        The service's monotonic time [s].
+    setups
+        The axes.
+    stale_s
+        Silence of the fast fields after which the unit counts as lost.
+    b_out_bit
+        Where the status word has axis B's motion bits; None where that is not known until B has moved.
+
+    Attributes
+    ----------
+    reference
+        What speaks against the count; outlives the link.
+    run
+        The reference run that is on, if any.
+    """
+
+    def __init__(
+        self, now: Callable[[], float], setups: dict[Axis, AxisSetup], stale_s: float, b_out_bit: int | None
+    ) -> None:
+        self._now = now
+        self._setups = setups
+        self._stale_s = stale_s
+        self._layout = BLayout(b_out_bit)
+        self.reference = Reference()
+        self.run: HomingRun | None = None
+        self._settled_s = -math.inf
+        self._restarted_s: float | None = None
+        self._jumped_s: float | None = None
+        self._checks: tuple[SwitchCheck, ...] = ()
+        self._last: tuple[Heard, Telemetry] | None = None
+        self.start(None)
+
+    def start(self, restarted_s: float | None) -> None:
+        """Begin anew with a fresh connection, at whose opening the unit restarted at `restarted_s` or did not."""
+        self._restarted_s, self._jumped_s, self._last = restarted_s, None, None
+        self._checks = tuple(SwitchCheck(axis, self._setups[axis]) for axis in AXES)
+        if restarted_s is not None:
+            self.reference.note(f"restart {restarted_s}", "the positioner has restarted")
+
+    def look(self, heard: Heard) -> Telemetry:
+        """Return what shows now.
+
+        Raises
+        ------
+        LinkLostError
+            The unit is silent or has restarted.
+        ProtocolError
+            It sends what cannot be read.
+        """
+        if heard.restarted_s != self._restarted_s:
+            self.reference.note(f"restart {heard.restarted_s}", "the positioner has restarted")
+            raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
+        if self._last is not None and self.run is None and heard == self._last[0]._replace(as_of_s=heard.as_of_s):
+            # A unit at rest says the same every time.
+            return replace(self._last[1], time_monotonic_s=heard.as_of_s, status_monotonic_s=heard.as_of_s)
+        try:
+            telemetry = self._telemetry(heard)
+        except (KeyError, ValueError) as error:
+            raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
+        at_rest = self.run is None and not any(check.suspects for check in self._checks)
+        self._last = (heard, telemetry) if heard.as_of_s > -math.inf and at_rest else None
+        return telemetry
+
+    def begin_run(self, axis: Axis, before: Telemetry, sent_s: float) -> HomingRun:
+        """Watch a reference run from now on; until it has ended well the count is in doubt."""
+        seen = Seen(before.position_a, before.destination_a, before.a_remain, 0.0, _NO_STATUS, 0.0)
+        if axis == "b":
+            seen = Seen(before.position_b, before.destination_b, before.b_remain, 0.0, _NO_STATUS, 0.0)
+        self.run = HomingRun(axis, self._setups[axis], seen, sent_s, trusted=not self.reference.doubts(axis))
+        self._last = None
+        return self.run
+
+    def break_off_run(self) -> None:
+        """Note that the reference run, if one is on, was ended before its end."""
+        run, self.run = self.run, None
+        if run is not None and run.begun:
+            self._last = None
+            name = run.axis.upper()
+            self.reference.note(f"{run.axis} unfinished", f"the reference run of {name} did not end", run.axis)
+
+    def forgive(self, kinds: tuple[str, ...]) -> None:
+        """Forget doubts that a person has seen."""
+        self.reference.forgive(kinds)
+        self._last = None
+
+    def _telemetry(self, heard: Heard) -> Telemetry:
+        known = heard.values
+        time_s = max(min(known[field].time_s for field in FAST), heard.as_of_s)
+        status_s = max(known[Field.STATUS].time_s, heard.as_of_s)
+        self._require_fresh(time_s, max(min(known[field].time_s for field in SLOW), heard.as_of_s))
+        text = known[Field.STATUS].text.decode("latin-1")
+        position_b = known[Field.B_POSITION].number
+        self._layout.look(position_b, time_s, parse_status(text).word, status_s)
+        status = parse_status(text, self._layout.bit)
+        a, b, a_at, a_to, b_at, b_to = (
+            known[field].number
+            for field in (
+                Field.A_ANGLE,
+                Field.B_ANGLE,
+                Field.A_POSITION,
+                Field.A_DESTINATION,
+                Field.B_POSITION,
+                Field.B_DESTINATION,
+            )
+        )
+        a_amps, b_amps, a_left, b_left = (known[field].number if field in known else math.nan for field in _EXTRA)
+        seen: dict[Axis, Seen] = {
+            "a": Seen(a_at, a_to, a_left, time_s, status, status_s),
+            "b": Seen(b_at, b_to, b_left, time_s, status, status_s),
+        }
+        homing = self._follow_run(seen) or status.homing
+        self._note_doubts(heard, seen, homing)
+        return Telemetry(
+            time_monotonic_s=time_s,
+            a_deg=a,
+            b_deg=b,
+            position_a=a_at,
+            position_b=b_at,
+            destination_a=a_to,
+            destination_b=b_to,
+            supply_v=known[Field.SUPPLY].number,
+            faults=status.faults,
+            was_reset=status.was_reset,
+            button_pressed=status.button_pressed,
+            homing=homing,
+            autonomous=status.autonomous,
+            mode_text=known[Field.MODE].text.decode("latin-1").strip(),
+            own_moves=own_moves(
+                {code: known[code].text.decode("latin-1").strip() for code in known.keys() & OWN_MOVES}
+            ),
+            reference_doubt=self.reference.text,
+            status_monotonic_s=status_s,
+            a_motor_current_a=a_amps,
+            b_motor_current_a=b_amps,
+            a_remain=a_left,
+            b_remain=b_left,
+            end_switches=status.end_switches,
+        )
+
+    def _require_fresh(self, fast_s: float, slow_s: float) -> None:
+        now_s = self._now()
+        if now_s - fast_s > self._stale_s or now_s - slow_s > max(_SLOW_STALE_S, self._stale_s):
+            raise LinkLostError(_DEVICE, f"has been silent for {now_s - min(fast_s, slow_s):.1f} s")
+
+    def _follow_run(self, seen: dict[Axis, Seen]) -> bool:
+        """Let the reference run see the newest look; return whether one is on."""
+        run = self.run
+        if run is None:
+            return False
+        run.look(seen[run.axis])
+        if not run.over:
+            return run.begun
+        self.run, self._settled_s = None, self._now()
+        if run.failure:
+            self.reference.note(f"{run.axis} failed {run.sent_s}", run.failure, run.axis)
+            return False
+        self.reference.proven(run.axis, travelled=run.travelled)
+        if run.mismatch:
+            stuck = not run.travelled
+            self.reference.note(f"{run.axis} mismatch {run.sent_s}", run.mismatch, run.axis, needs_travel=stuck)
+        return False
+
+    def _note_doubts(self, heard: Heard, seen: dict[Axis, Seen], homing: bool) -> None:
+        status = seen["a"].status
+        if status.was_reset:
+            self.reference.note("reset", "the positioner has restarted")
+        if heard.jumped_s is not None and heard.jumped_s != self._jumped_s:
+            self._jumped_s = heard.jumped_s
+            # At the end of a reference run the count is meant to jump.
+            if not homing and heard.jumped_s > self._settled_s + _JUMP_SHOWS_S:
+                self.reference.note(f"jump {heard.jumped_s}", "the positioner's count has jumped")
+        for check in self._checks:
+            look = seen[check.axis]
+            misfit = check.look(look.position, look.status, look.status_s)
+            if misfit and not homing:
+                self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
+
+
+_NO_STATUS: Status = parse_status("0")

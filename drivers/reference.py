@@ -1,0 +1,56 @@
+"""What speaks against the positioner's count of its position, until reference runs or a person settle it."""
+
+from dataclasses import dataclass, field
+
+from drivers.interfaces import Axis
+
+_BOTH: frozenset[Axis] = frozenset(("a", "b"))
+
+
+@dataclass
+class _Doubt:
+    text: str
+    axes: set[Axis]
+    needs_travel: bool = False
+
+
+@dataclass
+class Reference:
+    """The doubts that stand, by kind."""
+
+    _doubts: dict[str, _Doubt] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """All doubts in words; empty when there is none."""
+        return "; ".join(dict.fromkeys(doubt.text for doubt in self._doubts.values()))
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What `forgive` takes."""
+        return tuple(self._doubts)
+
+    def doubts(self, axis: Axis) -> bool:
+        """Tell whether the count of one axis is in doubt."""
+        return any(axis in doubt.axes for doubt in self._doubts.values())
+
+    def note(self, kind: str, text: str, axis: Axis | None = None, *, needs_travel: bool = False) -> None:
+        """Note a doubt of one axis or, with None, of both; an event that can happen again needs a kind of its own.
+
+        With `needs_travel` only a reference run on which the axis has moved settles it.
+        """
+        known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel))
+        known.axes |= _BOTH if axis is None else {axis}
+
+    def proven(self, axis: Axis, *, travelled: bool) -> None:
+        """Forget what one axis' good reference run has settled."""
+        for kind, doubt in list(self._doubts.items()):
+            if travelled or not doubt.needs_travel:
+                doubt.axes.discard(axis)
+            if not doubt.axes:
+                del self._doubts[kind]
+
+    def forgive(self, kinds: tuple[str, ...]) -> None:
+        """Forget these doubts: a person has seen them."""
+        for kind in kinds:
+            self._doubts.pop(kind, None)

@@ -1,0 +1,69 @@
+"""What shows only while axes move: where the status has axis B's bits, and whether end switches make sense."""
+
+from dataclasses import dataclass
+
+from drivers.geometry import AxisSetup
+from drivers.interfaces import Axis
+from drivers.pozsol_wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, Status
+
+# B moves for certain, and did so when the status was sent.
+_MOVES = 0.1
+_OF_NOW_S = 0.7
+# So far from a switch an axis cannot be while the status is on its way.
+_FAR_DEG = 4.0
+
+
+@dataclass
+class BLayout:
+    """Finds out where axis B's three bits (out, in, homing) begin; `bit` is None as long as that is not known."""
+
+    bit: int | None
+    _position: float | None = None
+    _time_s: float = 0.0
+    _way: int = 0
+
+    def look(self, position: float, time_s: float, word: int, status_s: float) -> None:
+        """Take in one look: B's position with its time, and the status word with its own."""
+        if self._position is None or time_s > self._time_s:
+            way = 0
+            if self._position is not None and time_s - self._time_s <= 1.0:
+                step = position - self._position
+                way = (step > _MOVES) - (step < -_MOVES)
+            if way and way == self._way and abs(time_s - status_s) <= _OF_NOW_S:
+                self._conclude(way, word)
+            if way or self._position is None or time_s - self._time_s > 1.0:
+                self._way, self._position, self._time_s = way, position, time_s
+
+    def _conclude(self, way: int, word: int) -> None:
+        first, second, third = (word >> (B_OUT_BIT_STM + place) & 1 for place in range(3))
+        if way > 0 and first != second:
+            self.bit = B_OUT_BIT_STM if first else B_OUT_BIT_LPC
+        elif way < 0 and not first and (second or third):
+            self.bit = B_OUT_BIT_STM if second else B_OUT_BIT_LPC
+
+
+@dataclass
+class SwitchCheck:
+    """Compares the low end switch of an axis with the count whenever a new status has come."""
+
+    axis: Axis
+    setup: AxisSetup
+    _status_s: float = 0.0
+    _before: bool = False
+
+    @property
+    def suspects(self) -> bool:
+        """Whether the next status decides."""
+        return self._before
+
+    def look(self, position: float, status: Status, status_s: float) -> str:
+        """Return what does not fit, seen in two statuses one after the other; empty if all fits."""
+        if status_s <= self._status_s:
+            return ""
+        self._status_s = status_s
+        closed = status.word >> SWITCH_BITS[f"{self.axis}_low"] & 1
+        misfit = bool(closed) and abs(position) > self.setup.units(_FAR_DEG)
+        twice, self._before = misfit and self._before, misfit
+        if not twice:
+            return ""
+        return f"axis {self.axis.upper()} shows its low end switch closed although its count is {position:.0f}"

@@ -1,0 +1,65 @@
+"""The simulated positioner's status word and mode text."""
+
+from typing import TYPE_CHECKING
+
+from drivers import pozsol_wire as wire
+from drivers.interfaces import Axis as AxisName
+from sim_drivers.positioner_motion import Axis
+
+if TYPE_CHECKING:
+    from sim_drivers.positioner_unit import PositionerUnit
+
+DESTINATION_BITS = {"a_destination": 28, "b_destination": 31}
+"""Latched: the unit gave up a target."""
+_FAULT_BITS = {**wire.FAULT_BITS, **DESTINATION_BITS}
+
+
+def mode_text(unit: "PositionerUnit") -> str:
+    """Return the unit's own words for its mode; that tracking is off it does not say."""
+    modes = unit.modes
+    if modes.slave:
+        return "sigma tracking" if modes.tracking else "sigma standby"
+    if not modes.tracking:
+        return "tracker ok"
+    return "wind mode" if modes.wind.active else "snow mode" if modes.snow.active else "Micro tracking"
+
+
+def status_word(unit: "PositionerUnit", now: float) -> int:
+    """Return the 32 bits of field 136."""
+    setup, modes = unit.setup, unit.modes
+    a, b = unit.axes.values()
+    a_way, b_way = (_way(unit, "a", now), _way(unit, "b", now))
+    if b_way:
+        # Motion of one axis wipes out the other's bits, B's last.
+        a_way = 0
+    marks = (
+        (unit.was_reset, wire.RESET_BIT),
+        (unit.button is not None, wire.BUTTON_BIT),
+        (a_way > 0, wire.A_OUT_BIT),
+        (a_way < 0, wire.A_OUT_BIT + 1),
+        (_homing(a, now), wire.A_OUT_BIT + 2),
+        (b_way > 0, setup.b_out_bit),
+        (b_way < 0, setup.b_out_bit + 1),
+        (_homing(b, now), setup.b_out_bit + 2),
+        (a.low_closed(now), wire.SWITCH_BITS["a_low"]),
+        (setup.high_switches and a.high_closed(now), wire.SWITCH_BITS["a_high"]),
+        (b.low_closed(now), wire.SWITCH_BITS["b_low"]),
+        (setup.high_switches and b.high_closed(now), setup.b_high_bit),
+        (modes.tracking, wire.TRACKING_BIT),
+        (modes.tracking and modes.snow.active, wire.SNOW_BIT),
+        (modes.tracking and modes.wind.active, wire.WIND_BIT),
+    )
+    bits = {_FAULT_BITS[f"{name}_{fault}"] for name, axis in unit.axes.items() for fault in axis.faults}
+    bits.update(bit for on, bit in marks if on)
+    return sum(1 << bit for bit in bits)
+
+
+def _way(unit: "PositionerUnit", name: AxisName, now: float) -> int:
+    axis = unit.axes[name]
+    if not axis.moving(now):
+        return 0
+    return axis.counts(unit.destination(name, now) - axis.counted_mm(now))
+
+
+def _homing(axis: Axis, now: float) -> bool:
+    return axis.control == "home" and axis.moving(now)

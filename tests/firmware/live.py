@@ -1,0 +1,90 @@
+"""The maker's firmware in real time on a pseudo-terminal, and the real driver on its other end."""
+
+import ast
+import asyncio
+import subprocess
+import sys
+import time
+
+from drivers.geometry import AxisSetup, Triangle
+from drivers.positioner import PozsolPositioner
+from drivers.positioner_line import SerialLine
+from drivers.serial_port import SerialPort
+
+from .peer import BUILD, COUNTS_PER_MM, FIRMWARE
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
+
+
+class LiveFirmware:
+    """One unit, with its truth and its cable in hand."""
+
+    def __init__(self, link, a_deg, b_deg):
+        self.link = link
+        self._process = subprocess.Popen(
+            [sys.executable, str(FIRMWARE / "serve.py"), BUILD, str(link), str(a_deg), str(b_deg)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        up = self._process.stdout.readline().strip()
+        assert up == "up", f"the firmware did not come up: {up!r}"
+
+    def control(self, line):
+        """Give one line of control and return the answer."""
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        return self._process.stdout.readline().strip()
+
+    def write_parameter(self, code, text):
+        """Write a parameter as the maker's PC program would."""
+        self.control("usb " + (b"$%c" % code + text.encode() + b"\r").hex())
+
+    def positions_mm(self):
+        """Return where the axes really stand, in mm from their low end switches."""
+        return tuple(axis["true"] / COUNTS_PER_MM for axis in ast.literal_eval(self.control("state"))["axes"])
+
+    def pose_deg(self):
+        """Return where the axes really stand, in degrees."""
+        low_mm = [setup.geometry.low_length_mm for setup in (A, B)]
+        return tuple(
+            setup.geometry.angle_at_length(low + at)
+            for setup, low, at in zip((A, B), low_mm, self.positions_mm(), strict=True)
+        )
+
+    def end(self):
+        """End the process."""
+        self._process.stdin.close()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+
+def driver_on(firmware, a=A, b=B, **options):
+    """Return the real driver on the firmware's port."""
+    line = SerialLine(lambda: SerialPort("positioner", str(firmware.link)), time.monotonic)
+    return PozsolPositioner(line, time.monotonic, a, b, **options)
+
+
+async def until(condition, within_s=30.0):
+    """Wait for what must come; the limit is for a broken program, not for a slow machine."""
+    async with asyncio.timeout(within_s):
+        done = await condition()
+        while not done:
+            await asyncio.sleep(0.1)
+            done = await condition()
+
+
+async def standstill_after_s(firmware, begin_s, within_s=5.0):
+    """Return how long after `begin_s` the axes have last moved in truth, watched for `within_s` at most."""
+    before, last_s = firmware.positions_mm(), begin_s
+    while time.monotonic() < last_s + 1.0 and time.monotonic() < begin_s + within_s:
+        await asyncio.sleep(0.03)
+        after = firmware.positions_mm()
+        if after != before:
+            before, last_s = after, time.monotonic()
+    return last_s - begin_s

@@ -1,0 +1,190 @@
+"""The real driver against the maker's firmware: connection, moves, stops."""
+
+import asyncio
+import time
+from dataclasses import replace
+
+import pytest
+
+from drivers.errors import LinkLostError, RefusedError
+
+from .live import A, B, driver_on, standstill_after_s, until
+
+
+def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_unit(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        identity = await positioner.open()
+        assert (identity.board, identity.setup_conflicts) == ("36A1", ())
+        seen = await positioner.read_telemetry()
+        assert (seen.supply_v, seen.faults, seen.reference_doubt, seen.own_moves) == (24.0, (), "", ())
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize("target", [(-50.0, 90.0), (-48.0, 88.5)])
+def test_a_move_ends_half_a_unit_from_its_target_and_inside_the_limits(start_firmware, target):
+    firmware = start_firmware(-47.0, 87.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.move_to(*target)
+
+        async def arrived():
+            seen = await positioner.read_telemetry()
+            return abs(seen.a_deg - target[0]) < 0.5 and abs(seen.b_deg - target[1]) < 0.5
+
+        await until(arrived)
+        await standstill_after_s(firmware, time.monotonic())
+        await positioner.close()
+        a_deg, b_deg = firmware.pose_deg()
+        assert -50.0 <= a_deg <= target[0] + 0.3
+        assert target[1] - 0.3 <= b_deg <= 90.0
+
+    asyncio.run(scene())
+
+
+def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lost(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        for replugged in (False, True):
+            await positioner.move_to(-30.0, 60.0)
+            await asyncio.sleep(1.5)
+            if replugged:
+                firmware.control("replug")
+            begin_s = time.monotonic()
+            watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
+            await positioner.halt()
+            assert time.monotonic() - begin_s < 2.0
+            assert await watching < 0.7
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.move_to(-30.0, 60.0)
+        await asyncio.sleep(1.0)
+        firmware.control("unplug")
+
+        async def lost():
+            try:
+                await positioner.read_telemetry()
+            except LinkLostError:
+                return True
+            return False
+
+        await until(lost)
+        await positioner.close()
+        firmware.control("plug")
+        await positioner.open()
+        begin_s = time.monotonic()
+        watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
+        await positioner.stop()
+        assert await watching < 0.7
+        assert (await positioner.read_telemetry()).a_deg > -25.0
+        await positioner.halt()
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_the_axis_that_is_named_first_moves_first(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.move_to(-10.0, 80.0, first="b")
+        await asyncio.sleep(1.5)
+        a_deg, b_deg = firmware.pose_deg()
+        assert a_deg == pytest.approx(0.0, abs=0.1)
+        assert b_deg < 89.5
+        await positioner.halt()
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_move_without_supply_is_refused_with_its_cause_and_nothing_moves(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        firmware.control("supply 15")
+        before = firmware.positions_mm()
+
+        async def told():
+            return (await positioner.read_telemetry()).supply_v < 20.0
+
+        await until(told)
+        with pytest.raises(RefusedError, match="its motor supply is 15"):
+            await positioner.move_to(-10.0, 80.0)
+        firmware.control("supply 24")
+        await asyncio.sleep(6.0)
+        assert firmware.positions_mm() == pytest.approx(before, abs=0.05)
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_own_tracking_is_switched_off_and_what_it_drove_is_stopped(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        firmware.write_parameter(56, "y")
+
+        async def on():
+            return (await positioner.read_telemetry()).autonomous
+
+        await until(on)
+        await positioner.disable_autonomy()
+        assert not (await positioner.read_telemetry()).autonomous
+        assert await standstill_after_s(firmware, time.monotonic()) < 0.1
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_with_its_remedy(start_firmware):
+    firmware = start_firmware()
+    for code, text in ((74, "39.6"), (193, "2.5")):
+        firmware.write_parameter(code, text)
+        time.sleep(0.1)
+    # Parameters are taken over by the write to the flash.
+    time.sleep(0.5)
+
+    async def scene():
+        positioner = driver_on(firmware, b=replace(B, minimum_deg=14.0))
+        identity = await positioner.open()
+        holder = "field 74 of the positioner says 39.6, but instruments.positioner.a_axis.holder_mm is 0: set"
+        offset = "field 193 of the positioner says 2.5, but instruments.positioner.b_axis.zero_offset is 0: set"
+        assert [text.startswith((holder, offset)) for text in identity.setup_conflicts] == [True, True]
+        before = firmware.positions_mm()
+        with pytest.raises(RefusedError, match="is the geometry that of this unit"):
+            await positioner.move_to(-10.0, 80.0)
+        assert firmware.positions_mm() == before
+        await positioner.close()
+        # With the unit's own values in the configuration nothing is left to complain of.
+        a = replace(A, geometry=replace(A.geometry, holder_mm=39.6, low_deg=-51.2))
+        positioner = driver_on(firmware, a=replace(a, minimum_deg=-45.0), b=replace(B, zero_offset=2.5))
+        identity = await positioner.open()
+        assert identity.setup_conflicts == ()
+        await positioner.close()
+
+    asyncio.run(scene())

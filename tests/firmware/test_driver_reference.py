@@ -1,0 +1,120 @@
+"""The real driver against the maker's firmware: reference runs that end well, and those that do not."""
+
+import asyncio
+import time
+
+import pytest
+
+from drivers.errors import RefusedError
+
+from .live import driver_on, standstill_after_s, until
+
+
+async def over(positioner):
+    async def ended():
+        return not (await positioner.read_telemetry()).homing
+
+    await until(ended)
+    return await positioner.read_telemetry()
+
+
+def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
+    firmware = start_firmware(-51.0, 14.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        for axis, index in (("a", 0), ("b", 1)):
+            await positioner.home(axis)
+            seen = await over(positioner)
+            assert seen.reference_doubt == ""
+            assert f"{axis}_low" in seen.end_switches
+            assert firmware.positions_mm()[index] == pytest.approx(-0.37, abs=0.3)
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(start_firmware):
+    firmware = start_firmware(-50.0, 90.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.home("a")
+        firmware.control("supply 15")
+        await asyncio.sleep(0.8)
+        firmware.control("supply 24")
+        seen = await over(positioner)
+        assert "the reference run of A ended at" in seen.reference_doubt
+        assert "not on its end switch" in seen.reference_doubt
+        # The unit refuses to move for five seconds after its supply is back.
+        await asyncio.sleep(5.5)
+        await positioner.home("a")
+        assert (await over(positioner)).reference_doubt == ""
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware):
+    firmware = start_firmware(-20.0, 90.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        firmware.control("stucklow 0 1")
+        await positioner.home("a")
+        seen = await over(positioner)
+        assert "did not move on its reference run" in seen.reference_doubt
+        await positioner.home("a")
+        assert "did not move" in (await over(positioner)).reference_doubt, "a second such run proves nothing"
+        await positioner.clear_faults()
+        assert (await positioner.read_telemetry()).reference_doubt == ""
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_homing_stops_the_other_axis_first(start_firmware):
+    firmware = start_firmware(0.0, 16.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.move_to(-20.0, 16.0)
+        await asyncio.sleep(1.5)
+        await positioner.home("b")
+        stood_at = firmware.positions_mm()[0]
+        await over(positioner)
+        assert firmware.positions_mm()[0] == pytest.approx(stood_at, abs=0.05)
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_dead_hall_sensors_are_a_fault_and_nothing_is_sent_to_either_axis(start_firmware):
+    firmware = start_firmware()
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await positioner.open()
+        await positioner.move_to(-20.0, 80.0)
+        await asyncio.sleep(1.0)
+        firmware.control("freeze 0 1")
+
+        async def told():
+            return "a_hall_fault" in (await positioner.read_telemetry()).faults
+
+        await until(told)
+        await positioner.halt()
+        assert await standstill_after_s(firmware, time.monotonic()) < 0.5
+        with pytest.raises(RefusedError, match="it reports a_hall_fault"):
+            await positioner.move_to(0.0, 80.0)
+        firmware.control("freeze 0 0")
+        seen = await positioner.clear_faults()
+        assert "a_hall_fault" in seen.faults, "what was cleared is what was seen"
+        assert (await positioner.read_telemetry()).faults == ()
+        await positioner.close()
+
+    asyncio.run(scene())
