@@ -1,12 +1,14 @@
 """The simulated positioner in this process."""
 
 import asyncio
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 from drivers import pozsol_wire as wire
-from drivers.errors import IdentityError, ProtocolError, RefusedError
+from drivers.errors import IdentityError, ProtocolError, RefusedError, StillMovingError
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
 from drivers.pozsol_wire import Field, TokenStream, encode_command, parse_number, parse_status
 from sim_drivers.in_memory.link import Cabled
@@ -18,6 +20,9 @@ from solar.frames import Limits
 
 _CONFIRM_S = 0.5
 _LOOK_EVERY_S = 0.04
+_STANDS_FOR_S = 0.3
+_HALT_WITHIN_S = 12.0
+_STOP_EVERY_S = 0.2
 _NUMBERS = (
     Field.A_ANGLE,
     Field.B_ANGLE,
@@ -76,13 +81,14 @@ class InMemoryPositioner(Cabled):
             await self._send(Field.MODE, wire.TRACKING_OFF, self._stops)
             await self._confirm(lambda seen: not seen.autonomous, "to leave its own tracking", self._stops)
 
-    async def move_to(self, a_deg: float, b_deg: float) -> None:
-        """Send both targets and wait until the unit shows them as its destinations."""
+    async def move_to(self, a_deg: float, b_deg: float, *, first: Axis = "a") -> None:
+        """Send both targets, axis `first` before the other, and wait until the unit shows them as its destinations."""
         if not self._limits.contain(a_deg, b_deg):
             raise ValueError(f"target A {a_deg}, B {b_deg} deg is outside the limits ({self._limits})")
         stops = self._stops
-        await self._send(Field.A_ANGLE, a_deg, stops)
-        await self._send(Field.B_ANGLE, b_deg, stops)
+        commands = [(Field.A_ANGLE, a_deg), (Field.B_ANGLE, b_deg)]
+        for field, angle_deg in commands if first == "a" else reversed(commands):
+            await self._send(field, angle_deg, stops)
         setup = self._core.setup
         a, b = _whole_units(setup.a_actuator, a_deg), _whole_units(setup.b_actuator, b_deg)
         await self._confirm(
@@ -96,8 +102,28 @@ class InMemoryPositioner(Cabled):
         self._stops += 1
         self._transmit(Field.ACTION, wire.STOP)
 
+    async def halt(self) -> None:
+        """Send stop until positions have not changed for a while."""
+        self._stops += 1
+        start_s = since_s = self._now()
+        sent_s, where = -math.inf, self._where()
+        while self._now() - since_s < _STANDS_FOR_S:
+            if self._now() - start_s > _HALT_WITHIN_S:
+                raise StillMovingError("positioner", "goes on moving although it was told to stop")
+            if self._now() - sent_s >= _STOP_EVERY_S:
+                self._transmit(Field.ACTION, wire.STOP)
+                sent_s = self._now()
+            await asyncio.sleep(_LOOK_EVERY_S)
+            if (here := self._where()) != where:
+                where, since_s = here, self._now()
+
+    def _where(self) -> tuple[float, float]:
+        seen = self._look()
+        return seen.position_a, seen.position_b
+
     async def home(self, axis: Axis) -> None:
-        """Start a reference run and wait until it shows."""
+        """Halt both axes, start a reference run and wait until it shows."""
+        await self.halt()
         stops = self._stops
         await self._send(Field.ACTION, wire.HOME_A if axis == "a" else wire.HOME_B, stops)
 
@@ -110,12 +136,14 @@ class InMemoryPositioner(Cabled):
 
         await self._confirm(begun, f"to home axis {axis.upper()}", stops)
 
-    async def clear_faults(self) -> None:
-        """Clear faults and the reset mark, after a stop: the unit would go on with what was pending behind a fault."""
+    async def clear_faults(self) -> Telemetry:
+        """Stop, clear faults and the reset mark, and return the look before; what was pending would go on else."""
         stops = self._stops
         await self._send(Field.ACTION, wire.STOP, stops)
+        before = self._look()
         await self._send(Field.STATUS, wire.CLEAR, stops)
         await self._confirm(lambda seen: not (seen.faults or seen.was_reset), "to clear its status", stops)
+        return before
 
     def _transmit(self, field: Field, value: float | str) -> None:
         self._require_open()
@@ -147,7 +175,7 @@ class InMemoryPositioner(Cabled):
     def _look(self) -> Telemetry:
         self._require_open()
         now = self._now()
-        return Telemetry(now, *_read(self._core.live_screens(now)))
+        return replace(Telemetry(now, *_read(self._core.live_screens(now))), status_monotonic_s=now)
 
 
 # A unit at rest says the same every time.
