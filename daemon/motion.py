@@ -107,16 +107,14 @@ class Motion(MotionState):
         self._wanted: Target | None = None
         self._stowing = False
         self._home_wanted = False
-        self._halt_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
         self._was_ready = (False, False)
-        self._rested: Pose | None = None
         self.may_rehome = False
 
     @property
     def resting(self) -> bool:
         """Whether nothing moves and nothing that was asked for waits to be taken up."""
-        asked = self._wanted or self._home_wanted or self._halt_wanted or self._clear_wanted is not None
+        asked = self._wanted or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
         return not (self.moving or asked) and self.connected
 
     def order(self, target: Target, *, stow: bool = False) -> None:
@@ -196,7 +194,7 @@ class Motion(MotionState):
         """Let nothing move while there is a reason, and stop what moves until it stands; None lets go."""
         if why is not None and self._guard.frozen is None:
             self.rest()
-            self._halt_wanted = True
+            self._guard.halt_wanted = True
         self._guard.frozen = why
 
     async def stop(self) -> None:
@@ -205,7 +203,7 @@ class Motion(MotionState):
         Raises `DeviceError` when the positioner cannot be reached; the stop is then sent again on reconnection.
         """
         self.rest()
-        self._halt_wanted = True
+        self._guard.halt_wanted = True
         await self._positioner.stop()
 
     async def run(self) -> None:
@@ -241,10 +239,9 @@ class Motion(MotionState):
         self._home_wanted = False
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
-        before = self._rested
+        before = guard.rested
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
-        self._halt_wanted = False
         pose = guard.pose
         assert pose is not None  # noqa: S101 - narrowing for the type checker; halt has just looked
         name = f"{identity.board}, firmware {identity.firmware}, serial {identity.serial}"
@@ -267,9 +264,6 @@ class Motion(MotionState):
         return not (abs(before.a_deg - after.a_deg) <= tolerance and abs(before.b_deg - after.b_deg) <= tolerance)
 
     async def _lost(self, error: DeviceError) -> None:
-        if self.connected:
-            stood = self.stands_since_s is not None and not self.moving
-            self._rested = self.pose if stood else None
         self._guard.lost()
         self._wanted = None
         if self._clear_wanted is not None:
@@ -297,8 +291,7 @@ class Motion(MotionState):
         if guard.stray is not None:
             await guard.quell()
             self._changed()
-        elif self._halt_wanted or guard.must_halt:
-            self._halt_wanted = False
+        elif guard.must_halt:
             await guard.halt()
         elif self._clear_wanted is not None:
             shown, self._clear_wanted = self._clear_wanted, None

@@ -26,12 +26,14 @@ T = TypeVar("T")
 
 LOOK_MOVING_S = 0.5
 # Pauses between the tries to stop a unit that does not listen; they never end while it moves.
+_DEAF_AFTER_S = 5.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
 # A turn of the slow screens, in which the unit tells of buttons and restarts, and a little.
 _STATUS_WITHIN_S = 4.0
 _STATUS_LATE_S = 1.0
 _POSE_EVERY_S = 5.0
 _POSE_CHANGED_DEG = 0.05
+_TELL_BUTTONS_EVERY_S = 600.0
 _CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
 
 
@@ -55,10 +57,14 @@ class Guard:
     ----------
     telemetry, pose
         The newest; telemetry is None while the link is down.
+    rested
+        Where it stood when it was seen last with nothing ordered; None while something is.
     identity
         Of the unit that is or was connected last.
     frozen
         Why nothing may move at present, or None.
+    halt_wanted
+        Somebody wants both axes to be stopped, and they have not been seen to stand since.
     homing, clearing
         A reference run of ours is on; the unit's marks are being cleared by us.
     stray
@@ -86,14 +92,17 @@ class Guard:
         self._own_moves: tuple[str, ...] = ()
         self._told_pose: Pose | None = None
         self._pressed_s = float("-inf")
+        self._told_buttons_s = float("-inf")
         self._judged_s = float("-inf")
         self._reset_before = False
         self._under_inquiry: str | None = None
         self._halted_for: tuple[str, ...] = ()
         self.telemetry: Telemetry | None = None
         self.pose: Pose | None = None
+        self.rested: Pose | None = None
         self.identity: PositionerIdentity | None = None
         self.frozen: str | None = None
+        self.halt_wanted = False
         self.homing = False
         self.clearing = False
         self.stray: Stray | None = None
@@ -105,8 +114,14 @@ class Guard:
 
     @property
     def must_halt(self) -> bool:
-        """Whether a fault has come up since the last halt: the other axis may be moving, or about to."""
-        return self.telemetry is not None and bool(set(self.telemetry.faults) - set(self._halted_for))
+        """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
+        faults = self.telemetry.faults if self.telemetry else ()
+        return self.halt_wanted or bool(set(faults) - set(self._halted_for))
+
+    @property
+    def stands_since_s(self) -> float | None:
+        """Monotonic time since which both axes have been seen unmoved; None while a stop is on its way."""
+        return None if self.halt_wanted else self.watch.stands_since_s
 
     def lost(self) -> None:
         """Know nothing until the link is back."""
@@ -142,18 +157,17 @@ class Guard:
 
     async def halt(self) -> None:
         """Stop both axes until telemetry shows them standing; does not give up while the link is there."""
-        pause_s = _FIRST_PAUSE_S
+        self.halt_wanted = True
+        start_s, pause_s = self._clock.monotonic(), _FIRST_PAUSE_S
         while True:
             try:
-                await self._positioner.halt()
+                await self._beside(self._positioner.halt(), lambda: self._look_at_halt(start_s))
                 break
             except StillMovingError:
-                telemetry = await self.look(moving=True)
-                if not telemetry.button_pressed:
-                    text = "the positioner does not obey stop: switch off the supply of its motors"
-                    self.doubts.note("deaf", f"{text}; {_CLEAR}")
+                await self._look_at_halt(start_s)
                 await asyncio.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+        self.halt_wanted = False
         # What this look shows may have been before the stop.
         self._judged_s = self._clock.monotonic()
         telemetry = await self.look(moving=False)
@@ -182,16 +196,30 @@ class Guard:
         await self.look(moving=False)
         return explained
 
+    async def _look_at_halt(self, start_s: float) -> None:
+        telemetry = await self.look(moving=True)
+        moves = self.watch.stands_since_s is None and not telemetry.button_pressed
+        if moves and self._clock.monotonic() - start_s > _DEAF_AFTER_S:
+            text = "the positioner does not obey stop: switch off the supply of its motors"
+            self.doubts.note("deaf", f"{text}; {_CLEAR}")
+
     async def attended(self, call: Coroutine[Any, Any, T]) -> T:
         """Return what a call of the driver returns; look while it takes its time, and stop what strays."""
+
+        async def look() -> None:
+            await self.look(moving=self.homing)
+            await self.quell()
+
+        return await self._beside(call, look)
+
+    async def _beside(self, call: Coroutine[Any, Any, T], look: Callable[[], Coroutine[Any, Any, None]]) -> T:
         task = asyncio.ensure_future(call)
         try:
             while True:
                 await asyncio.wait((task,), timeout=LOOK_MOVING_S)
                 if task.done():
                     return task.result()
-                await self.look(moving=self.homing)
-                await self.quell()
+                await look()
         finally:
             if not task.done():
                 task.cancel()
@@ -222,7 +250,7 @@ class Guard:
                 await self.halt()
                 self.stray = None
             if self._pressed_s > stray.seen_s - _STATUS_WITHIN_S:
-                self._tell(f"{stray.text}: a button is pressed at the unit")
+                self._tell_of_buttons(stray)
                 return True
             if telemetry.was_reset and not self._reset_before and not telemetry.autonomous:
                 return True
@@ -243,9 +271,11 @@ class Guard:
         now_s, told = self._clock.monotonic(), self._told_pose
         pose = Pose(self._clock.utc(), now_s, telemetry.a_deg, telemetry.b_deg, moving)
         self.pose = pose
+        self.rested = pose if self.watch.settled and not moving else None
         if (
             told is None
             or moving
+            or telemetry.button_pressed
             or told.moving
             or now_s - told.time_monotonic_s >= _POSE_EVERY_S
             or not (abs(pose.a_deg - told.a_deg) <= _POSE_CHANGED_DEG)
@@ -254,9 +284,12 @@ class Guard:
             self._told_pose = pose
             self._publish(pose)
 
-    def _tell(self, text: str) -> None:
-        log.info(text)
-        self._publish(self._event(text))
+    def _tell_of_buttons(self, stray: Stray) -> None:
+        if stray.seen_s - self._told_buttons_s > _TELL_BUTTONS_EVERY_S:
+            self._told_buttons_s = stray.seen_s
+            text = f"{stray.text}: a button is pressed at the unit"
+            log.info(text)
+            self._publish(self._event(text))
 
     def _event(self, text: str) -> Event:
         return Event(self._clock.utc(), self._clock.monotonic(), "positioner", text)

@@ -95,6 +95,7 @@ class Runs:
         start = self._guard.pose
         assert start is not None  # noqa: S101 - narrowing; a move is only taken up after a look
         outcome, why = MoveOutcome.LINK_LOST, target.why
+        self._guard.rested = None
         try:
             outcome, why = await self._attempt(target, start)
         except BaseException as error:
@@ -135,6 +136,7 @@ class Runs:
                 outcome, why = await self._follow(target, start)
             except RefusedError as error:
                 # One axis may have taken the target, or both another one.
+                guard.watch.pardon()
                 await guard.halt()
                 outcome, why = MoveOutcome.REFUSED, error.message
                 if self._is_interrupted():
@@ -207,7 +209,7 @@ class Runs:
         guard, doubts = self._guard, self._guard.doubts
         doubted = doubts.reference is not None
         self._interrupted = False
-        guard.homing = True
+        guard.homing, guard.rested = True, None
         doubts.homing_begins()
         left: str | None = NOT_FINISHED
         self._tell("homing")

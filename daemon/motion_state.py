@@ -117,4 +117,4 @@ class MotionState:
     @property
     def stands_since_s(self) -> float | None:
         """Monotonic time since which telemetry has shown both axes unmoved; None: moving, or not known."""
-        return self._guard.watch.stands_since_s
+        return self._guard.stands_since_s

@@ -75,11 +75,17 @@ class Watch:
         """Monotonic time since which both axes have been seen unmoved, or None."""
         return self._since_s if self._shown else None
 
+    def pardon(self) -> None:
+        """Judge nothing until the next rest: an order may have been taken in part."""
+        self._rest = None
+
     def rest(self, telemetry: Telemetry) -> None:
         """Take this for the place of rest, seen to be one: from now on nothing explains any motion."""
         self._rest = self._last = telemetry
         self._aim, self._settled_s, self._homing = None, -math.inf, frozenset()
-        self._anchor, self._since_s, self._shown = _positions(telemetry), telemetry.time_monotonic_s, True
+        here, anchor = _positions(telemetry), self._anchor
+        if not (self._shown and anchor is not None and _near(here, anchor, self._jitter)):
+            self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
 
     def expect(self, telemetry: Telemetry) -> None:
         """Let the axes go to the destinations that telemetry shows, and nowhere else: a move was confirmed."""
@@ -95,6 +101,11 @@ class Watch:
         """End the move; what is left to the destinations may still be made up within a few seconds."""
         self._rest = telemetry
         self._settled_s = telemetry.time_monotonic_s + _SETTLES_S
+
+    @property
+    def settled(self) -> bool:
+        """Whether both axes stand, and no order explains any further motion."""
+        return self._shown and self._aim is None and not self._homing
 
     @property
     def on_its_way(self) -> bool:
