@@ -128,6 +128,11 @@ class PositionerSettings(Section):
 
     slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
     telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
+    current_alarm_a: Positive = Field(
+        1.6,
+        le=20,
+        description="Motor current [A] that is told when it lasts; the unit's own limit is 2 A as delivered.",
+    )
     port: SerialPort | None = Field(
         None, examples=["/dev/heliocube-positioner"], description="USB serial port, by a name that outlives a replug."
     )

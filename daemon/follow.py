@@ -4,6 +4,7 @@ from enum import StrEnum
 
 from daemon.config import Motion
 from daemon.config_instruments import PositionerSettings
+from daemon.motion_watch import jitter
 from daemon.records import Pose, Target
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
@@ -11,6 +12,8 @@ from solar.frames import Limits
 # Longer than the pause between the two axes and the start-up ramp together.
 _STALLED_AFTER_S = 6.0
 _SPARE_S = 20.0
+# Telemetry comes several times a second: two looks closer than this may be of the same.
+_STANDS_AFTER_S = 0.3
 
 
 class Progress(StrEnum):
@@ -54,6 +57,7 @@ class Follow:
         travel_deg = abs(target.a_deg - start.a_deg) + abs(target.b_deg - start.b_deg)
         self._budget_s = travel_deg / expected.slowest_deg_per_s + _SPARE_S
         self._start_s = now_s
+        self._jitter = jitter(expected.position_unit)
         self._positions: tuple[float, float] | None = None
         self._moved_s = now_s
 
@@ -61,7 +65,9 @@ class Follow:
         """Return the verdict on the newest look, and a sentence for a bad one."""
         angles = (telemetry.a_deg, telemetry.b_deg)
         positions = (telemetry.position_a, telemetry.position_b)
-        still = positions == self._positions
+        still = self._positions is not None and all(
+            abs(here - there) <= self._jitter for here, there in zip(positions, self._positions, strict=True)
+        )
         if not still:
             self._positions = positions
             self._moved_s = now_s
@@ -71,7 +77,8 @@ class Follow:
             if axis.overshot(angle):
                 return Progress.OVERSHOT, f"{axis.name} stands at {angle:.1f} deg, beyond its target {axis.target:.1f}"
         if all(axis.there(angle) for axis, angle in zip(self._axes, angles, strict=True)):
-            return (Progress.ARRIVED if still else Progress.GOING), ""
+            stands = still and now_s - self._moved_s >= _STANDS_AFTER_S
+            return (Progress.ARRIVED if stands else Progress.GOING), ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
         if now_s - self._moved_s > _STALLED_AFTER_S:
             return Progress.STALLED, f"no movement for {now_s - self._moved_s:.0f} s at {where}; {_hint(telemetry)}"

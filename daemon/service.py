@@ -23,6 +23,7 @@ from daemon.face_watch import FaceWatch
 from daemon.iv_acquisition import IvAcquisition
 from daemon.learned import LearnedFile
 from daemon.motion import OFTEN, Motion, Polling
+from daemon.motion_end import finish
 from daemon.optimal import OptimalPointing
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
@@ -31,17 +32,18 @@ from daemon.stow import StowSource, WindStow
 from daemon.stow_watch import SafetyFile, StowWatch
 from daemon.watchdog import Watchdog
 from daemon.wishes import WishFile
-from drivers.errors import DeviceError, DriverHungError
+from drivers.errors import DriverHungError
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
 
-_STOP_WITHIN_S = 2.0
 _NO_WIND_SOURCE = (
     "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
     ' or safety.without_wind_source = "accepted"'
 )
+# The unit needs a second or two; systemd waits 15 s for the whole of it.
+_STAND_WITHIN_S = 8.0
 
 
 class Role(StrEnum):
@@ -132,6 +134,7 @@ class Service:
         self.rig = rig
         self.clock = clock
         self.bus = bus
+        self.alarms = Alarms(clock, bus.publish)
         self._random = random
         self._key = key
         self._notifier = notifier
@@ -193,7 +196,9 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
+            self.alarms,
             self._polling,
+            settings.store.directory,
         )
         self.control = Control(
             settings,
@@ -327,14 +332,13 @@ class Service:
             raise
 
     async def _stop_motion(self) -> None:
-        if self.motion is None or not self.motion.moving:
+        if self.motion is None:
             return
-        try:
-            async with asyncio.timeout(_STOP_WITHIN_S):
-                await self.motion.stop()
-            log.info("motion stopped")
-        except (DeviceError, TimeoutError) as error:
-            log.warning("motion could not be stopped: %s", error or "no answer in time")
+        left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
+        if left is None:
+            log.info("motion stopped: telemetry shows both axes standing")
+        else:
+            log.warning("motion is not known to be stopped: %s", left)
 
 
 def _first(group: BaseExceptionGroup[UserError]) -> UserError:

@@ -15,6 +15,7 @@ from daemon.composition import build_simulated_rig, build_weather, site_of
 from daemon.config import Settings, Store
 from daemon.config_file import on_a_port_of_its_own
 from daemon.errors import UserError
+from daemon.motion import SIMULATED
 from daemon.records import Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
@@ -95,6 +96,7 @@ def simulate(
             None,
             Notifier({}, 0),
             calibration=calibration,
+            polling=SIMULATED,
         )
         runner.run(_until_end(service, days * DAY_S, progress))
     return tally.close(end_utc_s, warning)

@@ -397,7 +397,7 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
 
 
 def test_every_way_to_move_goes_through_one_guard(run_rig):
-    """R24: in the service the only caller of the positioner's move and home commands is Motion.
+    """R24: in the service the only caller of the positioner's move and home commands is the runner of Motion.
 
     `heliocube probe` is a command of its own, run while the service is not, and holds to the driver's limits.
     """
@@ -408,7 +408,7 @@ def test_every_way_to_move_goes_through_one_guard(run_rig):
         if not path.name.startswith("probe")
         and any(call in path.read_text() for call in ("positioner.move_to(", "positioner.home("))
     }
-    assert callers == {"motion.py"}
+    assert callers == {"motion_runs.py"}
 
 
 def test_before_the_positioner_is_there_every_order_is_refused(run_rig):

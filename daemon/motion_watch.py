@@ -1,0 +1,192 @@
+"""What telemetry says about motion: since when both axes stand, and what moves although nothing of ours explains it."""
+
+import math
+from dataclasses import dataclass
+
+from drivers.interfaces import Axis, Telemetry
+
+# In the unit's own position units. Two Hall counts and a shake by the wind are no motion; what adds up to more than
+# the second number from where an axis came to rest is, however slowly.
+_JITTER = {"mm": 0.15, "deg": 0.035, "impulse": 2.0}
+_STRAY = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
+# A second look as late as this makes a standstill.
+_SHOWN_AFTER_S = 0.25
+# The unit may take up the second axis so long after the first stands near enough to count as arrived.
+_SETTLES_S = 10.0
+# No drive of this kind turns so fast [deg/s]: the count has changed, and not the tracker.
+_JUMP_DEG_PER_S = 10.0
+_SHORTEST_LOOK_S = 0.5
+_AXES: tuple[Axis, Axis] = ("a", "b")
+
+
+def jitter(position_unit: str) -> float:
+    """Return how far a position [mm, deg or impulse] may differ from the last with the axis standing."""
+    return _JITTER[position_unit]
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """Something in telemetry that no order explains.
+
+    Attributes
+    ----------
+    text
+        What was seen, as the beginning of a sentence.
+    seen_s
+        Monotonic time of the telemetry that showed it.
+    jump
+        The count changed faster than an axis can turn: the reference is in doubt, but nothing has moved.
+    """
+
+    text: str
+    seen_s: float
+    jump: bool = False
+
+
+class Watch:
+    """Both axes, look by look.
+
+    Parameters
+    ----------
+    position_unit
+        What the unit counts in: ``mm``, ``deg`` or ``impulse``.
+    """
+
+    def __init__(self, position_unit: str) -> None:
+        self._jitter = _JITTER[position_unit]
+        self._stray = _STRAY[position_unit]
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing, as after the loss of the link: the next look counts as rest once `rest` has said so."""
+        self._last: Telemetry | None = None
+        self._anchor: tuple[float, float] | None = None
+        self._since_s = 0.0
+        self._shown = False
+        self._rest: Telemetry | None = None
+        # Where the axes were sent; until when they may still get there: for ever while the move is on.
+        self._aim: tuple[float, float] | None = None
+        self._gaps = [0.0, 0.0]
+        self._settled_s = -math.inf
+        self._homing: frozenset[Axis] = frozenset()
+
+    @property
+    def stands_since_s(self) -> float | None:
+        """Monotonic time since which both axes have been seen unmoved, or None."""
+        return self._since_s if self._shown else None
+
+    def pardon(self) -> None:
+        """Judge nothing until the next rest: an order may have been taken in part."""
+        self._rest = None
+
+    def rest(self, telemetry: Telemetry) -> None:
+        """Take this for the place of rest, seen to be one: from now on nothing explains any motion."""
+        self._rest = self._last = telemetry
+        self._aim, self._settled_s, self._homing = None, -math.inf, frozenset()
+        here, anchor = _positions(telemetry), self._anchor
+        if not (self._shown and anchor is not None and _near(here, anchor, self._jitter)):
+            self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
+
+    def expect(self, telemetry: Telemetry) -> None:
+        """Let the axes go to the destinations that telemetry shows, and nowhere else: a move was confirmed."""
+        # It may have been on its way for a second: the way is judged from where it stood.
+        self._rest = self._rest or telemetry
+        self._last = telemetry
+        self._homing = frozenset()
+        self._aim = aim = (telemetry.destination_a, telemetry.destination_b)
+        self._gaps = [abs(start - there) for start, there in zip(_positions(self._rest), aim, strict=True)]
+        self._settled_s = math.inf
+
+    def arrived(self, telemetry: Telemetry) -> None:
+        """End the move; what is left to the destinations may still be made up within a few seconds."""
+        self._rest = telemetry
+        self._settled_s = telemetry.time_monotonic_s + _SETTLES_S
+
+    @property
+    def settled(self) -> bool:
+        """Whether both axes stand, and no order explains any further motion."""
+        return self._shown and self._aim is None and not self._homing
+
+    @property
+    def on_its_way(self) -> bool:
+        """Whether an order explains motion at present."""
+        return bool(self._homing) or self._settled_s == math.inf
+
+    def expect_homing(self, axis: Axis, telemetry: Telemetry) -> None:
+        """Let one axis make a reference run while the other stands."""
+        self.rest(telemetry)
+        self._homing, self._shown = frozenset((axis,)), False
+
+    def look(self, telemetry: Telemetry) -> Stray | None:
+        """Take in the newest telemetry; return what it shows that no order explains."""
+        self._note_standstill(telemetry)
+        before, self._last = self._last, telemetry
+        if self._rest is None or before is None:
+            return None
+        if not self._homing and (leap := _leap(before, telemetry)):
+            self._gaps = [math.inf, math.inf]
+            self._rest = telemetry
+            return Stray(leap, telemetry.time_monotonic_s, jump=True)
+        text = self._elsewhere(telemetry) if self._settled_s == math.inf else self._off(telemetry)
+        return None if text is None else Stray(text, telemetry.time_monotonic_s)
+
+    def _note_standstill(self, telemetry: Telemetry) -> None:
+        here, now_s = _positions(telemetry), telemetry.time_monotonic_s
+        anchor = self._anchor
+        if anchor is None or not _near(here, anchor, self._jitter):
+            self._anchor, self._since_s, self._shown = here, now_s, False
+        elif now_s - self._since_s >= _SHOWN_AFTER_S:
+            self._shown = True
+
+    def _elsewhere(self, telemetry: Telemetry) -> str | None:
+        """Say what is wrong with a move in progress: a destination that is not ours, or the wrong way."""
+        assert self._aim is not None  # noqa: S101 - narrowing for the type checker
+        assert self._rest is not None  # noqa: S101
+        destinations = (telemetry.destination_a, telemetry.destination_b)
+        starts = _positions(self._rest)
+        for at, (name, here, start) in enumerate(zip("AB", _positions(telemetry), starts, strict=True)):
+            aim, to = self._aim[at], destinations[at]
+            if not (abs(to - aim) <= 1.0 or abs(to - here) <= 1.0):
+                return f"{name} heads for position {to:g} and was sent to {aim:g}"
+            gap = abs(here - aim)
+            if gap > self._gaps[at] + self._stray and (start - aim) * (here - aim) >= 0.0:
+                return f"{name} moves away from where it was sent, {_moved(name, self._rest, telemetry)}"
+            self._gaps[at] = min(self._gaps[at], gap)
+        return None
+
+    def _off(self, telemetry: Telemetry) -> str | None:
+        """Say which axis has left the place where it came to rest."""
+        rest = self._rest
+        assert rest is not None  # noqa: S101 - narrowing for the type checker
+        if self._aim is not None and telemetry.time_monotonic_s > self._settled_s:
+            self._aim, self._rest = None, telemetry
+            return None
+        aims = self._aim or _positions(rest)
+        for axis, here, start, aim in zip(_AXES, _positions(telemetry), _positions(rest), aims, strict=True):
+            low, high = min(start, aim) - self._stray, max(start, aim) + self._stray
+            if axis not in self._homing and not (low <= here <= high):
+                return _moved(axis.upper(), rest, telemetry)
+        return None
+
+
+def _positions(telemetry: Telemetry) -> tuple[float, float]:
+    return telemetry.position_a, telemetry.position_b
+
+
+def _near(here: tuple[float, float], there: tuple[float, float], within: float) -> bool:
+    return abs(here[0] - there[0]) <= within and abs(here[1] - there[1]) <= within
+
+
+def _moved(name: str, before: Telemetry, after: Telemetry) -> str:
+    start, end = (before.a_deg, after.a_deg) if name == "A" else (before.b_deg, after.b_deg)
+    return f"{name} moved from {start:+.1f} to {end:+.1f} deg"
+
+
+def _leap(before: Telemetry, after: Telemetry) -> str | None:
+    most_deg = _JUMP_DEG_PER_S * max(after.time_monotonic_s - before.time_monotonic_s, _SHORTEST_LOOK_S)
+    if abs(after.a_deg - before.a_deg) <= most_deg and abs(after.b_deg - before.b_deg) <= most_deg:
+        return None
+    return (
+        f"the count jumped from A {before.a_deg:+.1f}, B {before.b_deg:.1f}"
+        f" to A {after.a_deg:+.1f}, B {after.b_deg:.1f} deg"
+    )
