@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
+from daemon.alarms import Alarms
 from daemon.backoff import Backoff
 from daemon.clock import Clock
 from daemon.config import Motion as MotionSettings
@@ -61,6 +62,8 @@ class Motion:
         Called with moves, poses and events.
     changed
         Called when readiness changes or a move or homing run begins or ends, so that control looks again at once.
+    alarms
+        Where what a person has to know is raised.
     polling
         How often to look at the positioner.
     """
@@ -75,6 +78,7 @@ class Motion:
         random: Random,
         publish: Callable[[Record], None],
         changed: Callable[[], None],
+        alarms: Alarms,
         polling: Polling = OFTEN,
     ) -> None:
         self._positioner = positioner
@@ -84,6 +88,10 @@ class Motion:
         self._clock = clock
         self._publish = publish
         self._changed = changed
+        self._alarms = alarms
+        self._frozen: str | None = None
+        self.stands_since_s: float | None = None
+        self.unexplained: str | None = None
         self._polling = polling
         self._backoff = Backoff(random)
         self._wake = asyncio.Event()
@@ -128,6 +136,18 @@ class Motion:
         return None
 
     @property
+    def concerns(self) -> tuple[str, ...]:
+        """Every fault and doubt that is shown at present."""
+        faults = () if self.telemetry is None else self.telemetry.faults
+        return (*faults, *((doubt,) if (doubt := self.doubt) is not None else ()))
+
+    def freeze(self, why: str | None) -> None:
+        """Let nothing move while there is a reason, and stop what moves."""
+        if why is not None and self._frozen is None:
+            self.rest()
+        self._frozen = why
+
+    @property
     def connected(self) -> bool:
         """Whether telemetry is coming in."""
         return self.telemetry is not None
@@ -163,6 +183,8 @@ class Motion:
             raise ValueError(
                 f"target A {target.a_deg:.2f}, B {target.b_deg:.2f} deg is outside the limits ({self._limits})"
             )
+        if self._frozen is not None:
+            raise RefusedError("positioner", self._frozen)
         obstacle = self.blocked or (None if stow else self.doubt)
         if not self.connected or obstacle:
             raise RefusedError("positioner", f"cannot move: {obstacle or 'no telemetry yet'}")
@@ -175,12 +197,14 @@ class Motion:
 
     def home(self) -> None:
         """Ask for a reference run of both axes; the reset mark and latched faults are cleared by it."""
+        if self._frozen is not None:
+            raise RefusedError("positioner", self._frozen)
         self._home_wanted = True
         self._wanted = None
         self._interrupt = self.moving
         self._wake.set()
 
-    def clear_faults(self) -> None:
+    def clear_faults(self, shown: tuple[str, ...] = ()) -> None:  # noqa: ARG002 - the stand-in forgives all
         """Ask the unit to clear latched faults and the reset mark without a reference run."""
         self._clear_wanted = True
         self._wake.set()
@@ -246,6 +270,7 @@ class Motion:
 
     async def _lost(self, error: DeviceError) -> None:
         self.telemetry = None
+        self.stands_since_s = None
         self.target = None
         self.homing = False
         self._wanted = None
@@ -279,7 +304,7 @@ class Motion:
             await wait_at_most(self._wake, self._polling.idle_s)
 
     def _must_rehome(self) -> bool:
-        return self._settings.rehome == "automatic" and self._doubt is not None and self.blocked is None
+        return self._settings.rehome == "automatic" and self._doubt is not None and not (self.blocked or self._frozen)
 
     def _doubtful(self) -> str | None:
         """Return why the move in progress must not go on: a reference lost on the way ends all moves but a stow."""
@@ -292,6 +317,10 @@ class Motion:
     async def _look(self, *, moving: bool) -> Telemetry:
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self.telemetry = telemetry
+        if before is None or (before.position_a, before.position_b) != (telemetry.position_a, telemetry.position_b):
+            self.stands_since_s = None
+        elif self.stands_since_s is None:
+            self.stands_since_s = telemetry.time_monotonic_s
         if telemetry.own_moves and telemetry.own_moves != self._own_moves:
             # Slow screens: it is known only some seconds after the connection.
             self._own_moves = telemetry.own_moves

@@ -9,6 +9,7 @@ from random import Random
 from typing import Any
 
 from daemon.acquisition import Acquisition
+from daemon.alarms import Alarms
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.bus import Bus
@@ -129,6 +130,7 @@ class Service:
         self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
+        self.alarms = Alarms(clock, bus.publish)
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -177,6 +179,7 @@ class Service:
             self._random,
             self.bus.publish,
             self._look_again,
+            self.alarms,
             self._polling,
         )
         self.control = Control(
