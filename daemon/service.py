@@ -22,6 +22,7 @@ from daemon.iv_acquisition import IvAcquisition
 from daemon.learned import LearnedFile
 from daemon.motion import OFTEN, Motion, Polling
 from daemon.optimal import OptimalPointing
+from daemon.orders import Orders
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
@@ -189,10 +190,12 @@ class Service:
             Pointing(settings.site, settings.law, limits),
             self.sun_elevation_deg,
             sources,
-            WishFile(settings.store.directory),
+            Orders(self.clock, WishFile(settings.store.directory)),
             self.bus.publish,
+            self.alarms,
             self._optimal(limits),
         )
+        self.bus.subscribe(self.control.note)
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
         if rig.load is not None:
             stale_s = settings.safety.scan_stale_s

@@ -229,7 +229,7 @@ def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, 
         assert reply.status == 200
         assert reply.json["done"] is True
         a_deg, b_deg = bench.truth()
-        assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: a hand" in reply.json["text"]
+        assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: stopped by HTTP since " in reply.json["text"]
 
     serve(scenario)
 
@@ -278,7 +278,7 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
         (b"\xff\xfe", 400, "the body is not JSON"),
         (b"[" * 4000, 400, "the body is not JSON"),
         (b"[1]", 400, 'the body is not a JSON object, such as {"why": "maintenance"}'),
-        (b'{"when": 1}', 400, "the body has 'when', but may have only why"),
+        (b'{"when": 1}', 400, "the body has 'when', but may have only why, by, id"),
         (b'{"why": 3}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "a\\nb"}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "' + b"x" * 201 + b'"}', 400, '"why" must be one line of text with at most 200 letters'),
