@@ -210,7 +210,7 @@ class Operator:
         self._note("clear faults", why, by)
 
         def seen() -> Seen | None:
-            looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s > asked_s
+            looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s >= asked_s
             return Seen.DONE if looked and not set(shown) & set(motion.concerns) else None
 
         found = await self._until(seen)
@@ -333,7 +333,7 @@ def _stands(motion: Motion, asked_s: float) -> bool:
     telemetry, stands_s = motion.telemetry, motion.stands_since_s
     if telemetry is None or stands_s is None or motion.moving:
         return False
-    return telemetry.time_monotonic_s > asked_s
+    return telemetry.time_monotonic_s >= asked_s
 
 
 def _furthest_off(pose: Pose, place: Target) -> float:
