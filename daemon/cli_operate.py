@@ -66,7 +66,7 @@ def hold(
 def auto(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Track again: end what stow, hold, stop or goto asked for."""
+    """Track again: end what stop, maintenance, stow, snow, hold or goto asked for."""
     _command("auto", config, api, token_file, why)
 
 
@@ -74,8 +74,24 @@ def auto(
 def stop(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Stop the axes at once and stay there until 'auto'."""
+    """Stop the axes at once; nothing moves them until 'auto'."""
     _command("stop", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def snow(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Go to the steep position that sheds snow and hail and stay there until 'auto'."""
+    _command("snow", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def maintenance(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Let nothing move and no alarm sound until 'auto'."""
+    _command("maintenance", config, api, token_file, why)
 
 
 @app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
@@ -103,7 +119,7 @@ def home(
 def clear(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Clear faults and doubts about the reference without a reference run."""
+    """Clear the faults and doubts that are shown, without a reference run."""
     _command("clear", config, api, token_file, why)
 
 
@@ -120,4 +136,6 @@ def _command(
 ) -> None:
     from daemon.api.client import find
 
-    typer.echo(find(config, api, token_file).command(name, why=why, **arguments))
+    reply = find(config, api, token_file).command(name, why=why, **arguments)
+    typer.echo(reply.text)
+    raise typer.Exit(reply.exit_code)

@@ -248,6 +248,14 @@ class Motion(Section):
     deadband_deg: NotNegative = Field(0.6, le=30, description="A smaller change of direction is not worth a move.")
     minimum_interval_s: NotNegative = Field(60.0, le=86400, description="Least time between two tracking moves.")
     tolerance_deg: Positive = Field(0.8, le=10, description="Distance from the target that counts as arrived.")
+    travel_per_day_deg: Positive = Field(
+        2000.0,
+        le=100000,
+        description="Degrees of travel in a solar day, A and B added, beyond which no law moves the tracker.",
+    )
+    moves_per_day: int = Field(
+        300, ge=1, le=10000, description="Moves in a solar day beyond which no law moves the tracker."
+    )
     attempts: int = Field(3, ge=1, le=10, description="Tries before a move is given up and a fault declared.")
     retry_after_s: Duration = Field(600.0, description="Time after a fault until moves are tried again.")
     rehome: Literal["operator", "automatic"] = Field(
@@ -271,6 +279,13 @@ class Safety(Section):
     night_b_deg: float = Field(90.0, ge=15, le=90, description="Angle B at night.")
     stow_a_deg: float = Field(0.0, ge=-50, le=50, description="Angle A of the stow position.")
     stow_b_deg: float = Field(90.0, ge=15, le=90, description="Angle B of the stow position.")
+    snow_a_deg: float = Field(0.0, ge=-50, le=50, description="Angle A of the snow position.")
+    snow_b_deg: float = Field(
+        15.0,
+        ge=15,
+        le=90,
+        description="Angle B of the snow position: steep sheds snow and hail. The default goes as far as limits allow.",
+    )
     stow_wind_m_s: WindSpeed = Field(15.0, description="Wind speed from which the tracker is stowed.")
     release_wind_m_s: WindSpeed = Field(10.0, description="Wind speed below which stow may end.")
     stow_at_least_s: Duration = Field(900.0, description="Time that the wind must have been calm before stow ends.")

@@ -43,13 +43,15 @@ def limits_are_ordered(settings: "Settings") -> Iterator[Conflict]:
 
 
 def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
-    """Night and stow positions lie inside `limits`."""
-    for position in ("night", "stow"):
+    """Night, stow and snow positions lie inside `limits`; only the default of the last one is cut to them."""
+    for position in ("night", "stow", "snow"):
         for axis in "ab":
             ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
             low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
-            angle_deg = getattr(settings.safety, f"{position}_{axis}_deg")
-            if low < high and not low <= angle_deg <= high:
+            name = f"{position}_{axis}_deg"
+            angle_deg = getattr(settings.safety, name)
+            cut = position == "snow" and angle_deg == type(settings.safety).model_fields[name].default
+            if low < high and not cut and not low <= angle_deg <= high:
                 reason = f"lies outside {ends[0]} and {ends[1]} ({low:g} to {high:g} deg)"
                 yield Conflict(f"safety.{position}_{axis}_deg", reason, ends)
 

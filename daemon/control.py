@@ -1,6 +1,5 @@
 """The tracker's role: from the cube's scans to a target, by way of the state machine."""
 
-import asyncio
 import logging
 import math
 from collections.abc import Callable
@@ -8,20 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daemon.alarms import Alarms
+from daemon.budget import DayBudget
 from daemon.clock import Clock
 from daemon.clockwatch import ClockWatch
 from daemon.config import Settings
+from daemon.doors import Doors
 from daemon.modes import Data, Situation, next_mode
 from daemon.motion import Motion
 from daemon.optimal import DECIDE_EVERY_S, OptimalPointing
+from daemon.orders import RELEASE, Orders
+from daemon.parking import Parking
 from daemon.pointing import Pointing
 from daemon.readings import Readings
-from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Record, Scan, Target
-from daemon.stow import OperatorStow
+from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
+from daemon.reminders import Reminders
 from daemon.stow_watch import StowWatch
 from daemon.waiting import wait_at_most
-from daemon.wishes import Wishes, WishFile
-from drivers.errors import DeviceError, RefusedError
+from drivers.errors import DeviceError
 from solar.frames import normal_from_angles, separation_deg
 
 log = logging.getLogger("heliocube.control")
@@ -29,8 +32,6 @@ log = logging.getLogger("heliocube.control")
 _TICK_S = 5.0
 # Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
-# A parked tracker that is not where it should be is sent there again this often.
-_REPARK_S = 60.0
 _BY_THE_CLOCK = ("chronometric", "optimal")
 
 
@@ -64,7 +65,7 @@ class ControlState:
     next_decision_s: float
 
 
-class Control:
+class Control(Doors):
     """Decides what the tracker does, every few seconds, and where it points, every few minutes.
 
     Parameters
@@ -81,10 +82,12 @@ class Control:
         Of UTC [s], to tell night from day.
     stow_watch
         Everything besides the operator that may ask for stow.
-    wish_file
-        Keeps what operators asked for over a restart.
+    orders
+        What persons asked for.
     publish
         Called with decisions, mode changes and events.
+    alarms
+        Where what a person has to know is raised.
     optimal
         The law `optimal`, where it is the law; the others are in `pointing`.
     clock_watch
@@ -99,34 +102,27 @@ class Control:
         pointing: Pointing,
         sun_elevation_deg: Callable[[float], float],
         stow_watch: StowWatch,
-        wish_file: WishFile,
+        orders: Orders,
         publish: Callable[[Record], None],
+        alarms: Alarms,
         optimal: OptimalPointing | None = None,
         clock_watch: ClockWatch | None = None,
     ) -> None:
-        self._settings = settings
+        super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order))
         self.optimal = optimal
         self._clock = clock
-        self._motion = motion
         self._pointing = pointing
         self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
-        self._operator = OperatorStow()
         self._stow_watch = stow_watch
         self._publish = publish
+        self._alarms = alarms
+        self._reminders = Reminders(clock, settings.site, alarms, publish)
+        self.budget = DayBudget(
+            settings.motion, settings.site.longitude_deg, settings.store.directory, alarms, clock.utc()
+        )
         self._readings = Readings(settings, clock, sun_elevation_deg, optimal)
-        self._wake = asyncio.Event()
-        self._wish_file = wish_file
-        before = wish_file.load()
-        self._stop_why = before.stop
-        self._hold_why = before.hold
-        if before.stow is not None:
-            self._operator.ask(before.stow)
-        self._hold_at: Target | None = None
-        self.mode = Mode.STARTING
-        self.why = "starting"
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
-        self._parked_s = -math.inf
         self._decision: Decision | None = None
         self._data = Data.WAITING
         self._last_why = ""
@@ -144,73 +140,14 @@ class Control:
             # It may be what was waited for.
             self._wake.set()
 
-    def look_again(self) -> None:
-        """Ask for an immediate look at the situation."""
-        self._wake.set()
-
-    def stow(self, why: str) -> None:
-        """Go to the stow position and stay until released."""
-        self._stop_why = None
-        self._operator.ask(why)
-        self._keep_wishes()
-
-    def hold(self, why: str) -> None:
-        """Stay where the tracker is; a move in progress is stopped. Stow still goes before it."""
-        self._stop_why = None
-        self._hold_why, self._hold_at = why, None
-        self._keep_wishes()
-
-    def goto(self, a_deg: float, b_deg: float, why: str) -> None:
-        """Go to a position and hold there.
-
-        Raises
-        ------
-        ValueError
-            Outside the limits, or not a number.
-        RefusedError
-            The tracker is stowed, starting or in fault: nothing is kept for later.
-        """
-        limits = self._settings.limits.limits()
-        if not limits.contain(a_deg, b_deg):
-            raise ValueError(f"A {a_deg:g}, B {b_deg:g} deg is outside the limits ({limits})")
-        if self.mode in (Mode.STARTING, Mode.STOW, Mode.FAULT):
-            raise RefusedError("positioner", f"cannot go there in mode {self.mode}: {self.why}")
-        self._stop_why = None
-        self._hold_why, self._hold_at = why, Target(a_deg, b_deg, why)
-        self._parked_s = -math.inf
-        self._keep_wishes()
-
-    def auto(self) -> None:
-        """Release the stop, stow and hold that an operator asked for."""
-        self._operator.release()
-        self._stop_why = self._hold_why = self._hold_at = None
-        self._keep_wishes()
-
-    async def stop(self, why: str) -> None:
-        """Stop the axes at once and keep them stopped until released, even from stowing: somebody may be in reach.
-
-        Raises `DeviceError` when the positioner cannot be reached; it is stopped on reconnection then.
-        """
-        self._stop_why = why
-        self._hold_at = None
-        try:
-            await self._motion.stop()
-        finally:
+    def note(self, record: Record) -> None:
+        """Take in a record of the bus: each pose comes with the telemetry that may show a pressed button."""
+        if isinstance(record, Pose) and self._orders.heed_buttons(self._motion.telemetry):
+            self._freeze()
             self._keep_wishes()
-
-    def _keep_wishes(self) -> None:
-        self._wish_file.save(Wishes(stop=self._stop_why, stow=self._operator.reason(0.0), hold=self._hold_why))
-        self._wake.set()
-
-    def home(self) -> None:
-        """Start a reference run of both axes."""
-        self._motion.home()
-        self._wake.set()
-
-    def clear_faults(self) -> None:
-        """Clear latched faults and doubts about the reference."""
-        self._motion.clear_faults()
-        self._wake.set()
+            text = "a button is pressed at the unit: the tracker is held until 'heliocube auto'"
+            log.warning(text)
+            self._tell(text)
 
     @property
     def state(self) -> ControlState:
@@ -253,8 +190,9 @@ class Control:
         """Look at the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
-        if self.optimal is not None and self._clock_watch.trusted:
-            self.optimal.turn(self._clock.utc())
+        if self._clock_watch.trusted:
+            self._turn_days(self._clock.utc())
+        self._freeze()
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
         self._data = situation.data
@@ -265,7 +203,14 @@ class Control:
         # Not while the tracker is stowed, held or parked: a reference run tilts the module.
         self._motion.may_rehome = mode is Mode.FAULT
         self._act(now_s, mean)
+        self._alarms.mute(muted=self.wishes.maintenance is not None)
+        self._reminders.look(self.wishes, sun_known=self._clock_watch.trusted)
         self.last_tick_s = now_s
+
+    def _turn_days(self, utc_s: float) -> None:
+        self.budget.turn(utc_s)
+        if self.optimal is not None:
+            self.optimal.turn(utc_s)
 
     def _watch_clock(self) -> None:
         step_s = self._clock_watch.step_s()
@@ -276,23 +221,36 @@ class Control:
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
-        asked = self._operator.reason(now_s)
-        stow_whys = (*([asked] if asked else []), *self._stow_watch.reasons(now_s))
+        asked = self._orders.stow.reason(now_s)
+        stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
+        self._watch_stow(stow_why)
         unheard_why = self._stow_watch.unheard_why(now_s)
         if unheard_why is not None:
             data, data_why = Data.WAITING, unheard_why
+        wishes = self.wishes
         return Situation(
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
             doubt_why=self._motion.doubt,
             homing=self._motion.homing,
-            stow_why="; ".join(stow_whys) or None,
-            stop_why=self._stop_why,
-            hold_why=self._hold_why,
+            maintenance_why=wishes.told("maintenance"),
+            stop_why=wishes.told("stop"),
+            buttons_why=wishes.told("buttons"),
+            stow_why=stow_why,
+            snow_why=wishes.snow.why if wishes.snow else None,
+            hold_why=wishes.hold.why if wishes.hold else None,
             night_why=night_why,
             data=data,
             data_why=data_why,
         )
+
+    def _watch_stow(self, stow_why: str | None) -> None:
+        """Tell when stow is wanted and a person keeps the tracker from it."""
+        stillness = self.wishes.stillness
+        if stow_why is None or stillness is None:
+            self._alarms.set("stow-wanted", None)
+        else:
+            self._alarms.set("stow-wanted", f"stow is wanted ({stow_why}), but the tracker is {stillness}; {RELEASE}")
 
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()
@@ -301,42 +259,30 @@ class Control:
         self.mode = mode
         self._since_utc_s = utc_s
         self._due_s = now_s
-        self._parked_s = -math.inf
+        self._parking.forget()
         if mode is Mode.FAULT:
             # Where an operator wanted to go before the fault may be a wrong place to go to after it.
-            self._hold_at = None
+            self._orders.hold_at = None
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:
+        safety = self._settings.safety
         if self.mode is Mode.STOW:
-            self._park(Target(self._settings.safety.stow_a_deg, self._settings.safety.stow_b_deg, self.why), now_s)
+            self._parking.park(Target(safety.stow_a_deg, safety.stow_b_deg, self.why), now_s)
         elif self.mode is Mode.NIGHT:
-            self._park(Target(self._settings.safety.night_a_deg, self._settings.safety.night_b_deg, "night"), now_s)
+            self._parking.park(Target(safety.night_a_deg, safety.night_b_deg, "night"), now_s)
+        elif self.mode is Mode.SNOW:
+            snow = self._settings.limits.limits().clip(safety.snow_a_deg, safety.snow_b_deg)
+            self._parking.park(Target(*snow, self.why), now_s)
         elif self.mode is Mode.HOLD:
             self._hold(now_s)
         elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits_for_data:
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
-        if self._hold_at is not None:
-            self._park(self._hold_at, now_s)
+        if self.wishes.stillness is None and self._orders.hold_at is not None:
+            self._parking.park(self._orders.hold_at, now_s)
         elif self._motion.moving:
             self._motion.rest()
-
-    def _park(self, target: Target, now_s: float) -> None:
-        """Bring the tracker to a fixed position and keep it there."""
-        if now_s - self._parked_s < _REPARK_S:
-            return
-        heading = self._motion.target
-        if heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg):
-            return
-        pose = self._motion.pose
-        tolerance = self._settings.motion.tolerance_deg
-        if heading is None and pose is not None and not self._motion.homing:
-            apart = max(abs(pose.a_deg - target.a_deg), abs(pose.b_deg - target.b_deg))
-            if apart <= tolerance:
-                return
-        self._parked_s = now_s
-        self._order(target)
 
     def _decide(self, now_s: float, mean: Irradiances | None) -> None:
         rested_s = now_s - self._motion.last_move_started_s
@@ -387,14 +333,18 @@ class Control:
         return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
 
     def _order_within_budget(self, target: Target) -> bool:
-        """Order a move of a law; the budget of `optimal` holds in fallback too."""
+        """Order a move of a law within the day's limits; the plan of `optimal` holds in fallback too."""
         heading = self._motion.target or self._motion.pose
-        if self.optimal is None or heading is None:
+        if heading is None:
             return self._order(target)
         distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
-        if not (self.optimal.affords(distance_deg) and self._order(target)):
+        if self.optimal is not None and not self.optimal.affords(distance_deg):
             return False
-        self.optimal.book(distance_deg)
+        if self.budget.refusal(distance_deg) is not None or not self._order(target):
+            return False
+        self.budget.book(distance_deg)
+        if self.optimal is not None:
+            self.optimal.book(distance_deg)
         return True
 
     def _order(self, target: Target) -> bool:

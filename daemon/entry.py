@@ -25,7 +25,9 @@ def _at_once(command: str, config: Path | None) -> None:
     from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
 
     try:
-        sys.stdout.write(f"{find(config, None, None).command(command)}\n")
+        reply = find(config, None, None).command(command)
     except UserError as error:
         sys.stderr.write(f"heliocube: {error}\n")
         sys.exit(2)
+    sys.stdout.write(f"{reply.text}\n")
+    sys.exit(reply.exit_code)

@@ -29,6 +29,8 @@ _STYLES = {
     Mode.FALLBACK: "bold yellow",
     Mode.STOW: "bold magenta",
     Mode.FAULT: "bold red",
+    Mode.SNOW: "bold cyan",
+    Mode.MAINTENANCE: "bold yellow",
 }
 
 
@@ -93,6 +95,7 @@ class LiveView:
         if control is not None and motion is not None:
             state = control.state
             parts += [_pose(motion), f"{state.mode}: {state.why}"]
+            parts += [f"ALARM {alarm.name}" for alarm in self._service.alarms.active]
         elif self._service.acquisition is not None and self._service.acquisition.outage.is_down:
             parts.append(self._service.acquisition.outage.reason)
         return " | ".join(parts)
@@ -125,6 +128,8 @@ class LiveView:
     def _add_tracker(self, grid: Table, control: Control, motion: Motion) -> None:
         state: ControlState = control.state
         grid.add_row("mode", Text(f"{state.mode}", style=_STYLES.get(state.mode, "bold")) + Text(f"  {state.why}"))
+        for alarm in self._service.alarms.active:
+            grid.add_row("alarm", Text(alarm.text, style="bold red"))
         if state.decision is not None and not math.isnan(state.next_decision_s):
             target = state.decision.target
             grid.add_row(

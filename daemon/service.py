@@ -25,6 +25,7 @@ from daemon.learned import LearnedFile
 from daemon.motion import OFTEN, Motion, Polling
 from daemon.motion_end import finish
 from daemon.optimal import OptimalPointing
+from daemon.orders import Orders
 from daemon.pointing import Pointing, SunElevation
 from daemon.records import Event, Scan
 from daemon.sd_notify import Notifier
@@ -144,6 +145,7 @@ class Service:
         self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
+        self.alarms = Alarms(clock, bus.publish)
         self.sun_elevation_deg = SunElevation(settings.site)
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
@@ -207,11 +209,13 @@ class Service:
             Pointing(settings.site, settings.law, limits),
             self.sun_elevation_deg,
             self.stow_watch,
-            WishFile(settings.store.directory),
+            Orders(self.clock, WishFile(settings.store.directory)),
             self.bus.publish,
+            self.alarms,
             self._optimal(limits),
             ClockWatch(self.clock, self.alarms, rig.clock_synchronised),
         )
+        self.bus.subscribe(self.control.note)
         self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
         if rig.load is not None:
             stale_s = settings.safety.scan_stale_s

@@ -13,6 +13,8 @@ _MODE_STYLES = {
     "fallback": "bold yellow",
     "stow": "bold magenta",
     "fault": "bold red",
+    "snow": "bold cyan",
+    "maintenance": "bold yellow",
 }
 _NEWS = 5
 _BAD = "bold red"
@@ -42,6 +44,9 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         mode = state["mode"]
         style = _MODE_STYLES.get(mode["name"], "bold")
         yield "mode", Text.assemble((mode["name"], style), f" since {_clock(mode['since'])}: {mode['why']}")
+    for alarm in state["alarms"]:
+        yield "alarm", Text(f"{alarm['text']}  {_since(alarm['since'], time)}", style=_BAD)
+    yield from _wishes(state)
     if state["tracker"] is not None:
         yield "tracker", _tracker(state["tracker"])
         yield from _target(state)
@@ -59,6 +64,15 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         yield from _mqtt(state["mqtt"], time)
 
 
+def _wishes(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+    """Yield what persons asked for and is in force, each with its person and beginning."""
+    for name, wish in (state["wishes"] or {}).items():
+        if wish is not None:
+            by = f" by {wish['by']}" if wish["by"] else ""
+            since = "" if wish["since"] is None else f" {_since(wish['since'], state['time'])}"
+            yield name, Text(f"{by}{since}: {wish['why']}".strip())
+
+
 def _tracker(tracker: dict[str, Any]) -> Text:
     pose = tracker["pose"]
     if pose is None:
@@ -68,6 +82,9 @@ def _tracker(tracker: dict[str, Any]) -> Text:
         text.append(", homing")
     elif tracker["target"] is not None:
         text.append(f", moving to A {tracker['target']['a_deg']:+.1f}, B {tracker['target']['b_deg']:.1f} deg")
+    currents = [_number(tracker["motor_current_a"][axis], ".2f") for axis in ("a", "b")]
+    if currents != ["-", "-"]:
+        text.append(f", motors {currents[0]} and {currents[1]} A")
     if pose["stale"]:
         text.append(f"  STALE, {_age(pose['age_s'])} old", style=_BAD)
     for why in (tracker["down_why"], tracker["blocked_why"], tracker["doubt_why"]):

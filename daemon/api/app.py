@@ -14,19 +14,18 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from daemon.api.commands import Answer, CommandError, Operator
+from daemon.api.commands import CommandError, Operator
 from daemon.api.metrics import Metrics
 from daemon.api.recent import Recent
 from daemon.api.state import kind_of, number, record_json, state
 from daemon.mqtt.status import LinkStatus
+from daemon.operator_commands import LONGEST_BODY, NAMES, BodyError, parse
 from daemon.records import Record
 from daemon.service import Service
 from daemon.store import StoreStatus
 
-_LONGEST_BODY = 4096
 # A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
 _LONGEST_READ = 64 << 20
-_LONGEST_WHY = 200
 _MOST_SCANS = 2000
 _MOST_LISTENERS = 16
 _STATE_EVERY_S = 1.0
@@ -68,9 +67,6 @@ class Api:
         self._operator = Operator(service, speed)
         self._metrics = Metrics(service, recent, store, mqtt)
         self._closing = asyncio.Event()
-        plain = {
-            name: getattr(self._operator, name) for name in ("stow", "hold", "stop", "auto", "home", "clear", "relearn")
-        }
         self.app = Starlette(
             routes=[
                 Route("/api/state", self._state),
@@ -78,8 +74,7 @@ class Api:
                 Route("/api/events", self._events),
                 Route("/healthz", self._health),
                 Route("/metrics", self._metrics_text),
-                Route("/api/goto", self._goto, methods=["POST"]),
-                *[Route(f"/api/{name}", self._plain(name, call), methods=["POST"]) for name, call in plain.items()],
+                *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
             ],
             exception_handlers={HTTPException: _refused, Exception: _broken},
         )
@@ -155,36 +150,20 @@ class Api:
     async def _metrics_text(self, _: Request) -> Response:
         return Response(self._metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
 
-    def _plain(self, name: str, call: Callable[[str], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Response]]:
+    def _command(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def command(request: Request) -> Response:
-            body = await self._body(request, ("why",))
-            return await _carried_out(name, call(_why(body)))
+            content = await _read(request)
+            self._authorise(request)
+            if content is None:
+                raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
+            try:
+                return JSONResponse(await parse(name, content, "HTTP").carry_out(self._operator))
+            except BodyError as error:
+                raise HTTPException(400, str(error)) from None
+            except CommandError as error:
+                raise HTTPException(422 if error.wrong else 409, str(error)) from None
 
         return command
-
-    async def _goto(self, request: Request) -> Response:
-        body = await self._body(request, ("a_deg", "b_deg", "why"))
-        a_deg, b_deg = _degrees(body, "a_deg"), _degrees(body, "b_deg")
-        return await _carried_out("goto", self._operator.goto(a_deg, b_deg, _why(body)))
-
-    async def _body(self, request: Request, names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the body of a command whose sender may give it."""
-        content = await _read(request)
-        self._authorise(request)
-        if content is None:
-            raise HTTPException(413, f"the body is longer than {_LONGEST_BODY} bytes")
-        if not content:
-            return {}
-        try:
-            found = json.loads(content)
-        except (ValueError, RecursionError):
-            raise HTTPException(400, "the body is not JSON") from None
-        if not isinstance(found, dict):
-            raise HTTPException(400, 'the body is not a JSON object, such as {"why": "maintenance"}')
-        for name in found:
-            if name not in names:
-                raise HTTPException(400, f"the body has {ascii(name)[:40]}, but may have only {', '.join(names)}")
-        return found
 
     def _authorise(self, request: Request) -> None:
         scheme, _, given = request.headers.get("authorization", "").partition(" ")
@@ -198,44 +177,19 @@ class Api:
             )
 
 
-async def _carried_out(name: str, command: Awaitable[Answer]) -> Response:
-    try:
-        answer = await command
-    except CommandError as error:
-        raise HTTPException(422 if error.wrong else 409, str(error)) from None
-    return JSONResponse({"command": name, "done": answer.done, "text": answer.text})
-
-
 async def _read(request: Request) -> bytes | None:
     """Return the body, or None for one that is too long."""
     content, length = bytearray(), 0
     try:
         async for chunk in request.stream():
             length += len(chunk)
-            if length <= _LONGEST_BODY:
+            if length <= LONGEST_BODY:
                 content += chunk
             if length > _LONGEST_READ:
                 break
     except ClientDisconnect:
         raise HTTPException(400, "the connection ended within the body") from None
-    return bytes(content) if length <= _LONGEST_BODY else None
-
-
-def _why(body: dict[str, Any]) -> str:
-    why = body.get("why", "an operator asked")
-    if not isinstance(why, str) or not 0 < len(why) <= _LONGEST_WHY or not why.isprintable():
-        raise HTTPException(400, f'"why" must be one line of text with at most {_LONGEST_WHY} letters')
-    return why
-
-
-def _degrees(body: dict[str, Any], name: str) -> float:
-    value = body.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise HTTPException(400, 'goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
+    return bytes(content) if length <= LONGEST_BODY else None
 
 
 def _since(text: str | None) -> float:

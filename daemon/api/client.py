@@ -1,5 +1,6 @@
 """The command line's way to the running service. It imports little: a stop must not wait for libraries to load."""
 
+import getpass
 import json
 import os
 import socket
@@ -17,9 +18,29 @@ from daemon.errors import UserError
 TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 
+NOT_SEEN = 3
+"""What the program ends with when a command's effect was not seen."""
+
 _TIMEOUT_S = 15.0
+_LONGEST_NAME = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What came of a command.
+
+    Attributes
+    ----------
+    text
+        What the tracker did, in a sentence.
+    exit_code
+        0 where the effect was seen, whole or under way, and `NOT_SEEN` where it was not.
+    """
+
+    text: str
+    exit_code: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +62,15 @@ class Client:
         """Return the service's state; raises `UserError`."""
         return self._ask("GET", "/api/state", None)
 
-    def command(self, name: str, **arguments: float | str) -> str:
-        """Give a command and return what the tracker did upon it, in a sentence; raises `UserError`."""
+    def command(self, name: str, **arguments: float | str) -> Reply:
+        """Give a command in the name of whoever runs this, and return what came of it; raises `UserError`."""
         if self.token is None:
             raise UserError(
                 f"'{name}' needs the service's token: name its configuration with --config, or its token with"
                 f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
             )
-        return str(self._ask("POST", f"/api/{name}", arguments).get("text", ""))
+        found = self._ask("POST", f"/api/{name}", {"by": whoami(), **arguments})
+        return Reply(str(found.get("text", "")), NOT_SEEN if found.get("state") == "not-seen" else 0)
 
     def _ask(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
         try:
@@ -85,6 +107,16 @@ class Client:
                 reply += part
         head, _, content = bytes(reply).partition(b"\r\n\r\n")
         return b"".join(head.split(b" ")[1:2]), content
+
+
+def whoami() -> str:
+    """Return who runs this and where, such as ``ana@lab``, as far as the machine knows."""
+    try:
+        user = getpass.getuser()
+    except (ImportError, KeyError, OSError):
+        user = "somebody"
+    text = f"{user}@{socket.gethostname()}"
+    return text if text.isprintable() and len(text) <= _LONGEST_NAME else "somebody"
 
 
 def find(

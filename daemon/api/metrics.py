@@ -9,6 +9,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from daemon.alarms import Alarms
 from daemon.api.recent import Recent
 from daemon.control import Control
 from daemon.iv_acquisition import IvAcquisition
@@ -71,6 +72,7 @@ class Metrics(Collector):
         yield info
         elevation_deg = service.sun_elevation_deg(service.clock.utc())
         yield _one("sun_elevation_degrees", "Elevation of the sun by ephemeris.", elevation_deg)
+        yield from _alarms(service.alarms)
         yield from self._cube()
         if service.control is not None and service.motion is not None:
             yield from self._tracker(service.control, service.motion)
@@ -124,12 +126,18 @@ class Metrics(Collector):
             age_s = self._service.clock.monotonic() - pose.time_monotonic_s
             yield _one("pose_age_seconds", "Age of the newest telemetry.", age_s)
         if pose is not None and motion.connected:
-            yield _angles("angle_degrees", "Where the tracker stands.", pose.a_deg, pose.b_deg)
+            yield _by_axis("angle_degrees", "Where the tracker stands.", pose.a_deg, pose.b_deg)
             if motion.telemetry is not None:
-                yield _one("supply_volts", "Motor supply of the positioner.", motion.telemetry.supply_v)
+                telemetry = motion.telemetry
+                yield _one("supply_volts", "Motor supply of the positioner.", telemetry.supply_v)
+                currents_a = (telemetry.a_motor_current_a, telemetry.b_motor_current_a)
+                yield _by_axis("motor_amperes", "Current of a motor.", *currents_a)
         if control.state.decision is not None:
             target = control.state.decision.target
-            yield _angles("target_degrees", "Where the latest decision points.", target.a_deg, target.b_deg)
+            yield _by_axis("target_degrees", "Where the latest decision points.", target.a_deg, target.b_deg)
+        used = control.budget.used
+        yield _one("day_travel_degrees", "What the laws have travelled today, A and B added.", used.travelled_deg)
+        yield _one("day_moves", "Moves of the laws today.", used.moves)
         yield _count("decisions", "Decisions of the pointing law.", self._recent.counts["Decision"])
         moves = CounterMetricFamily("heliocube_moves", "Moves, by how they ended.", labels=["outcome"])
         for outcome in MoveOutcome:
@@ -166,6 +174,14 @@ def _link(link: LinkStatus) -> Iterator[Metric]:
     yield ages
 
 
+def _alarms(alarms: Alarms) -> Iterator[Metric]:
+    yield _one("alarms", "How many alarms are on.", len(alarms.active))
+    each = _gauge("alarm", "1 for an alarm that is on.", "name")
+    for alarm in alarms.active:
+        each.add_metric([alarm.name], 1.0)
+    yield each
+
+
 def _gauge(name: str, about: str, *labels: str) -> GaugeMetricFamily:
     return GaugeMetricFamily(f"heliocube_{name}", about, labels=labels)
 
@@ -184,9 +200,9 @@ def _count(name: str, about: str, value: float) -> CounterMetricFamily:
     return CounterMetricFamily(f"heliocube_{name}", about, value=value)
 
 
-def _angles(name: str, about: str, a_deg: float, b_deg: float) -> GaugeMetricFamily:
+def _by_axis(name: str, about: str, a_value: float, b_value: float) -> GaugeMetricFamily:
     family = _gauge(name, about, "axis")
-    for axis, angle_deg in (("a", a_deg), ("b", b_deg)):
-        if math.isfinite(angle_deg):
-            family.add_metric([axis], angle_deg)
+    for axis, value in (("a", a_value), ("b", b_value)):
+        if math.isfinite(value):
+            family.add_metric([axis], value)
     return family

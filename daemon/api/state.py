@@ -6,7 +6,9 @@ from importlib.metadata import version
 from operator import attrgetter
 from typing import Any
 
+from daemon.alarms import Alarm
 from daemon.api.recent import Recent
+from daemon.budget import DayBudget
 from daemon.calibration_file import CubeCalibration
 from daemon.clock import iso_utc
 from daemon.control import Control
@@ -18,6 +20,7 @@ from daemon.service import Service
 from daemon.store import StoreStatus
 from daemon.stow_watch import StowWatch
 from daemon.tables import COLUMNS, with_irradiances
+from daemon.wishes import Wish
 
 # Telemetry comes every 10 s at rest and more often on the way.
 POSE_STALE_S = 30.0
@@ -74,7 +77,10 @@ def state(
         "calibration": None if service.calibration is None else _calibration(service.calibration, utc_s),
         "cube_down_why": acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         "wind": None if service.stow_watch is None else _wind(service.stow_watch, now_s),
+        "alarms": [_alarm(alarm) for alarm in service.alarms.active],
         "mode": None,
+        "wishes": None,
+        "today": None,
         "irradiances": None,
         "decision": None,
         "law": None,
@@ -98,6 +104,8 @@ def state(
             }
         found["next_decision_s"] = number(seen.next_decision_s)
         found["law"] = {"name": settings.law.name} | _learned(control)
+        found["wishes"] = {name: _wish(wish) for name, wish in control.wishes}
+        found["today"] = _today(control.budget)
         found["tracker"] = _tracker(service.motion, now_s)
         limits = settings.limits.limits()
         found["tracker"]["limits"] = {
@@ -125,6 +133,26 @@ def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
         "calibrated": iso_utc(calibration.calibrated_utc.timestamp()),
         "expires": iso_utc(calibration.expires_utc.timestamp()),
         "validity": calibration.validity(utc_s),
+    }
+
+
+def _alarm(alarm: Alarm) -> dict[str, Any]:
+    return {"name": alarm.name, "text": alarm.text, "since": iso_utc(alarm.since_utc_s)}
+
+
+def _wish(wish: Wish | None) -> dict[str, Any] | None:
+    if wish is None:
+        return None
+    since = None if wish.since_utc_s is None else iso_utc(wish.since_utc_s)
+    return {"why": wish.why, "by": wish.by, "since": since}
+
+
+def _today(budget: DayBudget) -> dict[str, Any]:
+    """Return what the laws have moved on this solar day and may still move."""
+    return {
+        "travelled_deg": budget.used.travelled_deg,
+        "moves": budget.used.moves,
+        "left": {"travel_deg": budget.travel_left_deg, "moves": budget.moves_left},
     }
 
 
@@ -187,6 +215,13 @@ def _tracker(motion: Motion, now_s: float) -> dict[str, Any]:
         "blocked_why": motion.blocked,
         "doubt_why": motion.doubt,
         "faults": [] if telemetry is None else list(telemetry.faults),
+        "concerns": list(motion.concerns),
+        "unexplained_why": motion.unexplained,
+        "button_pressed": None if telemetry is None else telemetry.button_pressed,
+        "motor_current_a": {
+            "a": None if telemetry is None else number(telemetry.a_motor_current_a),
+            "b": None if telemetry is None else number(telemetry.b_motor_current_a),
+        },
         "supply_v": None if telemetry is None else number(telemetry.supply_v),
         "last_move": None if last is None else record_json(last),
     }

@@ -7,11 +7,11 @@ import re
 from importlib.metadata import version
 from typing import Any
 
-from daemon.mqtt.commands import MODES
 from daemon.mqtt.link import OFFLINE, ONLINE
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.telemetry import encoded
 from daemon.mqtt.topics import Topics
+from daemon.operator_commands import MODES
 from daemon.records import FACES, Mode
 
 _NOT_IN_AN_ID = re.compile(r"[^A-Za-z0-9_-]")
@@ -94,8 +94,14 @@ def _pose(axis: str) -> dict[str, Any]:
     return _sensor(f"Angle {axis.upper()}", f"{pose}.{axis}_deg if {pose} and not {pose}.stale else none", "°")
 
 
+def _motor(axis: str) -> dict[str, Any]:
+    value = f"value_json.tracker.motor_current_a.{axis}"
+    return _sensor(f"Motor current {axis.upper()}", value, "A", "current", **_DIAGNOSTIC)
+
+
 def _commands(topics: Topics) -> dict[str, dict[str, Any]]:
-    chosen = "'hold' if value_json.mode.name == 'hold' else 'stow' if value_json.mode.name == 'stow' else 'auto'"
+    kept = [mode for mode in MODES if mode != "auto"]
+    chosen = f"value_json.mode.name if value_json.mode.name in {kept} else 'auto'"
     select = {
         "platform": "select",
         "name": "Command",
@@ -121,6 +127,10 @@ _CUBE = {
     "sun_elevation": _sensor("Sun elevation", "value_json.sun_elevation_deg", "°"),
     "readings": _binary("Cube readings", "not value_json.scan or value_json.scan.stale", "problem"),
     "simulated": _binary("Simulated", "value_json.simulated", **_DIAGNOSTIC),
+    "alarm": _binary("Alarm", "value_json.alarms", "problem"),
+    "alarm_text": _sensor(
+        "Alarm text", "value_json.alarms[0].text[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC
+    ),
     "dropped": _sensor("Messages dropped", "value_json.mqtt.dropped", None, None, **_DIAGNOSTIC),
 }
 _TRACKER = {
@@ -129,6 +139,8 @@ _TRACKER = {
     "angle_a": _pose("a"),
     "angle_b": _pose("b"),
     "supply": _sensor("Supply", "value_json.tracker.supply_v", "V", "voltage", **_DIAGNOSTIC),
+    "motor_current_a": _motor("a"),
+    "motor_current_b": _motor("b"),
     "connected": _binary("Positioner", "value_json.tracker.connected", "connectivity"),
     "moving": _binary("Moving", "value_json.tracker.moving", "moving"),
     "stowed": _binary("Stowed", "value_json.mode.name == 'stow'"),

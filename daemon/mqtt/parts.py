@@ -11,7 +11,7 @@ from daemon.api.commands import Operator
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.clock import Clock, iso_utc
 from daemon.config import Settings
-from daemon.mqtt.commands import NAMES, Commands
+from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.link import Handler, Link
@@ -21,6 +21,7 @@ from daemon.mqtt.status import InputStatus, LinkStatus
 from daemon.mqtt.telemetry import Telemetry, encoded
 from daemon.mqtt.topics import Topics
 from daemon.mqtt.unusable import unusable
+from daemon.operator_commands import NAMES
 from daemon.records import Record
 from daemon.service import Role, Service
 from daemon.stow import StowSource, WindStow

@@ -9,7 +9,7 @@ from daemon.api.state import kind_of, number, record_json
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
-from daemon.records import ModeChange, Record
+from daemon.records import Event, ModeChange, Record
 from daemon.waiting import wait_at_most
 
 # By the record's name: quality of service, and whether the broker keeps the last one.
@@ -51,12 +51,12 @@ class Telemetry:
         link.at_birth(lambda: [self._state_message()])
 
     def note(self, record: Record) -> None:
-        """Queue one record; a change of mode brings the state at once."""
+        """Queue one record; a change of mode and an alarm bring the state at once."""
         kind = kind_of(record)
         qos, retain = _MANNERS[kind]
         payload = encoded({**record_json(record), "simulated": self._simulated})
         self._link.send(Message(self._topics.of(kind), payload, qos, retain))
-        if isinstance(record, ModeChange):
+        if isinstance(record, ModeChange) or (isinstance(record, Event) and record.subject == "alarm"):
             self._wake.set()
 
     async def run(self) -> None:

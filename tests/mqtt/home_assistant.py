@@ -101,6 +101,7 @@ SHARED = {"state_topic", "command_topic", *AVAILABILITY}
 UNITS = {
     "irradiance": {"W/m²", "BTU/(h⋅ft²)"},
     "voltage": {"V", "mV"},
+    "current": {"A", "mA"},
     "wind_speed": {"ft/s", "km/h", "kn", "m/s", "mph"},
     "enum": {None},
 }

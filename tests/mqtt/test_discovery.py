@@ -40,7 +40,7 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
         "button",
     }
     assert components["mode"]["options"] == [mode.value for mode in Mode]
-    assert components["command"]["options"] == ["auto", "hold", "stow"]
+    assert components["command"]["options"] == ["auto", "hold", "stow", "snow", "maintenance"]
     for name in ("stow", "stop", "hold", "auto"):
         button = components[f"press_{name}"]
         assert button["command_topic"] == TOPICS.command(name)
@@ -50,6 +50,9 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
         "dropped",
         "why",
         "supply",
+        "motor_current_a",
+        "motor_current_b",
+        "alarm_text",
     }
 
 
@@ -127,6 +130,10 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 assert values["mode"] == "tracking"
                 assert values["command"] == "auto"
                 assert values["connected"] == "ON"
+                assert (values["alarm"], values["alarm_text"]) == ("OFF", "none")
+                for mode in ("hold", "stow", "snow", "maintenance", "fault"):
+                    found_mode = _rendered(components["command"], {**tracking, "mode": {"name": mode}})
+                    assert found_mode == ("auto" if mode == "fault" else mode)
                 assert values["readings"] == "OFF"
                 assert 0 < values["irradiance_zenith"] < 1500
                 assert values["angle_b"] == pytest.approx(tracking["tracker"]["pose"]["b_deg"])

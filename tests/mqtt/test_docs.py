@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daemon.mqtt import telemetry
-from daemon.mqtt.commands import NAMES
+from daemon.operator_commands import NAMES
 from daemon.tables import COLUMNS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "mqtt.md").read_text(encoding="utf-8")

@@ -3,12 +3,15 @@
 import asyncio
 import json
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
 from daemon.records import Event, Mode
+from daemon.store import StoreStatus
 
 from .test_faults import at_rest, commands_sent, tracking, under_way
 
@@ -229,7 +232,7 @@ def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, 
         assert reply.status == 200
         assert reply.json["done"] is True
         a_deg, b_deg = bench.truth()
-        assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: a hand" in reply.json["text"]
+        assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: stopped by HTTP since " in reply.json["text"]
 
     serve(scenario)
 
@@ -278,7 +281,7 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
         (b"\xff\xfe", 400, "the body is not JSON"),
         (b"[" * 4000, 400, "the body is not JSON"),
         (b"[1]", 400, 'the body is not a JSON object, such as {"why": "maintenance"}'),
-        (b'{"when": 1}', 400, "the body has 'when', but may have only why"),
+        (b'{"when": 1}', 400, "the body has 'when', but may have only why, by, id"),
         (b'{"why": 3}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "a\\nb"}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "' + b"x" * 201 + b'"}', 400, '"why" must be one line of text with at most 200 letters'),
@@ -336,5 +339,92 @@ def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_
         assert second.url == f"http://127.0.0.1:{port}"
         serving.cancel()
         await asyncio.wait((serving,))
+
+    serve(scenario)
+
+
+def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
+    async def scenario(bench, call):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+        await asyncio.sleep(20)
+        assert (await call.get("/api/state")).json["tracker"]["pose"]["stale"] is False
+        await asyncio.sleep(25)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["connected"], tracker["pose"]["stale"]) == (True, True)
+
+    serve(scenario)
+
+
+def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost_tracker_is(serve):
+    async def scenario(bench, call):
+        read = bench.positioner.read_telemetry
+
+        async def with_currents():
+            return replace(await read(), a_motor_current_a=0.75, b_motor_current_a=float("nan"))
+
+        bench.positioner.read_telemetry = with_currents
+        await tracking(bench)
+        assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": 0.75, "b": None}
+        metrics = (await call.get("/metrics")).body.decode()
+        assert 'heliocube_motor_amperes{axis="a"} 0.75' in metrics
+        assert 'heliocube_motor_amperes{axis="b"}' not in metrics
+        assert "heliocube_angle_degrees{" in metrics
+        bench.positioner.link_up = False
+        await bench.until(lambda: not bench.motion.connected, 15, "the loss")
+        metrics = (await call.get("/metrics")).body.decode()
+        assert "heliocube_angle_degrees{" not in metrics
+        assert "heliocube_motor_amperes{" not in metrics
+        assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": None, "b": None}
+
+    serve(scenario)
+
+
+def test_the_seventeenth_listener_is_sent_away(serve):
+    async def scenario(bench, call):
+        connections = [await call.open("GET", "/api/events") for _ in range(16)]
+        for reader, _ in connections:
+            await reader.readuntil(b"event: state")
+        reply = await call.get("/api/events")
+        assert (reply.status, reply.json) == (
+            503,
+            {"error": "too many programs listen to the events already; close one"},
+        )
+        for _, writer in connections:
+            writer.close()
+
+    serve(scenario)
+
+
+def test_health_names_a_store_that_is_down(run_rig):
+    async def scenario(bench):
+        down = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
+        settings = bench.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
+        server = ApiServer(settings, bench.service, Recent(), TOKEN, 1.0, lambda: down)
+        serving = asyncio.create_task(server.run())
+        reply = await Caller(server).get("/healthz")
+        assert (reply.status, reply.json["down"]) == (200, ["store: the disk is full"])
+        serving.cancel()
+        await asyncio.wait((serving,))
+
+    run_rig(scenario)
+
+
+def test_a_body_without_end_is_not_read_to_its_end(serve):
+    async def scenario(bench, call):
+        reader, writer = await call.open("POST", "/api/stow", headers=BEARER, length=1 << 40)
+        sent = 0
+        replying = asyncio.create_task(reader.read(200))
+        while not replying.done() and sent < 200 << 20:
+            writer.write(b"x" * (1 << 20))
+            sent += 1 << 20
+            try:
+                await writer.drain()
+            except ConnectionError:
+                break
+        assert b"413" in await replying
+        assert sent < 200 << 20
+        writer.close()
 
     serve(scenario)

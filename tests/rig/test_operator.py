@@ -29,12 +29,13 @@ def test_a_stop_in_mid_move_is_the_first_thing_sent_and_the_answer_tells_where_i
     async def scenario(bench):
         await under_way(bench)
         sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
-        answer = await operator(bench).stop("a hand near the actuator")
+        answer = await operator(bench).stop("a hand near the actuator", "ana@lab")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
         assert answer.done
         assert answer.text.startswith("stopped on the way to A ")
-        assert answer.text.endswith(f"; {angles(bench)}; mode hold: a hand near the actuator")
+        assert f"; {angles(bench)}; mode hold: stopped by ana@lab since 2022-10-12 10:0" in answer.text
+        assert answer.text.endswith(" UTC: a hand near the actuator")
         await asyncio.sleep(900)
         assert angles(bench) in answer.text, "it stays where it was stopped"
 
@@ -48,13 +49,14 @@ def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_r
         answer = await operator(bench).stow("storm")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
-        assert answer.done
+        assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("moving to A +0.0, B 90.0 deg, now at A ")
         assert answer.text.endswith("; mode stow: storm")
         await at_rest(bench)
         assert bench.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
         again = await operator(bench).stow("storm")
-        assert again.text == f"{angles(bench)}; mode stow: storm"
+        assert again.done
+        assert again.text.startswith(f"{angles(bench)}; mode stow: storm; this replaces: stowed since ")
 
     run_rig(scenario)
 
@@ -82,7 +84,7 @@ def test_a_second_stow_does_not_stop_the_first(run_rig, monkeypatch):
         await operator(bench).stow("storm")
         await asyncio.sleep(3)
         sent = commands_sent(bench, monkeypatch)
-        assert (await operator(bench).stow("storm")).done
+        assert (await operator(bench).stow("storm")).seen == "under-way"
         assert not sent
 
     run_rig(scenario)
@@ -105,10 +107,13 @@ def test_goto_goes_there_and_auto_tracks_again(run_rig):
         await tracking(bench)
         await at_rest(bench)
         answer = await operator(bench).goto(-20, 70, "look at the other side")
-        assert answer.done
+        assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("moving to A -20.0, B 70.0 deg, now at A ")
         await at_rest(bench)
-        assert (await operator(bench).goto(-20, 70, "again")).text == f"{angles(bench)}; mode hold: again"
+        await asyncio.sleep(11)
+        again = await operator(bench).goto(-20, 70, "again")
+        assert again.done
+        assert again.text.startswith(f"{angles(bench)}; mode hold: again; this replaces: held since ")
         assert "mode tracking: " in (await operator(bench).auto("done")).text
 
     run_rig(scenario)
@@ -141,14 +146,17 @@ def test_stop_outranks_every_stow_until_auto_and_the_answer_says_so(run_rig):
         await tracking(bench)
         await at_rest(bench)
         await operator(bench).stow("storm")
-        assert (await operator(bench).stop("wait")).text.endswith("; mode hold: wait")
+        stopped = await operator(bench).stop("wait")
+        assert stopped.text.endswith(" UTC: wait; stow is wanted and not done (storm)")
         bench.wind_m_s = 20.0
         await asyncio.sleep(120)
         assert bench.mode is Mode.HOLD
         await operator(bench).auto("clear of the axes")
         await bench.until_mode(Mode.STOW, 10)
         await asyncio.sleep(2)
-        assert (await operator(bench).stop("wait")).text.endswith("; mode hold: wait")
+        stopped = await operator(bench).stop("wait")
+        assert "mode hold: stopped since " in stopped.text
+        assert "; stow is wanted and not done (wind 20.0 m/s" in stopped.text
 
     run_rig(scenario)
 
@@ -158,7 +166,7 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
         await tracking(bench)
         await at_rest(bench)
         answer = await operator(bench).home("reference")
-        assert answer.done
+        assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("homing, now at A ")
         with pytest.raises(CommandError, match="homing and goes nowhere before its end"):
             await operator(bench).goto(0, 60, "x")
@@ -176,9 +184,6 @@ def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_b
             await operator(bench).stop("halt")
         assert not told.value.wrong
         await bench.until(lambda: not bench.motion.connected, 5, "the loss")
-        for call in (operator(bench).home, operator(bench).clear, lambda why: operator(bench).goto(0, 60, why)):
-            with pytest.raises(CommandError, match=r"the tracker cannot .*: positioner: is unplugged"):
-                await call("x")
         sent = commands_sent(bench, monkeypatch)
         bench.positioner.link_up = True
         await bench.until_mode(Mode.HOLD, 60)
@@ -187,6 +192,18 @@ def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_b
         stands = bench.truth()
         await asyncio.sleep(900)
         assert bench.truth() == stands
+
+    run_rig(scenario)
+
+
+def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        bench.positioner.link_up = False
+        await bench.until(lambda: not bench.motion.connected, 15, "the loss")
+        for call in (operator(bench).home, operator(bench).clear, lambda why: operator(bench).goto(0, 60, why)):
+            with pytest.raises(CommandError, match=r"the tracker cannot .*: positioner: is unplugged"):
+                await call("x")
 
     run_rig(scenario)
 

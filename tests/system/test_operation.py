@@ -98,7 +98,13 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert re.fullmatch(r"(moving to|standing at) A \+0\.0, B 90\.0 deg.*; mode stow: an operator asked\n", out), out
     code, out, _ = heliocube("stop", HELIOCUBE_CONFIG=str(config))
     assert code == 0
-    assert re.search(r"standing at A .*; mode hold: an operator asked\n$", out), out
+    assert re.search(r"standing at A .*; mode hold: stopped by \S+@\S+ since .* UTC: an operator asked; ", out), out
+    code, out, err = heliocube("goto", "-30", "60", "--config", config)
+    assert (code, out) == (2, "")
+    assert re.fullmatch(r"heliocube: no goto: the tracker is stopped by .*; only 'heliocube auto' releases it\n", err)
+    out = heliocube("status", "--config", config)[1]
+    assert re.search(r"^stop +by \S+@\S+ since .*: an operator asked *$", out, re.MULTILINE), out
+    assert re.search(r"^alarm +stow is wanted", out, re.MULTILINE), out
 
     code, out, err = heliocube("stop", *at, HELIOCUBE_TOKEN="x" * 43)
     assert (code, out, err) == (2, "", "heliocube: the token is not the service's: see api.token_file\n")

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "operate.md").read_text(encoding="utf-8")
 METRICS = (ROOT / "daemon" / "api" / "metrics.py").read_text(encoding="utf-8")
 COUNTED = re.findall(r'_count\("(\w+)"', METRICS)
-MEASURED = re.findall(r'_(?:one|gauge|angles)\(\s*"(\w+)"', METRICS)
+MEASURED = re.findall(r'_(?:one|gauge|by_axis)\(\s*"(\w+)"', METRICS)
 
 
 @pytest.mark.parametrize("name", [*Mode, *MoveOutcome, *Refusal, *(q for q in Quality if q is not Quality.OK)])

@@ -12,8 +12,11 @@ GOOD = Situation(
     blocked_why=None,
     doubt_why=None,
     homing=False,
+    maintenance_why=None,
     stop_why=None,
+    buttons_why=None,
     stow_why=None,
+    snow_why=None,
     hold_why=None,
     night_why=None,
     data=Data.FRESH,
@@ -29,6 +32,11 @@ EVERY = list(Mode)
         ({}, Mode.TRACKING),
         ({"data": Data.BAD}, Mode.FALLBACK),
         ({"night_why": "dark"}, Mode.NIGHT),
+        ({"maintenance_why": "greasing", "blocked_why": "lost", "connected": False, "stop_why": "x"}, Mode.MAINTENANCE),
+        ({"buttons_why": "pressed", "stow_why": "wind", "homing": True}, Mode.HOLD),
+        ({"snow_why": "hail", "hold_why": "asked", "night_why": "dark"}, Mode.SNOW),
+        ({"snow_why": "hail", "stow_why": "wind"}, Mode.STOW),
+        ({"snow_why": "hail", "doubt_why": "reset"}, Mode.FAULT),
         ({"stop_why": "hand in the gear", "stow_why": "wind", "homing": True}, Mode.HOLD),
         ({"hold_why": "asked", "night_why": "dark"}, Mode.HOLD),
         ({"doubt_why": "reset", "hold_why": "asked"}, Mode.FAULT),
@@ -53,4 +61,21 @@ def test_while_data_may_yet_come_only_tracking_and_fallback_go_on(mode):
     [({"stow_why": "wind 16 m/s"}, "wind 16 m/s"), ({"blocked_why": "unplugged"}, "unplugged"), ({}, "fresh")],
 )
 def test_every_mode_comes_with_its_reason(change, why):
+    assert next_mode(Mode.TRACKING, replace(GOOD, **change))[1] == why
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"stop_why": "stopped by ana", "blocked_why": "a_overcurrent"}, "a_overcurrent; stopped by ana"),
+        ({"stop_why": "stopped by ana", "connected": False}, "waiting for the positioner; stopped by ana"),
+        ({"buttons_why": "pressed", "blocked_why": "unplugged"}, "unplugged; pressed"),
+        ({"stop_why": "stopped by ana", "stow_why": "wind"}, "stopped by ana; stow is wanted and not done (wind)"),
+        (
+            {"maintenance_why": "greasing", "connected": False, "stow_why": "wind", "stop_why": "stopped by ana"},
+            "greasing; stopped by ana; waiting for the positioner; stow is wanted and not done (wind)",
+        ),
+    ],
+)
+def test_a_reason_that_the_mode_hides_is_told_beside_its_own(change, why):
     assert next_mode(Mode.TRACKING, replace(GOOD, **change))[1] == why

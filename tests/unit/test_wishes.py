@@ -1,0 +1,54 @@
+"""What is read back from the file of wishes."""
+
+import pytest
+
+from daemon.wishes import Wish, Wishes, WishFile
+
+
+def loaded(tmp_path, text):
+    (tmp_path / "operator.json").write_text(text)
+    return WishFile(tmp_path).load()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        '{"stop": 1}',
+        '{"stop": {"why": 3}}',
+        '{"stop": {"by": "ana"}}',
+        '{"halt": "x"}',
+        '{"hold": {"why": "x", "since_utc_s": 1e300}}',
+        '{"hold": {"why": "x", "since_utc_s": NaN}}',
+        '{"hold": {"why": "x", "colour": "red"}}',
+    ],
+)
+def test_what_cannot_be_read_is_a_stop(tmp_path, text):
+    found = loaded(tmp_path, text)
+    assert "operator.json cannot be read" in found.stop.why
+    assert found.stillness.startswith("stopped: ")
+
+
+def test_the_form_of_earlier_versions_is_read(tmp_path):
+    found = loaded(tmp_path, '{"stop": null, "stow": "storm", "hold": null}')
+    assert found == Wishes(stow=Wish(why="storm"))
+    assert found.told("stow") == "stowed: storm"
+
+
+def test_what_was_written_is_read_back(tmp_path):
+    wishes = Wishes(maintenance=Wish(why="greasing", by="ana@lab", since_utc_s=1665568803.25))
+    WishFile(tmp_path).save(wishes)
+    assert WishFile(tmp_path).load() == wishes
+    assert wishes.stillness == "in maintenance by ana@lab since 2022-10-12 10:00:03 UTC: greasing"
+
+
+def test_maintenance_goes_before_a_stop_and_a_stop_before_the_buttons():
+    wishes = Wishes(buttons=Wish(why="pressed"))
+    assert wishes.stillness == "held: pressed"
+    wishes = wishes.model_copy(update={"stop": Wish(why="hand")})
+    assert wishes.stillness == "stopped: hand"
+    wishes = wishes.model_copy(update={"maintenance": Wish(why="oil")})
+    assert wishes.stillness == "in maintenance: oil"
+    assert list(wishes.gone_in(Wishes())) == ["in maintenance: oil", "stopped: hand", "held: pressed"]
