@@ -76,7 +76,11 @@ class Bench:
 
     def connect(self, settings):
         """Return what drives the unit over its line."""
-        return InMemoryPositioner(self.unit, self.clock.monotonic, settings.limits.limits())
+        return self.drive(self.unit, settings)
+
+    def drive(self, unit, settings):
+        """Return the driver of a unit, or of what stands between."""
+        return InMemoryPositioner(unit, self.clock.monotonic, settings.limits.limits())
 
     def serve(self, settings, role):
         """Return a service on these instruments, as a newly started process would be."""
