@@ -5,7 +5,7 @@ import inspect
 import logging
 import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from daemon.timeloop import VirtualTimeLoop
@@ -160,9 +160,8 @@ class Run:
             self.watch.fails("does-not-recover", text)
             return
         if self.watch.is_wrong():
-            self.watch.fails(
-                "believes-a-wrong-count", f"after a reference run: truth {plant.truth()}, {plant.motion.pose}"
-            )
+            text = f"after a reference run the truth is {plant.truth()}, and the service says {plant.motion.pose}"
+            self.watch.fails("believes-a-wrong-count", text)
 
     def _count_lines(self):
         """Hold the log of each hour against what happened in it."""
@@ -180,9 +179,8 @@ class Run:
             allowed = happened[hour] + LINES_OF_AN_OUTAGE
             if count > allowed and hour < self.schedule.hours:
                 texts = Counter(text for at_s, _, _, text in self._lines.lines if int(at_s // 3600) == hour)
-                self.watch.fails(
-                    "log", f"{count} lines in hour {hour}, {allowed} allowed; most: {texts.most_common(3)}"
-                )
+                text = f"{count} lines in hour {hour}, {allowed} allowed; most: {texts.most_common(3)}"
+                self.watch.fails("log", text)
 
 
 async def _called(call, *arguments):
@@ -216,8 +214,6 @@ def run(schedule):
 
 def reduce(schedule, promises, again=run):
     """Return the schedule without all events that are not needed to break one of these promises."""
-    from dataclasses import replace
-
     events, at = list(schedule.events), 0
     while at < len(events):
         fewer = replace(schedule, events=tuple(events[:at] + events[at + 1 :]))
