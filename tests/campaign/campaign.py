@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from daemon.timeloop import VirtualTimeLoop
+from tests.campaign.doors import DOORS
 from tests.campaign.faults import FAULTS, refuse_unknown
 from tests.campaign.person import WORKS, Person, known
 from tests.campaign.plant import LogLines, build
@@ -38,32 +39,37 @@ class Outcome:
 class Run:
     """Carries out one schedule."""
 
-    def __init__(self, loop, schedule, directory, lines):
+    def __init__(self, loop, schedule, directory, lines, door):
         self.schedule = schedule
         self.watch = Watch()
         self.plant = build(loop, schedule, directory, self.watch)
-        self.person = Person(self.plant, self.watch)
+        self.person = Person(self.plant, self.watch, door)
         self._lines = lines
         self._acting = set()
         self._lasting = Counter()
         loop.set_exception_handler(self._unhandled)
-        refuse_unknown(schedule, known(self.plant.operator))
+        refuse_unknown(schedule, known(door))
 
     def _unhandled(self, loop, context):
         self.watch.fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
 
-    async def carry_out(self):
-        """Let everything of the schedule happen, set everything right, and see the tracker work again."""
-        plant = self.plant
+    async def carry_out(self, *, heal):
+        """Let everything of the schedule happen; with `heal` set everything right and see the tracker work again."""
+        plant, events = self.plant, list(self.schedule.events)
+        while events and events[0].at_s < 0:
+            # Before there is a service.
+            self._act(events.pop(0))
+            await asyncio.sleep(0)
         plant.start()
         watching = asyncio.create_task(self.watch.run(), name="watch")
         try:
-            for event in self.schedule.events:
+            for event in events:
                 await asyncio.sleep(max(event.at_s - plant.clock.monotonic(), 0.0))
                 self._act(event)
             await asyncio.sleep(max(self.schedule.hours * 3600 - plant.clock.monotonic(), 0.0))
-            await self._set_right()
-            await self._see_it_work()
+            if heal:
+                await self._set_right()
+                await self._see_it_work()
             self._count_lines()
         finally:
             acting = {*self._acting, *plant.commands}
@@ -189,8 +195,23 @@ async def _called(call, *arguments):
         await result
 
 
-def run(schedule):
-    """Carry out a schedule and return what it showed; `CannotDoError` for what cannot be done here."""
+def run(schedule, door=DOORS["direct"], *, heal=True):
+    """Carry out a schedule and return what it showed.
+
+    Parameters
+    ----------
+    schedule
+        What happens; events before 0 s happen before the service starts.
+    door
+        Through which the commands go.
+    heal
+        Whether everything is set right at the end and the tracker has to work again.
+
+    Raises
+    ------
+    CannotDoError
+        The schedule asks for something that simulator or service cannot do.
+    """
     logger = logging.getLogger("heliocube")
     with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
@@ -200,8 +221,8 @@ def run(schedule):
         logger.setLevel(logging.INFO)
         logger.propagate = False
         try:
-            running = Run(loop, schedule, Path(folder), lines)
-            runner.run(running.carry_out())
+            running = Run(loop, schedule, Path(folder), lines, door)
+            runner.run(running.carry_out(heal=heal))
         finally:
             logger.removeHandler(lines)
             logger.setLevel(level)

@@ -12,9 +12,9 @@ _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
 
 
-def known(operator):
-    """Return the commands of this module that a service's operator has."""
-    return [name for name in COMMANDS if name == "bad" or hasattr(operator, name)]
+def known(door):
+    """Return the commands of this module that go through a door."""
+    return [name for name in COMMANDS if name == "bad" or door.has(name)]
 
 
 class Person:
@@ -24,9 +24,12 @@ class Person:
     ----------
     plant, watch
         The rig, and what holds it against the promises.
+    door
+        Through which commands go; see `tests.campaign.doors`.
     """
 
-    def __init__(self, plant, watch):
+    def __init__(self, plant, watch, door):
+        self._door = door
         self._plant = plant
         self._watch = watch
         self._given = 0
@@ -43,7 +46,7 @@ class Person:
         given, plant, watch = self._given, self._plant, self._watch
         generation = plant.service
         try:
-            answer = await getattr(plant.operator, name)(*value, _WHY)
+            answer = await self._door.give(plant.service, name, value, _WHY)
         except CommandError as error:
             self._check_sentence(name, str(error))
             if stopped_before and name not in ("stop", "auto"):
@@ -78,7 +81,7 @@ class Person:
         wishes = plant.wishes()
         moving = any(watch.moving.values()) or plant.motion.moving
         try:
-            answer = await plant.operator.goto(*value, _WHY)
+            answer = await self._door.give(plant.service, "goto", value, _WHY)
         except CommandError as error:
             self._check_sentence("goto", str(error))
         else:

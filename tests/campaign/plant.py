@@ -5,7 +5,6 @@ import logging
 import shutil
 from datetime import UTC, datetime
 
-from daemon.api.commands import Operator
 from daemon.bus import Bus
 from daemon.config import Settings
 from daemon.service import Role
@@ -92,10 +91,6 @@ class Plant(Bench):
     def connect(self, settings):
         line = UnitTap(self.unit, self.watch.heard)
         return DriverTap(self.drive(line, settings), line, self.watch)
-
-    @property
-    def operator(self):
-        return Operator(self.service, 1.0)
 
     @property
     def is_served(self):
