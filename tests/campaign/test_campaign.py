@@ -18,6 +18,7 @@ from tests.campaign.schedule import _SPAN, Event, Schedule, draw
 HOURS = 1.5
 SEEDS = 12
 NO_NEW_SEED_AFTER_S = 35.0
+CACHED = "campaign/failed-seed"
 FAILED_ONCE = sorted((Path(__file__).parent / "failed_once").glob("*.json"))
 
 
@@ -27,15 +28,19 @@ def told(schedule, outcome):
     return f"{broken}\n{schedule.text()}\nagain: {again}"
 
 
-def test_no_promise_is_broken_on_fresh_seeds():
+def test_no_promise_is_broken_on_fresh_seeds(request):
     begun_s, first = time.monotonic(), SystemRandom().randrange(10**6, 10**9)
-    for seed in range(first, first + SEEDS):
+    # Whoever tries again after a failure has to get past the same seed, and not to draw a luckier one.
+    failed = request.config.cache.get(CACHED, None)
+    for seed in ([] if failed is None else [failed]) + list(range(first, first + SEEDS)):
         if time.monotonic() - begun_s > NO_NEW_SEED_AFTER_S:
             break
         schedule = draw(seed, HOURS)
         print(f"seed {seed}")
+        request.config.cache.set(CACHED, seed)
         outcome = run(schedule)
         assert not outcome.violations, told(schedule, outcome)
+        request.config.cache.set(CACHED, None)
 
 
 @pytest.mark.parametrize("path", FAILED_ONCE, ids=lambda path: path.stem)
