@@ -10,6 +10,7 @@ AT_TARGET = 1.5
 """Units of position within which direction says nothing any more."""
 
 _TARGETS = {Field.A_ANGLE: "a", Field.B_ANGLE: "b", Field.A_DESTINATION: "a", Field.B_DESTINATION: "b"}
+_HOMES = {wire.HOME_A.encode(): "a", wire.HOME_B.encode(): "b"}
 
 
 class Explained:
@@ -40,6 +41,9 @@ class Explained:
                 # On a reversal it runs the old way first.
                 self._run_out_s = now + RUN_OUT_S
             self._destination[axis] = None
+        elif code == Field.ACTION and value in _HOMES:
+            self._take_back(now)
+            self._homing.add(_HOMES[value])
         elif code == Field.STATUS or (code == Field.ACTION and value == wire.STOP.encode()):
             self._take_back(now)
 
@@ -52,10 +56,6 @@ class Explained:
     def confirmed(self, target, readings, now):
         """The driver has seen the unit take a target; its destinations are ours from now on."""
         self._destination = {axis: readings[axis][1] for axis in "ab"}
-
-    def homes(self, axis):
-        """A reference run of an axis is being ordered."""
-        self._homing.add(axis)
 
     def held(self, *, is_held, now):
         """A person holds a button at the unit, or lets it go."""

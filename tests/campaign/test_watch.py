@@ -127,6 +127,8 @@ def test_an_axis_may_run_out_after_a_stop_for_3_s(plant, lasts_s):
 
 def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(plant):
     plant.watch.homes("a")
+    plant.sends_stop()
+    plant.watch.heard(b"$95\r", plant.now_s)
     plant.motion.homing = True
     plant.wait(30, a=-30)
     assert promises(plant) == []

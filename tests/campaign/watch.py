@@ -109,7 +109,6 @@ class Watch:
     def homes(self, axis):
         if self._sendings:
             self.fails("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
-        self.explained.homes(axis)
 
     def service_begins(self):
         self._connected, self._connected_s, self._reachable_s, self._grace_s = False, math.inf, self.now_s, 0.0
