@@ -2,13 +2,23 @@
 
 import asyncio
 import json
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 from daemon.api.app import Api
-from daemon.api.commands import Answer, CommandError, Operator
+from daemon.api.commands import CommandError, Operator
 from daemon.api.recent import Recent
 from daemon.mqtt.commands import NAMES, Commands
 from daemon.mqtt.connection import Incoming
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a door says came of a command."""
+
+    done: bool
+    text: str
+
 
 _TOKEN = "t" * 43
 _DONE_BY_MQTT_S = 30.0
@@ -28,7 +38,8 @@ class Direct:
         return hasattr(Operator, name)
 
     async def give(self, service, name, value, why):
-        return await getattr(Operator(service, 1.0), name)(*value, why)
+        answer = await getattr(Operator(service, 1.0), name)(*value, why)
+        return Reply(answer.done, answer.text)
 
 
 class Http:
@@ -44,7 +55,7 @@ class Http:
             raise AssertionError(f"{name} is answered with {status}: {found}")
         if status != 200:
             raise CommandError(found["error"], wrong=status == 422)
-        return Answer(found["done"], found["text"])
+        return Reply(found["done"], found["text"])
 
     async def _post(self, service, name, body):
         app = Api(service, Recent(), _TOKEN, 1.0, lambda: None, lambda: None).app
@@ -78,7 +89,7 @@ class Mqtt:
             reply = SimpleNamespace(**await replies.get())
         if not reply.accepted:
             raise CommandError(reply.text)
-        return Answer(reply.done, reply.text)
+        return Reply(reply.done, reply.text)
 
 
 DOORS = {"direct": Direct(), "HTTP": Http(), "MQTT": Mqtt()}

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.api.commands import Answer, CommandError
+from daemon.api.commands import CommandError
 from tests.campaign.campaign import run
-from tests.campaign.doors import DOORS
+from tests.campaign.doors import DOORS, Reply
 from tests.campaign.schedule import Event, draw
 
 STOP, GOTO, STOW = (
@@ -36,7 +36,7 @@ class Lying:
 
 
 def says(done, text="standing"):
-    return lambda service: Answer(done, text)
+    return lambda service: Reply(done, text)
 
 
 def refuses(sentence):
@@ -53,13 +53,13 @@ def breaks(service):
 def kills(service):
     service.control.tick = None
     service.control.look_again()
-    return Answer(done=False, text="")
+    return Reply(done=False, text="")
 
 
 def floods(service):
     for number in range(500):
         logging.getLogger("heliocube.test").info("line %d", number)
-    return Answer(done=False, text="")
+    return Reply(done=False, text="")
 
 
 def found(events, door, *, heal=False):
