@@ -65,14 +65,26 @@ class Bench:
         self.unit = PositionerCore(loop.time(), setup)
         self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
         self.voltmeter = InMemoryVoltmeter(self.meter, loop.time)
-        self.positioner = InMemoryPositioner(self.unit, loop.time, settings.limits.limits())
+        self.positioner = self.connect(settings)
         self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
         self.load = InMemoryLoad(self.load_core, loop.time, settle_s=settings.load.settle_s, least_v=2.7)
         self.bus = Bus()
         self.records = []
         self.bus.subscribe(self.records.append)
-        self.service = Service(
+        self.service = self.serve(settings, role)
+
+    def connect(self, settings):
+        """Return what drives the unit over its line."""
+        return self.drive(self.unit, settings)
+
+    def drive(self, unit, settings):
+        """Return the driver of a unit, or of what stands between."""
+        return InMemoryPositioner(unit, self.clock.monotonic, settings.limits.limits())
+
+    def serve(self, settings, role):
+        """Return a service on these instruments, as a newly started process would be."""
+        return Service(
             settings,
             role,
             Rig(

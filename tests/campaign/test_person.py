@@ -1,0 +1,89 @@
+"""Whether the campaign sees a door that lies, a service that dies and a log that floods."""
+
+import logging
+from dataclasses import replace
+
+import pytest
+
+from daemon.api.commands import CommandError
+from tests.campaign.campaign import run
+from tests.campaign.doors import DOORS, Reply
+from tests.campaign.schedule import Event, draw
+
+STOP, GOTO, STOW = (
+    Event(150.0, "command", "stop"),
+    Event(145.0, "command", "goto", (-45.0, 30.0)),
+    Event(170.0, "command", "stow"),
+)
+BAD = Event(150.0, "command", "bad", (0.0, 14.0))
+
+
+class Lying:
+    """A door that is honest but for what a test lets it do with some commands."""
+
+    def __init__(self, **lies):
+        self._lies = lies
+        self._honest = DOORS["direct"]
+
+    def has(self, name):
+        return True
+
+    async def give(self, service, name, value, why):
+        lie = self._lies.get(name)
+        if lie is None or (name == "goto" and value != BAD.value):
+            return await self._honest.give(service, name, value, why)
+        return lie(service)
+
+
+def says(done, text="standing"):
+    return lambda service: Reply(done, text)
+
+
+def refuses(sentence):
+    def lie(service):
+        raise CommandError(sentence)
+
+    return lie
+
+
+def breaks(service):
+    raise KeyError("something")
+
+
+def kills(service):
+    service.control.tick = None
+    service.control.look_again()
+    return Reply(done=False, text="")
+
+
+def floods(service):
+    for number in range(500):
+        logging.getLogger("heliocube.test").info("line %d", number)
+    return Reply(done=False, text="")
+
+
+def found(events, door, *, heal=False):
+    outcome = run(replace(draw(1, 0.08), events=events), door, heal=heal)
+    return outcome.promises
+
+
+@pytest.mark.parametrize(
+    ("events", "lies", "promises"),
+    [
+        ((GOTO, STOP), {"stop": says(done=True)}, {"false-done", "moves-under-stop"}),
+        ((STOP, STOW), {"stow": says(done=False)}, {"stop-undone"}),
+        ((STOP, STOW), {"stow": refuses("no")}, {"refusal"}),
+        ((STOP, STOW), {"stow": refuses("the stop\nends with auto")}, {"sentence"}),
+        ((STOW,), {"stow": says(done=True, text="stowed")}, {"false-done"}),
+        ((BAD,), {"goto": says(done=False)}, {"bad-input"}),
+        ((STOP,), {"stop": breaks}, {"defect"}),
+        ((STOP,), {"stop": kills}, {"service-died"}),
+        ((STOP,), {"stop": floods}, {"log"}),
+    ],
+)
+def test_each_promise_about_answers_can_be_seen_broken(events, lies, promises):
+    assert promises <= found(events, Lying(**lies))
+
+
+def test_a_tracker_that_does_not_work_again_is_seen():
+    assert "does-not-recover" in found((STOP,), Lying(auto=says(done=True)), heal=True)

@@ -1,0 +1,256 @@
+"""Whether each promise can be seen broken, and is not where it is kept: the watch on a scripted truth."""
+
+import contextlib
+from types import SimpleNamespace
+
+import pytest
+
+from daemon.config import Settings
+from daemon.records import Mode
+from solar.frames import Angles
+from tests.campaign.watch import Watch
+
+
+class Scripted:
+    """A plant whose truth, telemetry and service say what a test lets them say."""
+
+    def __init__(self, watch):
+        self.now_s = 1000.0
+        self.clock = SimpleNamespace(monotonic=lambda: self.now_s, step_s=0.0)
+        self.at = {"a": 0.0, "b": 60.0}
+        self.count_off = 0.0
+        self.destination = {"a": 100.0, "b": 100.0}
+        self.plugged = {"positioner": True}
+        self.is_served = True
+        self.wind_m_s = 3.0
+        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None)
+        self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
+        self.service = SimpleNamespace(settings=Settings.model_validate({}))
+        self.unit = self
+        self.watch = watch
+        watch.plant = self
+        watch.service_begins()
+        self.wait(20)
+
+    def truth(self):
+        return Angles(self.at["a"], self.at["b"])
+
+    def live_screens(self, now_s):
+        a, b = self.at["a"] + self.count_off, self.at["b"]
+        numbers = {44: a, 45: self.at["a"] * 5, 46: self.destination["a"], 48: b, 49: b * 5, 50: self.destination["b"]}
+        return b"".join(b"$" + bytes([code]) + f"{value:.4f}".encode() for code, value in numbers.items())
+
+    def wait(self, duration_s, a=0.0, b=0.0):
+        """Let time pass in samples, the axes turning by so many degrees in all."""
+        steps = max(round(duration_s / 0.1), 1)
+        for _ in range(steps):
+            self.now_s += duration_s / steps
+            self.at["a"] += a / steps
+            self.at["b"] += b / steps
+            self.watch.sample()
+
+    def order(self, a, b, *, taken=True):
+        """Let the service order a move and the unit take it, or the driver say that it did not."""
+        self.motion.target = (a, b)
+        with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
+            self.watch.heard(b"$\x2c%g" % a, self.now_s)
+            self.watch.heard(b"$\x30%g" % b, self.now_s)
+            self.destination = {"a": a * 5, "b": b * 5}
+            if not taken:
+                raise ConnectionError
+
+    def sends_stop(self):
+        self.motion.target = None
+        self.watch.heard(b"$9s\r", self.now_s)
+
+
+@pytest.fixture
+def plant():
+    return Scripted(Watch())
+
+
+def promises(plant):
+    return [violation.promise for violation in plant.watch.violations]
+
+
+def test_a_move_that_was_ordered_and_taken_is_explained(plant):
+    plant.order(10, 60)
+    plant.wait(12, a=10)
+    plant.motion.target = None
+    plant.wait(5)
+    assert promises(plant) == []
+
+
+@pytest.mark.parametrize("lasts_s", [1.5, 4.0])
+def test_motion_without_an_order_is_unexplained_after_2_s(plant, lasts_s):
+    plant.wait(lasts_s, a=lasts_s)
+    plant.wait(5)
+    assert promises(plant) == (["unexplained-motion"] if lasts_s > 2 else [])
+
+
+def test_motion_away_from_the_target_is_unexplained(plant):
+    plant.order(10, 60)
+    plant.wait(5, a=-5)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_an_axis_that_drives_on_when_the_service_has_given_up_is_unexplained(plant):
+    plant.order(40, 60)
+    plant.wait(5, a=5)
+    plant.motion.target = None
+    plant.wait(5, a=5)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_a_destination_that_the_unit_has_made_itself_is_not_ours(plant):
+    plant.order(40, 60)
+    plant.wait(2, a=2)
+    plant.destination["a"] = 300.0
+    plant.wait(4, a=4)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_a_target_that_was_never_confirmed_explains_nothing(plant):
+    plant.order(10, 60, taken=False)
+    plant.wait(4, a=4)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+@pytest.mark.parametrize("lasts_s", [2.5, 8.0])
+def test_an_axis_may_run_out_after_a_stop_for_3_s(plant, lasts_s):
+    plant.order(40, 60)
+    plant.wait(2, a=2)
+    plant.sends_stop()
+    plant.wait(lasts_s, a=lasts_s)
+    assert promises(plant) == (["unexplained-motion"] if lasts_s > 5 else [])
+
+
+def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(plant):
+    plant.watch.homes("a")
+    plant.sends_stop()
+    plant.watch.heard(b"$95\r", plant.now_s)
+    plant.motion.homing = True
+    plant.wait(30, a=-30)
+    assert promises(plant) == []
+    plant.motion.homing = False
+    plant.wait(5, a=-5)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_a_person_at_the_buttons_explains_motion_and_no_one_else_does(plant):
+    plant.watch.explained.held(is_held=True, now=plant.now_s)
+    plant.watch.stop_is_asked()
+    plant.wait(20, a=20)
+    assert promises(plant) == []
+    plant.watch.explained.held(is_held=False, now=plant.now_s)
+    plant.wait(8, a=8)
+    assert set(promises(plant)) == {"unexplained-motion", "moves-under-stop"}
+
+
+@pytest.mark.parametrize("lost", ["unplugged", "deaf", "no service"])
+def test_what_nobody_can_stop_breaks_no_promise_until_it_can_be_stopped(plant, lost):
+    if lost == "unplugged":
+        plant.plugged["positioner"] = False
+    elif lost == "deaf":
+        plant.watch.deaf(is_deaf=True)
+    else:
+        plant.is_served = False
+    plant.wait(60, a=30)
+    assert promises(plant) == []
+    plant.plugged["positioner"] = plant.is_served = True
+    plant.watch.deaf(is_deaf=False)
+    plant.wait(20, a=10)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+@pytest.mark.parametrize("latch", ["stop", "maintenance"])
+@pytest.mark.parametrize("lasts_s", [0.6, 1.2])
+def test_nothing_moves_later_than_700_ms_after_a_stop(plant, latch, lasts_s):
+    plant.order(40, 60)
+    plant.wait(2, a=2)
+    plant.watch.stop_is_asked() if latch == "stop" else plant.watch.maintenance_begins()
+    plant.sends_stop()
+    plant.wait(lasts_s, a=lasts_s)
+    plant.wait(3)
+    assert promises(plant) == ([f"moves-under-{latch}"] if lasts_s > 0.85 else [])
+    if latch == "stop":
+        assert plant.watch.stop_latencies_s == [pytest.approx(lasts_s + 0.1, abs=0.02)]
+
+
+def test_what_the_unit_begins_by_itself_under_a_stop_has_2_s(plant):
+    plant.watch.stop_is_asked()
+    plant.wait(5)
+    plant.watch.moves_itself()
+    plant.wait(1.8, a=1)
+    plant.wait(5)
+    assert promises(plant) == []
+    plant.watch.moves_itself()
+    plant.wait(3, a=1)
+    assert "moves-under-stop" in promises(plant)
+
+
+def test_a_target_under_a_stop_is_seen_before_anything_moves(plant):
+    plant.watch.stop_is_asked()
+    plant.wait(5)
+    plant.order(10, 60)
+    assert promises(plant) == ["moves-under-stop"]
+    plant.watch.stop_is_released()
+
+
+@pytest.mark.parametrize(("to_deg", "count_off"), [(50.04, 0.0), (50.2, 0.0), (50.2, 5.0)])
+def test_an_order_never_drives_beyond_a_limit_in_truth(plant, to_deg, count_off):
+    plant.at["a"] = 45.0
+    plant.wait(10)
+    plant.watch.violations.clear()
+    plant.count_off = count_off
+    plant.order(60, 60)
+    plant.wait(6, a=to_deg - 45)
+    assert promises(plant) == (["limits"] if to_deg > 50.05 and not count_off else [])
+
+
+def test_a_second_target_while_one_is_being_sent_is_seen(plant):
+    with plant.watch.sending((1, 60)), plant.watch.sending((2, 60)):
+        pass
+    assert promises(plant) == ["two-targets"]
+
+
+def test_a_target_while_an_axis_still_moves_is_seen(plant):
+    plant.order(40, 60)
+    plant.wait(2, a=2)
+    plant.order(-40, 60)
+    assert promises(plant) == ["two-targets"]
+
+
+@pytest.mark.parametrize("excused", [False, True])
+def test_a_count_that_is_wrong_has_to_be_doubted(plant, excused):
+    plant.count_off = 5.0
+    plant.watch.reference_excused = excused
+    plant.wait(60)
+    assert promises(plant) == ([] if excused else ["believes-a-wrong-count"])
+    plant.watch.violations.clear()
+    plant.motion.doubt = "it restarted"
+    plant.wait(60)
+    assert promises(plant) == []
+
+
+def test_a_tracker_that_tracks_in_a_storm_is_seen(plant):
+    plant.wind_m_s = 25.0
+    plant.wait(10)
+    assert promises(plant) == []
+    plant.wait(5)
+    assert promises(plant) == ["storm"]
+
+
+def test_a_move_on_old_readings_is_seen(plant):
+    plant.control.state.scan_age_s = 20.0
+    plant.order(1, 60)
+    assert promises(plant) == ["stale"]
+
+
+def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
+    plant.clock.step_s = 43200.0
+    plant.watch.clock_steps()
+    plant.wait(60)
+    plant.control.mode = Mode.NIGHT
+    plant.order(1, 60)
+    assert promises(plant) == ["clock"]
