@@ -129,6 +129,11 @@ class Axis:
         return self._profile.crosses_s if self._profile and self.active else math.inf
 
     @property
+    def rests_s(self) -> float:
+        """When its motion ends, if it moves."""
+        return self._profile.end_s if self._profile else -math.inf
+
+    @property
     def fault_s(self) -> float:
         """When the unit's patience with a motor that gives no impulses ends."""
         if not self.active:

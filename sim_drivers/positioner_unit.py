@@ -201,7 +201,7 @@ class PositionerUnit:
     def _run_timers(self, now: float) -> None:
         axis = self._axis
         if axis.crosses_s <= now < self._braked_s == math.inf:
-            self._braked_s = now + BRAKING_S
+            self._braked_s = max(now + BRAKING_S, axis.rests_s)
         if self._braked_s <= now:
             self._end_braking(now)
         if self._idle_s <= now:

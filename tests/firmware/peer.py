@@ -8,7 +8,7 @@ from types import ModuleType
 
 from drivers.pozsol_wire import Field, TokenStream
 from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Drive, Setup
+from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Setup
 from solar.frames import Angles
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "shared" / "firmware"

@@ -1,0 +1,29 @@
+"""The tier against the maker's firmware: left out, in one line, where emulator or firmware is missing."""
+
+import pytest
+
+from tests.firmware import peer
+
+
+def pytest_collection_modifyitems(items):
+    """Mark this tier's tests, and skip them where they cannot run."""
+    missing = peer.missing()
+    for item in items:
+        if "firmware" in item.path.parts:
+            item.add_marker(pytest.mark.firmware)
+            if missing:
+                item.add_marker(pytest.mark.skip(reason=missing))
+
+
+@pytest.fixture(scope="session")
+def lock_step():
+    """The module that runs the firmware in lock step."""
+    return peer.driver()
+
+
+@pytest.fixture
+def unit(lock_step):
+    """The maker's firmware, powered up and provisioned, in lock step: A at 0, B at 90 degrees."""
+    firmware = peer.Firmware(lock_step, 0.0, 90.0)
+    yield firmware
+    firmware.close()
