@@ -272,7 +272,7 @@ class PositionerUnit:
         if axis.active and way:
             # It notices a target behind it, and drives on until it gives up.
             axis.push(math.inf, now, outward=axis.outward)
-        elif axis.active and axis.velocity_mm_s(now):
+        elif axis.active and self.button is None and axis.velocity_mm_s(now):
             axis.run_out(now)
             self._braked_s = now + BRAKING_S
         if self._idle_s == math.inf and not self._idled:

@@ -80,7 +80,7 @@ def run(module: ModuleType, case: Sequence) -> Outcome:
     """Give a case to a fresh firmware and to a fresh simulated unit on equal mechanics."""
     firmware = Firmware(module, case.a_deg, case.b_deg)
     try:
-        return compare(firmware, Simulated(*firmware.starts_at()), case)
+        return compare(firmware, firmware.twin(), case)
     finally:
         firmware.close()
 
