@@ -18,6 +18,7 @@ from tests.campaign.watch import Violation, Watch
 LINES_OF_AN_OUTAGE = 50
 LINES_OF_A_COMMAND = 8
 RECOVERS_WITHIN_S = 3000.0
+MEMORY = Path("/dev/shm")
 _ROUTINE = ("moving", "staying")
 
 
@@ -118,17 +119,20 @@ class Run:
             self.watch.deaf(is_deaf=True)
         elif name == "clock_step":
             self.watch.clock_steps()
-        elif "hall" in name or name == "undervoltage":
-            # The unit may lose counts without a word.
+        if fault.uncounts:
             self.watch.reference_excused = True
-        self.watch.wake()
+        if fault.by_hand:
+            self.watch.explained.held(is_held=True, now=self.plant.clock.monotonic())
+        self.watch.disturbs()
 
     def _note_end(self, name, fault):
         if fault.moves:
             self.watch.moves_itself()
+        if fault.by_hand:
+            self.watch.explained.held(is_held=False, now=self.plant.clock.monotonic())
         if name == "deaf":
             self.watch.deaf(is_deaf=False)
-        self.watch.wake()
+        self.watch.disturbs()
 
     async def _set_right(self):
         """End whatever still lasts."""
@@ -213,7 +217,11 @@ def run(schedule, door=DOORS["direct"], *, heal=True):
         The schedule asks for something that simulator or service cannot do.
     """
     logger = logging.getLogger("heliocube")
-    with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    # In memory where there is such a place: a run writes more often than a disk likes.
+    with (
+        tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder,
+        asyncio.Runner(loop_factory=VirtualTimeLoop) as runner,
+    ):
         loop = runner.get_loop()
         lines = LogLines(loop.time)
         level, propagate = logger.level, logger.propagate

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 from daemon.api.app import Api
 from daemon.api.commands import CommandError, Operator
 from daemon.api.recent import Recent
-from daemon.mqtt.commands import NAMES, Commands
+from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
+from daemon.operator_commands import NAMES
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,23 +26,29 @@ class Fault:
     unit_name
         The name that the simulated unit has for it, or empty.
     moves
-        The unit may begin to move by itself, or a person moves it.
+        The unit may begin to move by itself.
+    by_hand
+        A person moves it.
+    uncounts
+        The unit may lose counts without a word.
     """
 
     begin: Callable
     end: Callable | None = None
     unit_name: str = ""
     moves: bool = False
+    by_hand: bool = False
+    uncounts: bool = False
 
 
-def _injected(name, *, lasting, moves=False):
+def _injected(name, *, lasting, **kind):
     def begin(plant, value):
         plant.unit.inject(name, plant.clock.monotonic())
 
     def end(plant, value):
         plant.unit.repair(name, plant.clock.monotonic())
 
-    return Fault(begin, end if lasting else None, name, moves)
+    return Fault(begin, end if lasting else None, name, **kind)
 
 
 def _unplugged(device):
@@ -97,17 +103,23 @@ FAULTS = {
     "unplug_multiplexer": _unplugged("multiplexer"),
     "unplug_voltmeter": _unplugged("voltmeter"),
     "deaf": _injected("deaf", lasting=True),
-    "undervoltage": _injected("undervoltage", lasting=True),
+    "undervoltage": _injected("undervoltage", lasting=True, uncounts=True),
     "own_tracking": _injected("own_tracking", lasting=True, moves=True),
     "slave_mode": _injected("slave_mode", lasting=True, moves=True),
+    "slave_standby": _injected("slave_standby", lasting=True),
     "re_reference": _injected("re_reference", lasting=False, moves=True),
-    "button": _injected("button", lasting=False),
+    **{name: _injected(name, lasting=True, by_hand=True) for name in ("button", "button_in", "buttons_both")},
     "unit_wind": _injected("wind", lasting=True, moves=True),
     "unit_snow": _injected("snow", lasting=True, moves=True),
     **{
-        f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=kind != "overcurrent")
+        f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=True, uncounts=kind == "hall_loss")
         for axis in "ab"
-        for kind in ("hall_loss", "overcurrent", "cable", "switch_closed", "switch_open")
+        for kind in ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")
+    },
+    **{
+        f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=False, uncounts=kind in ("slip", "pulse_loss"))
+        for axis in "ab"
+        for kind in ("overcurrent", "pulse_loss", "destination", "slip")
     },
     "reset_position_kept": Fault(
         lambda plant, value: _restart_unit(plant, keep_position=True), None, "reset_position_kept"

@@ -94,7 +94,7 @@ class Person:
             self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
 
     def _check_refusal(self, name, sentence):
-        if "auto" not in sentence or "stop" not in sentence:
+        if "auto" not in sentence or not any(latch in sentence for latch in ("stop", "maintenance", "button")):
             self._watch.fails("refusal", f"{name} under a stop does not say how it is released: {sentence!r}")
 
     async def _check_done(self, name, value, text, given):

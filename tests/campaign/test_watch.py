@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from daemon.config import Settings
-from daemon.records import Mode
+from daemon.records import Event, Mode
 from solar.frames import Angles
 from tests.campaign.watch import Watch
 
@@ -23,7 +23,10 @@ class Scripted:
         self.plugged = {"positioner": True}
         self.is_served = True
         self.wind_m_s = 3.0
-        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None)
+        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
+        actuator = SimpleNamespace(angle_deg=lambda position: position / 5)
+        self.setup = SimpleNamespace(a_actuator=actuator, b_actuator=actuator)
+        self.records = []
         self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
         self.service = SimpleNamespace(settings=Settings.model_validate({}))
         self.unit = self
@@ -37,7 +40,7 @@ class Scripted:
 
     def live_screens(self, now_s):
         a, b = self.at["a"] + self.count_off, self.at["b"]
-        numbers = {44: a, 45: self.at["a"] * 5, 46: self.destination["a"], 48: b, 49: b * 5, 50: self.destination["b"]}
+        numbers = {44: a, 45: a * 5, 46: self.destination["a"], 48: b, 49: b * 5, 50: self.destination["b"]}
         return b"".join(b"$" + bytes([code]) + f"{value:.4f}".encode() for code, value in numbers.items())
 
     def wait(self, duration_s, a=0.0, b=0.0):
@@ -70,7 +73,12 @@ def plant():
 
 
 def promises(plant):
-    return [violation.promise for violation in plant.watch.violations]
+    """The broken promises about motion itself."""
+    return [found.promise for found in plant.watch.violations if found.promise not in ("untold", "false-alarm")]
+
+
+def tellings(plant):
+    return [found.promise for found in plant.watch.violations if found.promise in ("untold", "false-alarm")]
 
 
 def test_a_move_that_was_ordered_and_taken_is_explained(plant):
@@ -254,3 +262,22 @@ def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     plant.control.mode = Mode.NIGHT
     plant.order(1, 60)
     assert promises(plant) == ["clock"]
+
+
+@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("turned_deg", [0.2, 1.5])
+def test_what_turns_without_an_order_has_to_be_told(plant, turned_deg, told):
+    plant.wait(1.5, a=turned_deg)
+    if told:
+        plant.records.append(Event(0.0, plant.now_s, "alarm", "A moved"))
+    plant.wait(20)
+    assert tellings(plant) == (["untold"] if turned_deg > 0.5 and not told else [])
+
+
+@pytest.mark.parametrize("cause", [False, True])
+def test_an_alarm_of_what_never_happened_is_seen(plant, cause):
+    if cause:
+        plant.watch.disturbs()
+    plant.motion.unexplained = "A moved from 3 to 4 degrees without an order"
+    plant.wait(5)
+    assert tellings(plant) == ([] if cause else ["false-alarm"])

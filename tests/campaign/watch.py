@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from daemon.records import Mode
 from drivers.pozsol_wire import Field, TokenStream
 from tests.campaign.explain import Explained
+from tests.campaign.telling import Telling
 
 SAMPLE_S = 0.1
 IDLE_SAMPLE_S = 2.0
@@ -27,7 +28,9 @@ CONNECTS_WITHIN_S = 15.0
 HEARS_AGAIN_S = 6.0
 """After a unit was deaf: the service's pauses between stops may have grown by then."""
 LIMIT_DEG = 0.05
+COUNTED_DEG = 0.02
 REFERENCE_DEG = 0.8
+REFERENCE_EVERY_S = 5.0
 DOUBTS_WITHIN_S = 30.0
 STORM_S = 11.0
 STALE_S = 16.0
@@ -55,6 +58,7 @@ class Watch:
         self.violations = []
         self.stop_latencies_s = []
         self.explained = Explained()
+        self.telling = Telling(self.fails)
         self.moving = {"a": False, "b": False}
         self._at = None
         self._sampled_s = -math.inf
@@ -71,6 +75,7 @@ class Watch:
         self._stop_measured = True
         self._maintenance_s = None
         self._wrong_s = None
+        self._compared_s = -math.inf
         self.reference_excused = False
         self._storm_s = None
         self._stepped_s = -math.inf
@@ -160,6 +165,11 @@ class Watch:
         now_s = self.now_s
         return now_s - max(self._self_moved_s, self._reachable_s) < within_s or self.explained.by_hand(now_s)
 
+    def disturbs(self):
+        """A fault begins or ends."""
+        self.telling.cause(self.now_s)
+        self.wake()
+
     def wake(self):
         """Look closely for a while: something may begin to move."""
         self._fast_until_s = max(self._fast_until_s, self.now_s + 1.0)
@@ -192,6 +202,10 @@ class Watch:
         self._check_stop(now_s)
         self._check_reference(now_s)
         self._check_storm(now_s)
+        if self._live(now_s):
+            self.telling.look(self.plant, now_s)
+        else:
+            self.telling.forget()
 
     def _look_at_axis(self, axis, at_deg, turned_deg, least_deg, now_s):
         moving = self.moving[axis] = abs(turned_deg) > least_deg
@@ -207,8 +221,10 @@ class Watch:
             return
         if why is None:
             self._check_unexplained(axis, at_deg, now_s)
+            self.telling.unexplained(turned_deg, now_s)
         else:
             self._unexplained_s[axis] = None
+            self.telling.stands()
             if why == "order":
                 self._check_limits(axis, at_deg, turned_deg)
 
@@ -258,13 +274,15 @@ class Watch:
         limits = self.plant.service.settings.limits
         low, high = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
-        if beyond_deg > LIMIT_DEG and not self.is_wrong():
+        if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
             self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
 
     def _check_stop(self, now_s):
         if self._stop_s is None and self._maintenance_s is None:
             return
         moving = any(self.moving.values())
+        if not self._live(now_s):
+            self._stop_measured = True
         if self._stop_s is not None and not self._stop_measured and not moving:
             self._stop_measured = True
             self.stop_latencies_s.append(now_s - self._stop_s)
@@ -281,14 +299,21 @@ class Watch:
                 f" mode {self.plant.control.mode}: {self.plant.control.why}",
             )
 
+    def _counts(self, axis, at_deg):
+        """Whether the unit's count of an axis is the truth, to a hair."""
+        setup = self.plant.unit.setup
+        actuator = setup.a_actuator if axis == "a" else setup.b_actuator
+        return abs(actuator.angle_deg(self._readings()[axis][0]) - at_deg) < COUNTED_DEG
+
     def is_wrong(self):
         """Whether the unit's count is not what is true."""
         says, at = self._readings()["angles"], self._at or self.plant.truth()
         return max(abs(says[0] - at.a_deg), abs(says[1] - at.b_deg)) > REFERENCE_DEG
 
     def _check_reference(self, now_s):
-        if any(self.moving.values()) or not self.plant.is_served:
+        if any(self.moving.values()) or not self.plant.is_served or now_s - self._compared_s < REFERENCE_EVERY_S:
             return
+        self._compared_s = now_s
         if not self.is_wrong():
             self._wrong_s, self.reference_excused = None, False
             return
