@@ -3,7 +3,6 @@
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -175,7 +174,7 @@ class InMemoryPositioner(Cabled):
     def _look(self) -> Telemetry:
         self._require_open()
         now = self._now()
-        return replace(Telemetry(now, *_read(self._core.live_screens(now))), status_monotonic_s=now)
+        return Telemetry(*(now, *_read(self._core.live_screens(now)), (), "", now))
 
 
 # A unit at rest says the same every time.
