@@ -1,12 +1,14 @@
 """The positioner's driver on the simulated unit, in virtual time: halts, refusals, doubts."""
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
 from daemon.timeloop import VirtualTimeLoop
 from drivers.errors import LinkLostError, RefusedError, StillMovingError
 from drivers.geometry import AxisSetup, Triangle
+from drivers.positioner import PozsolPositioner
 from drivers.positioner_line import Heard
 from drivers.positioner_watch import FAST, SLOW, PositionerWatch
 from drivers.pozsol_wire import Field
@@ -58,6 +60,17 @@ def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
         with pytest.raises(StillMovingError, match="keeps moving after 12 s of stops"):
             await positioner.halt()
         assert 11.0 < now() - start_s < 14.0
+
+    on_unit(scenario)
+
+
+def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
+    async def scenario(positioner, _core, _now):
+        flat = replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0))
+        positioner = PozsolPositioner(positioner.cable, _now, flat, B)
+        assert "a_axis cannot be" in (await positioner.open()).setup_conflicts[0]
+        with pytest.raises(RefusedError, match="no position for"):
+            await positioner.move_to(0.0, 45.0)
 
     on_unit(scenario)
 
