@@ -81,6 +81,7 @@ class Watch:
         self._stepped_s = -math.inf
         self._sendings = 0
         self._told = set()
+        self._screens, self._read = b"", {}
 
     @property
     def now_s(self):
@@ -249,12 +250,18 @@ class Watch:
 
     def _readings(self):
         """What the unit itself says of its axes: position and destination of each, and the angles."""
-        found = dict(TokenStream().feed(self.plant.unit.live_screens(self.now_s) + b"$"))
-        return {
-            "a": (float(found[Field.A_POSITION]), float(found[Field.A_DESTINATION])),
-            "b": (float(found[Field.B_POSITION]), float(found[Field.B_DESTINATION])),
-            "angles": (float(found[Field.A_ANGLE]), float(found[Field.B_ANGLE])),
-        }
+        screens = self.plant.unit.live_screens(self.now_s)
+        if screens != self._screens:
+            found = dict(TokenStream().feed(screens + b"$"))
+            self._screens, self._read = (
+                screens,
+                {
+                    "a": (float(found[Field.A_POSITION]), float(found[Field.A_DESTINATION])),
+                    "b": (float(found[Field.B_POSITION]), float(found[Field.B_DESTINATION])),
+                    "angles": (float(found[Field.A_ANGLE]), float(found[Field.B_ANGLE])),
+                },
+            )
+        return self._read
 
     # The promises.
 
