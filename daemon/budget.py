@@ -50,8 +50,8 @@ class DayBudget:
         self._longitude_deg = longitude_deg
         self._path = None if directory is None else directory / _FILE_NAME
         self._alarms = alarms
-        kept, today = self._load(), self._day_of(utc_s)
-        self.used = kept if kept is not None and kept.day == today else Used(day=today)
+        # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
+        self.used = self._load() or Used(day=self._day_of(utc_s))
 
     @property
     def moves_left(self) -> int:

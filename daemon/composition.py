@@ -48,6 +48,7 @@ def site_of(settings: Settings) -> Site:
 
 
 _COVER_EVERY_S = 60.0
+_WIND_EVERY_S = 1800.0
 
 
 def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
@@ -96,7 +97,7 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
 def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
     """Build the simulated instruments that a role needs, under one sky; `UserError` for a real load among them."""
     scene = _build_scene(settings, weather)
-    rig = _under(scene, clock)
+    rig = _under(scene, clock, weather)
     if role is not Role.TRACKER:
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
         rig = replace(rig, multiplexer=multiplexer, voltmeter=voltmeter)
@@ -143,7 +144,7 @@ def build_simulated_pair(
         light = sky(settings.simulation.sky, sun, now.dni_w_m2, now.dhi_w_m2, extra)
         return light, now.temp_air_degc, now.wind_speed_m_s
 
-    around = _under(scene, clock)
+    around = _under(scene, clock, weather)
     rigs = (
         replace(around, multiplexer=multiplexer, voltmeter=voltmeter, positioner=first, load=load),
         replace(around, positioner=second, load=its_load),
@@ -157,14 +158,24 @@ def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, Weat
     return WeatherInParts([(begin_utc_s, GeneratedWeather(kind, site, seed)) for begin_utc_s, kind in parts])
 
 
-def _under(scene: Scene, clock: Clock) -> Rig:
+def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
     """Return a rig of no instruments under a sky."""
 
     def wind() -> float | None:
         with _weather_may_end():
             return scene.wind_speed(clock.utc())
 
-    return Rig(None, None, None, wind, simulated=True, sky_text=partial(_sky_text, scene, clock))
+    sensor = wind if _tells_wind(weather) else None
+    return Rig(None, None, None, sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
+
+
+def _tells_wind(weather: Weather) -> bool:
+    """Tell whether weather has wind at all: a file without it is a rig without a sensor, and no silent one."""
+    if not isinstance(weather, MeasuredWeather):
+        return True
+    instants = np.arange(weather.start_utc_s, weather.end_utc_s, _WIND_EVERY_S)
+    instants = instants[weather.covers(instants)]
+    return instants.size == 0 or bool(np.isfinite(weather.at(instants).wind_speed_m_s).any())
 
 
 def _build_tracker(

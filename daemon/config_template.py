@@ -48,7 +48,7 @@ _INTRODUCTION = """\
 The service reads one TOML file. `heliocube config init DIR` writes one in which every key is explained, with a new
 bridge key and a new token of the local interface beside it; `heliocube config check FILE` lists everything that is
 wrong with a file at once. So does `heliocube run`, and does not start; only wrong topics and JSON paths do not keep it
-from starting ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)), and a safety input that cannot be heard
+from starting ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
 keeps the tracker stowed.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,

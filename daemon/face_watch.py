@@ -1,5 +1,6 @@
 """Finding faces of the cube that cannot be true, without a self-test: against each other, the sun and a clear sky."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -72,9 +73,11 @@ class FaceWatch:
 
     def note(self, faces_w_m2: list[float], voltages_mv: list[float]) -> None:
         """Take in one scan, NaN for a face that was not read."""
-        seen = np.array([faces_w_m2, voltages_mv])
-        self._sums += np.nan_to_num(seen)
-        self._counts += np.isfinite(seen)
+        for face, (w_m2, mv) in enumerate(zip(faces_w_m2, voltages_mv, strict=True)):
+            if not math.isnan(w_m2):
+                self._w_m2[face] += w_m2
+                self._mv[face] += mv
+                self._counts[face] += 1
         elapsed_s = self._clock.monotonic() - self._begun_s
         if elapsed_s < _BLOCK_S:
             return
@@ -82,14 +85,14 @@ class FaceWatch:
             # Nothing was read for a while: a mean over the gap would mix two suns.
             self._blocks.clear()
         else:
-            self._blocks.append((self._sums, self._counts))
+            self._blocks.append((np.array([self._w_m2, self._mv]), np.array(self._counts)))
         self._begin()
         self._clock_watch.step_s()
         if len(self._blocks) == BLOCKS and self._clock_watch.trusted:
             self._judge()
 
     def _begin(self) -> None:
-        self._sums, self._counts = np.zeros((2, 4)), np.zeros((2, 4))
+        self._w_m2, self._mv, self._counts = [0.0] * 4, [0.0] * 4, [0] * 4
         self._begun_s = self._clock.monotonic()
 
     def _judge(self) -> None:

@@ -94,6 +94,7 @@ class Guard:
         self._pressed_s = float("-inf")
         self._told_buttons_s = float("-inf")
         self._judged_s = float("-inf")
+        self._strayed_at: Telemetry | None = None
         self._reset_before = False
         self._under_inquiry: str | None = None
         self._halted_for: tuple[str, ...] = ()
@@ -179,8 +180,8 @@ class Guard:
 
         What nothing explains is told and blocks every move.
         """
-        stray = self.stray
-        if stray is None:
+        stray, seen = self.stray, self._strayed_at
+        if stray is None or seen is None:
             return True
         how = f"against a stop ({self.frozen})" if self.frozen else "without an order"
         self._under_inquiry = text = f"{stray.text} {how}: {_CLEAR}"
@@ -188,7 +189,7 @@ class Guard:
         try:
             await self.halt()
             self.stray = None
-            explained = await self._explained(stray)
+            explained = await self._explained(stray, seen)
         finally:
             self._under_inquiry = None
             if not explained:
@@ -239,9 +240,10 @@ class Guard:
             self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: home it")
         elif self.stray is None:
             self.stray = stray
+            self._strayed_at = telemetry
             self._reset_before = before is not None and before.was_reset
 
-    async def _explained(self, stray: Stray) -> bool:
+    async def _explained(self, stray: Stray, seen: Telemetry) -> bool:
         """Wait for a status that is younger than the motion; tell whether a person or a restart explains it."""
         deadline_s = self._clock.monotonic() + _STATUS_WITHIN_S
         while True:
@@ -252,7 +254,9 @@ class Guard:
             if self._pressed_s > stray.seen_s - _STATUS_WITHIN_S:
                 self._tell_of_buttons(stray)
                 return True
-            if telemetry.was_reset and not self._reset_before and not telemetry.autonomous:
+            restarted = telemetry.was_reset and not (self._reset_before or telemetry.autonomous)
+            if restarted and self.watch.same_place(seen, telemetry):
+                # The count has changed with the restart, and nothing has moved since: that is a doubt.
                 return True
             late = self._clock.monotonic() >= deadline_s
             if late or telemetry.status_monotonic_s > stray.seen_s + _STATUS_LATE_S:

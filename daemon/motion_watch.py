@@ -87,6 +87,10 @@ class Watch:
         if not (self._shown and anchor is not None and _near(here, anchor, self._jitter)):
             self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
 
+    def same_place(self, one: Telemetry, other: Telemetry) -> bool:
+        """Tell whether neither axis moved between two looks."""
+        return _near(_positions(one), _positions(other), self._jitter)
+
     def expect(self, telemetry: Telemetry) -> None:
         """Let the axes go to the destinations that telemetry shows, and nowhere else: a move was confirmed."""
         # It may have been on its way for a second: the way is judged from where it stood.

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
 RELEASE = "only 'heliocube auto' releases it"
 _PRESSED = "a button was pressed at the unit: a person is there"
-# What may be said while nothing may move: more stillness.
-_MORE_STILLNESS = ("stop", "maintenance")
 
 
 class Orders:
@@ -48,10 +46,10 @@ class Orders:
 
     def refuse(self, command: str) -> None:
         """Raise `RefusedError` where a person's stop, maintenance or a person at the buttons forbids a command."""
-        stillness = self.wishes.stillness
-        if stillness is None or command == "stop":
-            return
-        if command in _MORE_STILLNESS and self.wishes.stop is None and self.wishes.maintenance is None:
+        wishes, stillness = self.wishes, self.wishes.stillness
+        # Who works at a tracker may press its buttons before saying so.
+        from_buttons = command == "maintenance" and wishes.stop is None and wishes.maintenance is None
+        if stillness is None or from_buttons:
             return
         raise RefusedError("positioner", f"no {command}: the tracker is {stillness}; {RELEASE}")
 

@@ -6,7 +6,7 @@ A service that is killed in a storm must not come back tracking because its sens
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -97,7 +97,7 @@ class StowWatch:
         self._file = file
         self._clock = clock
         self._wake = wake
-        self._kept: frozenset[str] | None = None
+        self._kept: Set[str] | None = None
         self._save_s = -math.inf
         self._unheard = {source.name for source in self._sources}
         before = file.load()
@@ -129,19 +129,35 @@ class StowWatch:
 
     async def run(self) -> None:
         """Ask the sources between the looks of control too, so that no gust is missed, until cancelled."""
-        stowed = False
-        while True:
-            stows = bool(self.reasons(self._clock.monotonic()))
+        loop = asyncio.get_running_loop()
+        failed: asyncio.Future[None] = loop.create_future()
+        stowed, timer = False, None
+
+        def look() -> None:
+            # A timer and not a sleeping task: 86,400 looks of a simulated day have to be cheap.
+            nonlocal stowed, timer
+            timer = loop.call_later(_LOOK_EVERY_S, look)
+            try:
+                stows = bool(self.reasons(self._clock.monotonic()))
+            except Exception as error:  # noqa: BLE001 - it is raised below, where this is waited for
+                timer.cancel()
+                failed.set_exception(error)
+                return
             if stows and not stowed:
                 self._wake()
             stowed = stows
-            await asyncio.sleep(_LOOK_EVERY_S)
+
+        look()
+        try:
+            await failed
+        finally:
+            if timer is not None:
+                timer.cancel()
 
     def _keep(self, found: dict[str, str], now_s: float) -> None:
-        names = frozenset(found)
-        if not self._sources or names == self._kept or now_s < self._save_s:
+        if found.keys() == self._kept or not self._sources or now_s < self._save_s:
             return
         if self._file.save(found, self._clock.utc()):
-            self._kept, self._save_s = names, -math.inf
+            self._kept, self._save_s = found.keys(), -math.inf
         else:
             self._save_s = now_s + _SAVE_AGAIN_S

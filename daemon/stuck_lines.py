@@ -42,8 +42,11 @@ def _faults(addresses: tuple[int, ...]) -> Iterator[tuple[str, Callable[[int], i
     """Yield each fault in words, with the input that is on the output when another one is selected."""
     lines = [bit for bit in range(max(addresses).bit_length()) if any(address >> bit & 1 for address in addresses)]
     input_of = {address: channel for channel, address in enumerate(addresses)}
+
+    def forced(bits: int, *, high: bool) -> Callable[[int], int | None]:
+        return lambda channel: input_of.get(addresses[channel] | bits if high else addresses[channel] & ~bits)
+
     for bit in lines:
-        yield f"line {bit} stuck low", lambda channel, bit=bit: input_of.get(addresses[channel] & ~(1 << bit))
-        yield f"line {bit} stuck high", lambda channel, bit=bit: input_of.get(addresses[channel] | 1 << bit)
-    all_high = sum(1 << bit for bit in lines)
-    yield "a port without supply (all lines high)", lambda channel: input_of.get(addresses[channel] | all_high)
+        yield f"line {bit} stuck low", forced(1 << bit, high=False)
+        yield f"line {bit} stuck high", forced(1 << bit, high=True)
+    yield "a port without supply (all lines high)", forced(sum(1 << bit for bit in lines), high=True)

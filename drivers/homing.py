@@ -16,7 +16,7 @@ _STILL_S = 0.5
 # While homing the unit aims at ten units inwards of where it is.
 _AIMS_INWARDS = 2.0
 # An axis coasts past its switch; a count that differs from 0 by more was not set there.
-_COAST_DEG = 0.15
+_COAST_DEG = 0.4
 # What an axis may have lost or gained since its last run without anything being wrong.
 _SLIP_DEG = 0.5
 

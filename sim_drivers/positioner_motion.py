@@ -66,6 +66,7 @@ class Axis:
         self._moving_until_s = self._last_edge_s = -math.inf
         self._planned: tuple[float, bool] | None = None
         self._passes_s = math.inf
+        self._blind_s = 0.0
         self.target_mm = self.counted_mm(0.0)
 
     @property
@@ -129,6 +130,11 @@ class Axis:
         return self._profile.crosses_s if self._profile and self.active else math.inf
 
     @property
+    def rests_s(self) -> float:
+        """When its motion ends, if it moves."""
+        return self._profile.end_s if self._profile else -math.inf
+
+    @property
     def fault_s(self) -> float:
         """When the unit's patience with a motor that gives no impulses ends."""
         if not self.active:
@@ -145,8 +151,8 @@ class Axis:
         if not starts and plan == self._planned:
             # Against a hard stop it stays switched on, and at rest.
             return
-        if starts:
-            self._last_edge_s = now_s
+        if not self.active:
+            self._last_edge_s = now_s - self._blind_s
         self.active, self.outward, self._planned = True, outward, plan
         here, velocity, side = self.true_mm(now_s), self.velocity_mm_s(now_s), 1.0 if outward else -1.0
         goal = target_mm + self._origin_mm + 0.5 / self.drive.counts_per_mm
@@ -155,7 +161,7 @@ class Axis:
         else:
             profile = drive_on(now_s, here, velocity, side, self.drive)
             self._replace(profile, now_s)
-            self._passes_s = profile.reaches(goal, side)
+            self._passes_s = profile.reaches(goal + side / self.drive.counts_per_mm, side)
 
     def run_out(self, now_s: float) -> None:
         """Go on without a motor."""
@@ -166,6 +172,8 @@ class Axis:
     def release(self, now_s: float) -> None:
         """Switch the motor off."""
         if self.active:
+            # The unit adds up how long it has driven blind, with pauses or without.
+            self._blind_s = now_s - self._last_edge_s if self._hall_lost else 0.0
             self.active = self.manual = False
             self.run_out(now_s)
 
@@ -181,7 +189,7 @@ class Axis:
             self._stop_looking(now_s)
             self._hall_lost = lost
             self._look_again(now_s)
-            self._last_edge_s, self._planned = now_s, None
+            self._last_edge_s, self._planned, self._blind_s = now_s, None, 0.0
 
     def count(self, counting: bool, now_s: float) -> None:
         """Begin or end to count impulses: the unit counts those of one axis at a time."""
@@ -203,7 +211,7 @@ class Axis:
         if now_s >= self.fault_s:
             self.faults.add("hall_fault")
             self.enabled = False
-            self._last_edge_s = now_s
+            self._last_edge_s, self._blind_s = now_s, 0.0
         if self._profile and now_s >= self._profile.end_s:
             profile, self._profile = self._profile, None
             self._rest_mm = profile.end

@@ -147,7 +147,8 @@ def _drive(start_s: float, position: float, velocity: float, target: float, driv
     end_s = fall.start_s + (2 * fall_mm / top if top else 0.0)
     crosses_s = min(fall.time_at(target), end_s) if top and distance else fall.start_s
     pieces += [rise, level, fall]
-    return Profile(tuple(pieces), end_s, target + side * beyond, first_s, crosses_s + _BRAKED_EDGE_S, crosses_s)
+    last_s = max(crosses_s + _BRAKED_EDGE_S, end_s - _LAST_EDGE_S)
+    return Profile(tuple(pieces), end_s, target + side * beyond, first_s, last_s, crosses_s)
 
 
 def _top_speed(distance: float, speed: float, drive: Drive) -> tuple[float, float]:

@@ -201,7 +201,7 @@ class PositionerUnit:
     def _run_timers(self, now: float) -> None:
         axis = self._axis
         if axis.crosses_s <= now < self._braked_s == math.inf:
-            self._braked_s = now + BRAKING_S
+            self._braked_s = max(now + BRAKING_S, axis.rests_s)
         if self._braked_s <= now:
             self._end_braking(now)
         if self._idle_s <= now:
@@ -272,7 +272,7 @@ class PositionerUnit:
         if axis.active and way:
             # It notices a target behind it, and drives on until it gives up.
             axis.push(math.inf, now, outward=axis.outward)
-        elif axis.active and axis.velocity_mm_s(now):
+        elif axis.active and self.button is None and axis.velocity_mm_s(now):
             axis.run_out(now)
             self._braked_s = now + BRAKING_S
         if self._idle_s == math.inf and not self._idled:

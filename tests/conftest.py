@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.firmware.peer import missing
 from tests.mqtt.broker import LEFT_OUT, MOSQUITTO
 
 # Machines are shared and slow now and then; CI draws the same examples every time.
@@ -19,10 +20,11 @@ MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def pytest_report_header():
-    """Say once what cannot be tested here."""
-    if MOSQUITTO is None:
-        return f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
-    return None
+    """Say once, in a line each, what cannot be tested here."""
+    broker = (
+        None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
+    )
+    return [line for line in (broker, missing()) if line]
 
 
 @pytest.fixture(autouse=True)

@@ -1,19 +1,33 @@
-"""The maker's firmware as a peer; where it or its emulator is not there, one line says so and the tier is left out."""
+"""The tier against the maker's firmware: left out, in one line, where emulator or firmware is missing."""
 
 import pytest
 
-from .live import LiveFirmware
-from .peer import missing
+from tests.firmware import peer
+from tests.firmware.live import LiveFirmware
 
 
 def pytest_collection_modifyitems(items):
-    """Mark the tier, and leave it out where it cannot run."""
-    why = missing()
+    """Mark this tier's tests, and skip them where they cannot run."""
+    missing = peer.missing()
     for item in items:
-        if "tests/firmware/" in item.nodeid:
+        if "firmware" in item.path.parts:
             item.add_marker(pytest.mark.firmware)
-            if why:
-                item.add_marker(pytest.mark.skip(reason=why))
+            if missing:
+                item.add_marker(pytest.mark.skip(reason=missing))
+
+
+@pytest.fixture(scope="session")
+def lock_step():
+    """The module that runs the firmware in lock step."""
+    return peer.driver()
+
+
+@pytest.fixture
+def unit(lock_step):
+    """The maker's firmware, powered up and provisioned, in lock step: A at 0, B at 90 degrees."""
+    firmware = peer.Firmware(lock_step, 0.0, 90.0)
+    yield firmware
+    firmware.close()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from types import ModuleType
 
 from drivers.pozsol_wire import Field, TokenStream
 from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Drive, Setup
+from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Setup
 from solar.frames import Angles
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "shared" / "firmware"
@@ -134,9 +134,13 @@ class Firmware:
             state["status"] & 0xFFFF_FFFF,
         )
 
-    def starts_at(self) -> tuple[float, float]:
-        """Return the true positions [mm]."""
-        return tuple(axis["true"] / COUNTS_PER_MM for axis in self.unit.state()["axes"])
+    def twin(self) -> "Simulated":
+        """Return a simulated unit that stands where this one stands, with the same bytes left over in its input."""
+        state = self.unit.state()
+        twin = Simulated(*(axis["true"] / COUNTS_PER_MM for axis in state["axes"]))
+        left_over = bytes.fromhex(state["rx"])
+        twin.core._buffer[: len(left_over)] = left_over
+        return twin
 
     def close(self) -> None:
         """End the emulator."""

@@ -2,6 +2,7 @@
 
 import random
 from dataclasses import dataclass, field
+from types import ModuleType
 
 from tests.firmware.peer import Firmware, Look, Simulated
 
@@ -21,6 +22,9 @@ STATES = (
     "slave",
     "dead halls",
     "replugged",
+    "arriving",
+    "homed",
+    "bad switch",
 )
 _SHORT_MS, _LONG_MS = 150, 4000
 _TOLERANCE_MM = 0.5
@@ -66,13 +70,23 @@ def sequence(seed: int) -> Sequence:
     """Return the case of a seed."""
     draw = random.Random(seed)
     state = draw.choice(STATES)
-    a_deg, b_deg = draw.uniform(-48, 48), draw.uniform(16, 89)
-    steps = [*_prelude(state, draw)]
+    near_low = state in ("homed", "bad switch")
+    a_deg, b_deg = draw.uniform(-51.5, -48 if near_low else 48), draw.uniform(13.5, 16 if near_low else 89)
+    steps = [*_prelude(state, a_deg, b_deg, draw)]
     for _ in range(draw.randint(1, 4)):
         wait_ms = draw.choice((draw.randint(_SHORT_MS, 900), draw.randint(_SHORT_MS, _LONG_MS)))
         steps.append(Step(_packets(draw), draw.choice((0, 0, 5, 25, 60)), wait_ms=wait_ms))
     steps.append(Step(wait_ms=draw.randint(1000, 6000)))
     return Sequence(seed, state, a_deg, b_deg, tuple(steps))
+
+
+def run(module: ModuleType, case: Sequence) -> Outcome:
+    """Give a case to a fresh firmware and to a fresh simulated unit on equal mechanics."""
+    firmware = Firmware(module, case.a_deg, case.b_deg)
+    try:
+        return compare(firmware, firmware.twin(), case)
+    finally:
+        firmware.close()
 
 
 def compare(firmware: Firmware, simulated: Simulated, case: Sequence) -> Outcome:
@@ -117,13 +131,15 @@ def _differences(all_shown: list[Look], looks: list[Look]) -> list[str]:
     return found
 
 
-def _prelude(state: str, draw: random.Random) -> list[Step]:
+def _prelude(state: str, a_deg: float, b_deg: float, draw: random.Random) -> list[Step]:
     a = Step((_target(46, draw),), wait_ms=draw.randint(_SHORT_MS, _LONG_MS))
     b = Step((_target(50, draw),), wait_ms=draw.randint(_SHORT_MS, _LONG_MS))
     home_a, home_b = (Step((packet,), wait_ms=draw.randint(_SHORT_MS, 6000)) for packet in (b"$95\r", b"$96\r"))
     stop = Step((b"$9s\r",), wait_ms=draw.randint(_SHORT_MS, 500))
     axis, wait_ms = draw.choice("AB"), draw.randint(_SHORT_MS, 3000)
     moving = a if axis == "A" else b
+    home = draw.choice((home_a, home_b))
+    near = b"$,%.1f\r" % (a_deg + draw.uniform(-4, 4)), b"$0%.1f\r" % (b_deg + draw.uniform(-4, 4))
     return {
         "idle": [],
         "A moves": [a],
@@ -132,7 +148,7 @@ def _prelude(state: str, draw: random.Random) -> list[Step]:
         "homing A": [home_a],
         "homing B": [home_b],
         "run out": [moving, stop],
-        "fault": [a, *draw.choice(([], [b])), Step(event="overcurrent A", wait_ms=wait_ms)],
+        "fault": [a, Step(event="overcurrent A", wait_ms=wait_ms)],
         "undervoltage": [
             draw.choice((moving, home_a, home_b)),
             Step(event="supply low", wait_ms=wait_ms),
@@ -147,6 +163,12 @@ def _prelude(state: str, draw: random.Random) -> list[Step]:
         "button held": [Step(event=draw.choice(("button out", "button in")), wait_ms=draw.randint(500, 2000))],
         "slave": [Step(event="slave", wait_ms=wait_ms)],
         "dead halls": [moving, Step(event=f"halls of {axis} dead", wait_ms=wait_ms)],
+        "arriving": [Step(near[: draw.randint(1, 2)], 60, wait_ms=draw.randint(300, 9000))],
+        "homed": [home, *draw.choice(([], [Step(wait_ms=2000)]))],
+        "bad switch": [
+            Step(event=draw.choice(("A's switch closed", "B's switch dead")), wait_ms=_SHORT_MS),
+            draw.choice((home, moving)),
+        ],
         "replugged": [draw.choice((moving, Step(wait_ms=_SHORT_MS))), Step(event="replug", wait_ms=_SHORT_MS)],
     }[state]
 

@@ -198,3 +198,17 @@ def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broke
                 await until(lambda: not rig.mqtt.status.troubles, "its end")
 
     scaled(scenario)
+
+
+def test_a_word_that_stowed_before_a_restart_counts_from_its_first_safe():
+    source, _, _ = safe(stow_at_least_s=60.0)
+    source.resume("stowed before the restart", 0.0)
+    for now_s in range(0, 200, 5):
+        assert source.reason(float(now_s)) == "stowed before the restart"
+    for now_s in range(200, 255, 5):
+        source.take(said("safe"))
+        assert source.reason(float(now_s)) is not None
+    assert source.status(250.0).release_in_s == 5.0
+    source.take(said("safe"))
+    assert source.reason(255.0) is None
+    assert source.status(255.0).age_s == 255.0

@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 
+from daemon.api.commands import CommandError, Operator
 from daemon.mqtt.outbox import Message
 from daemon.records import Mode
 
@@ -82,8 +83,17 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
                 assert "stow" in refused["text"]
                 assert (await ask("auto"))["accepted"] is True
                 assert rig.mode is not Mode.STOW
-                assert (await ask("stop", {"why": "a person"}))["accepted"] is True
+                stopped = await ask("stop", {"why": "a person", "by": "ana", "id": "8"})
+                assert (stopped["accepted"], stopped["id"]) == (True, "8")
                 assert rig.mode is Mode.HOLD
+                for name in ("stow", "snow", "hold", "home", "clear", "relearn", "maintenance"):
+                    refused = await ask(name)
+                    assert (refused["accepted"], refused["done"], refused["state"]) == (False, False, "refused")
+                    assert refused["text"].startswith(f"no {name}: the tracker is stopped by ana since ")
+                    assert refused["text"].endswith(" UTC: a person; only 'heliocube auto' releases it")
+                    with pytest.raises(CommandError) as same:
+                        await getattr(Operator(rig.service, SPEED), name)("x")
+                    assert str(same.value) == refused["text"]
                 for name, payload, part in [
                     ("stow", "now!", "JSON"),
                     ("stow", b"\xff\x00", "JSON"),

@@ -104,7 +104,9 @@ def positioner_host(tmp_path):
     @contextlib.asynccontextmanager
     async def served(setup=None):
         now = asyncio.get_running_loop().time
-        core = PositionerCore(now(), setup or Setup(drive=Drive(speed_mm_s=40.0, acceleration_mm_s2=400.0)))
+        core = PositionerCore(
+            now(), setup or Setup(drive=Drive(speed_mm_s=40.0, acceleration_mm_s2=400.0, run_out_s=0.01))
+        )
         host = PositionerHost(core, tmp_path / "positioner", now, np.random.default_rng(1))
         async with _running(host):
             yield host

@@ -40,6 +40,27 @@ def test_a_terminal_shows_what_is_wrong(run_rig):
     assert "voltmeter: is unplugged" in text
 
 
+def test_alarms_are_in_plain_sight_on_every_display(run_rig):
+    async def scenario(bench):
+        out, plain = io.StringIO(), io.StringIO()
+        await bench.until_mode(Mode.TRACKING, 120)
+        screens = [
+            Console(file=out, force_terminal=True, width=200, height=40),
+            Console(file=plain, force_terminal=False, width=200),
+        ]
+        viewing = [asyncio.create_task(LiveView(bench.service, screen, speed=1.0).run()) for screen in screens]
+        await bench.control.stop("repair", "ana")
+        bench.wind_m_s = 20.0
+        await asyncio.sleep(20)
+        for task in viewing:
+            task.cancel()
+        await asyncio.gather(*viewing, return_exceptions=True)
+        assert "stow is wanted (wind 20.0 m/s" in out.getvalue()
+        assert "ALARM stow-wanted" in plain.getvalue().splitlines()[-1]
+
+    run_rig(scenario)
+
+
 def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
     lines = shown(run_rig, terminal=False).splitlines()
     assert len(lines) > 10

@@ -263,7 +263,27 @@ def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
         await call(bench, "auto")
         await asyncio.sleep(11)
         assert bench.mode is Mode.HOLD
+        await call(bench, "maintenance")
+        assert bench.mode is Mode.MAINTENANCE
         assert bench.truth() == pytest.approx(stands, abs=0.3)
+
+    run_rig(scenario)
+
+
+def test_a_press_that_was_seen_before_the_release_does_not_hold_again(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        read, pressed_s = bench.positioner.read_telemetry, bench.clock.monotonic()
+
+        async def with_an_old_screen():
+            return replace(await read(), button_pressed=True, status_monotonic_s=pressed_s)
+
+        bench.positioner.read_telemetry = with_an_old_screen
+        await bench.until_mode(Mode.HOLD, 11)
+        await call(bench, "auto")
+        await asyncio.sleep(11)
+        assert bench.mode is Mode.TRACKING
 
     run_rig(scenario)
 

@@ -62,7 +62,7 @@ def test_a_mistaken_command_is_one_sentence(start_bench, tmp_path):
         ("shade", "east", "2"): "2 is not in 0 to 1",
         ("mux-line", "3", "high"): "'3' is not one of 0, 1, 2",
         ("inject", "meteor"): "'meteor' is not one of",
-        ("repair", "button"): "there is nothing to end",
+        ("repair", "re_reference"): "there is nothing to end",
         ("drop", "voltmeter", "-1"): "'-1' is not a whole number",
         ("fail", "200220"): "errors of the DAQ driver are negative",
     }

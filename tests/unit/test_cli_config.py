@@ -109,3 +109,13 @@ def test_a_bare_config_shows_its_help(heliocube):
     _, out, err = heliocube("config")
     assert "check" in out + err
     assert "init" in out + err
+
+
+def test_check_warns_of_a_stuck_line_that_no_self_test_sees_and_finds_the_file_good(heliocube, tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[instruments]\nkind = "real"\n[cube]\nself_test_channel = 7\n')
+    code, out, err = heliocube("config", "check", file)
+    assert (code, err) == (0, "")
+    assert "warning      the self-test does not see line 0 stuck high, line 1 stuck high, line 2 stuck high," in out
+    file.write_text("[cube]\nself_test_channel = 7\n")
+    assert "warning" not in heliocube("config", "check", file)[1]

@@ -119,8 +119,8 @@ def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
 def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
     assert problems("[law]\ncolour = 3") == [
         (
-            "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold, thrift,"
-            " travel_per_day_deg, moves_per_day"
+            "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold,"
+            " gain_uncertainty, thrift, travel_per_day_deg, moves_per_day"
         )
     ]
     assert problems("[zzz]")[0].startswith("zzz: there is no such section; the sections are site, cube,")
@@ -186,6 +186,10 @@ def test_a_wrong_value_is_shown_with_what_would_be_right(problems, text, line):
         ),
         ("[windows]\nmean_s = 301", "windows.mean_s = 301.0: must not be longer than windows.decide_every_s (300 s)"),
         ("[windows]\nmean_s = 4", "windows.mean_s = 4.0: must not be shorter than cube.scan_every_s (5 s)"),
+        (
+            "[cube]\nself_test_channel = 6\nsecond_self_test_channel = 6",
+            "cube.second_self_test_channel = 6: is the input of cube.self_test_channel; the self-test needs",
+        ),
         (
             "[cube]\nself_test_channel = 3",
             "cube.self_test_channel = 3: is the input of cube.zenith.channel; the self-test needs",

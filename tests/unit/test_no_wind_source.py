@@ -1,12 +1,14 @@
 """Real instruments that nobody would stow in a storm."""
 
 import asyncio
+from datetime import UTC, datetime
 from random import Random
 
 import pytest
 
 from daemon.bus import Bus
 from daemon.clock import LoopClock
+from daemon.composition import build_simulated_rig, build_weather
 from daemon.config import Settings
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
@@ -53,3 +55,16 @@ def test_it_is_said_once_and_shown(caplog):
 )
 def test_it_is_not_said_where_something_watches_or_somebody_has_accepted_it(how):
     assert not alarms_of(**how)
+
+
+@pytest.mark.parametrize(("column", "values", "sensor"), [("", "", False), (",wind_speed", ",3.5", True)])
+def test_measured_weather_without_wind_is_a_rig_without_a_sensor(tmp_path, column, values, sensor):
+    file = tmp_path / "weather.csv"
+    minutes = [f"2022-10-12T{minute // 60:02d}:{minute % 60:02d}:00Z,500,600,80{values}" for minute in range(600, 720)]
+    file.write_text("\n".join([f"time,ghi,dni,dhi{column}", *minutes, ""]))
+    settings = Settings.model_validate({"simulation": {"weather": str(file)}})
+    start_utc_s = datetime(2022, 10, 12, 10, 30, tzinfo=UTC).timestamp()
+    weather, _ = build_weather(settings, start_utc_s, start_utc_s + 60)
+    clock = LoopClock(lambda: 0.0, start_utc_s)
+    rig = build_simulated_rig(settings, Role.TRACKER, clock, weather)
+    assert (rig.wind_speed_m_s is not None) is sensor

@@ -1,0 +1,37 @@
+"""How far the simulated positioner agrees with the maker's firmware, and where not: the table of docs/hardware.md.
+
+    python -m tests.bench.firmware_agreement [SEED [COUNT]]
+
+Needs qemu-arm and the firmware's build beside the repository. About half a second a sequence.
+"""
+
+import sys
+from collections import Counter
+
+from tests.firmware.peer import driver, missing
+from tests.firmware.sequences import STATES, run, sequence
+
+
+def main(seed: int = 0, count: int = 300) -> None:
+    if why := missing():
+        sys.exit(why)
+    module = driver()
+    tried, differing = Counter(), Counter()
+    for number in range(seed, seed + count):
+        outcome = run(module, sequence(number))
+        state = outcome.sequence.state
+        tried[state] += 1
+        if outcome.differences:
+            differing[state] += 1
+            print(f"{number} ({state}): {'; '.join(outcome.differences[:3])}")
+            for step in outcome.sequence.steps:
+                print(f"    {step}")
+    print(f"{'state':16} {'sequences':>9} {'agree':>6}")
+    for state in STATES:
+        print(f"{state:16} {tried[state]:9} {tried[state] - differing[state]:6}")
+    agree = count - differing.total()
+    print(f"{'all':16} {count:9} {agree:6}   {100 * agree / count:.1f} %")
+
+
+if __name__ == "__main__":
+    main(*(int(argument) for argument in sys.argv[1:3]))

@@ -1,0 +1,91 @@
+"""The programs against the maker's firmware as a person runs them: the probe, and the whole role of a tracker."""
+
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+HELIOCUBE = Path(sys.executable).with_name("heliocube")
+TOKEN = "0123456789abcdef0123456789abcdef"
+
+
+def heliocube(*arguments):
+    return subprocess.run(
+        [str(HELIOCUBE), *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def configure(firmware, folder, more=""):
+    config = folder / "heliocube.toml"
+    config.write_text(
+        f'[instruments]\nkind = "real"\n[instruments.positioner]\nport = "{firmware.link}"\n{more}', encoding="utf-8"
+    )
+    return config
+
+
+def free_port():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def test_the_probe_identifies_compares_and_moves_both_axes_and_back(start_firmware, tmp_path):
+    firmware = start_firmware(10.0, 60.0)
+    before = firmware.pose_deg()
+    done = heliocube("probe", "positioner", "-c", configure(firmware, tmp_path), "--seconds", "4", "--move-deg", "2")
+    assert done.returncode == 0, done.stderr
+    assert "board 36A1" in done.stdout
+    assert "geometry of A fits" in done.stdout
+    assert "agree with the configuration" in done.stdout
+    assert len(re.findall(r" deg/s, stands at ", done.stdout)) == 4
+    assert firmware.pose_deg() == pytest.approx(before, abs=0.3)
+
+
+def test_the_probe_moves_nothing_on_a_unit_that_contradicts_the_configuration(start_firmware, tmp_path):
+    firmware = start_firmware(10.0, 60.0)
+    wrong = "[instruments.positioner.a_axis]\narm_1_mm = 290.0\n"
+    before = firmware.positions_mm()
+    done = heliocube(
+        "probe", "positioner", "-c", configure(firmware, tmp_path, wrong), "--seconds", "1", "--move-deg", "2"
+    )
+    assert done.returncode == 2
+    assert "field 72 of the positioner says 300, but instruments.positioner.a_axis.arm_1_mm is 290" in done.stdout
+    assert "Traceback" not in done.stderr
+    assert firmware.positions_mm() == before
+
+
+def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
+    firmware = start_firmware()
+    (tmp_path / "token").write_text(TOKEN, encoding="utf-8")
+    (tmp_path / "token").chmod(0o600)
+    more = (
+        f'[api]\nlisten = "127.0.0.1:{free_port()}"\ntoken_file = "{tmp_path / "token"}"\n'
+        '[bridge]\nlisten = "127.0.0.1:0"\ninsecure = true\n'
+    )
+    config = configure(firmware, tmp_path, more)
+    with (tmp_path / "log").open("w") as log:
+        service = subprocess.Popen(
+            [str(HELIOCUBE), "run", "-c", str(config), "--role", "tracker", "--for", "90"], stdout=log, stderr=log
+        )
+    try:
+        deadline_s = time.monotonic() + 40.0
+        while (going := heliocube("goto", "-c", config, "--", "-20", "85")).returncode:
+            assert time.monotonic() < deadline_s, going.stderr
+            time.sleep(0.5)
+        while abs(firmware.pose_deg()[0]) < 1.0:
+            assert time.monotonic() < deadline_s, "it does not move"
+            time.sleep(0.1)
+        stopped = heliocube("stop", "-c", config)
+        assert stopped.returncode == 0, stopped.stderr
+        stands = firmware.positions_mm()
+        time.sleep(2.0)
+        assert firmware.positions_mm() == pytest.approx(stands, abs=0.05), "it stood when the command returned"
+        assert abs(firmware.pose_deg()[0]) < 15.0
+    finally:
+        service.terminate()
+        service.wait(20.0)
+    assert service.returncode == 0, (tmp_path / "log").read_text(encoding="utf-8")

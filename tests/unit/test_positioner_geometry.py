@@ -1,0 +1,104 @@
+"""Angles and positions of an axis, what is sent for a target, and what the unit's own settings contradict."""
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.geometry import AxisSetup, Proportional, Triangle
+from drivers.unit_setup import SETUP_FIELDS, conflicts, count_step, unheard
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
+# As public firmware prints them when it is provisioned with these triangles.
+FIELDS = dict(zip(range(70, 78), ("195.3", "300.0", "300.0", "0.0", "0.0", "1.0", "-90.0", "0.0"), strict=True)) | {
+    78: "75.0", 79: "376", 80: "2", 83: "3", 110: "0", 111: "0", 192: "0.00", 193: "0.00", 104: "75.0", 105: "286",
+    106: "2", 107: "3",
+}  # fmt: skip
+FIELDS |= dict(zip(range(96, 104), ("255.9", "300.0", "300.0", "0.0", "0.0", "1.0", "-37.5", "0.0"), strict=True))
+
+
+@given(st.sampled_from([A, B]), st.floats(0, 1))
+def test_what_is_sent_stands_within_the_limits_and_half_a_unit_from_the_target_unless_at_a_limit(setup, share):
+    target_deg = setup.minimum_deg + share * (setup.maximum_deg - setup.minimum_deg)
+    target_deg = min(target_deg, setup.maximum_deg)
+    sent = setup.destination(target_deg)
+    lowest, highest = (setup.geometry.position(end) for end in (setup.minimum_deg, setup.maximum_deg))
+    assert lowest <= sent <= highest
+    at_a_limit = sent - lowest < 1.2 or highest - sent < 1.2
+    assert abs(sent - setup.geometry.position(target_deg)) <= (1.2 if at_a_limit else 0.5)
+
+
+def test_a_target_at_a_limit_is_rounded_inwards():
+    assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(-50.0)) > -50.0
+    assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(50.0)) < 50.0
+    assert B.geometry.angle_at_length(B.geometry.low_length_mm + B.destination(90.0)) < 90.0
+
+
+@pytest.mark.parametrize("sense", ["raises", "lowers"])
+def test_a_holder_and_either_sense_of_extension_turn_into_angles_and_back(sense):
+    apex_deg, low_deg = (90.0, -52.0) if sense == "raises" else (90.0, 52.0)
+    triangle = Triangle(300.0, 290.0, apex_deg, low_deg, 39.6, sense)
+    for angle_deg in (-50.0, -10.0, 0.0, 33.3, 50.0):
+        length_mm = triangle.low_length_mm + triangle.position(angle_deg)
+        assert triangle.angle_at_length(length_mm) == pytest.approx(angle_deg)
+    setup = AxisSetup(triangle, -50.0, 50.0)
+    assert 0 < setup.destination(-50.0 if sense == "raises" else 50.0) < 20
+
+
+def test_an_offset_of_the_unit_is_taken_off_what_is_sent():
+    assert replace(A, zero_offset=2.5).destination(0.0) == round(A.geometry.position(0.0) - 2.5)
+
+
+def test_a_geometry_that_cannot_be_has_no_destination():
+    for setup in (
+        replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0)),
+        replace(A, geometry=Proportional(math.nan, 0.0)),
+    ):
+        with pytest.raises(ValueError, match="no position"):
+            setup.destination(-49.0)
+
+
+def test_a_unit_that_is_set_as_configured_contradicts_nothing_and_silence_contradicts_nothing():
+    assert conflicts(FIELDS, A, B) == ()
+    assert unheard(FIELDS) == ()
+    assert conflicts({}, A, B) == ()
+    assert unheard({}) == tuple(sorted(SETUP_FIELDS))
+    assert count_step(FIELDS, "a") == pytest.approx(1 / 75)
+    assert count_step({}, "a") is None
+
+
+@pytest.mark.parametrize(
+    ("code", "text", "sentence"),
+    [
+        (70, "197.3", "field 70.*low_deg is -52,.*set it to -51.60"),
+        (71, "280.0", "field 71.*says 280, but instruments.positioner.a_axis.arm_1_mm is 300: set it to 280"),
+        (98, "310.0", "field 98.*b_axis.arm_2_mm"),
+        (100, "39.6", "field 100.*b_axis.holder_mm is 0"),
+        (75, "0.0", r'field 75.*\(extension lowers the angle\), but.*is "raises": set it to "lowers"'),
+        (76, "-88.0", r"field 76 \+ 77.*says 88, but .*a_axis.apex_deg is 90"),
+        (103, "5.0", r"field 102 \+ 103.*b_axis.apex_deg"),
+        (83, "1", "field 83.*geometry 1 for axis A, which has no positions in mm"),
+        (79, "300", r"range of axis A ends at 300 \(field 79\), but limits.a_min_deg to a_max_deg need 11 to 368"),
+        (111, "20", "range of axis B begins at 20"),
+        (192, "1.50", "field 192.*a_axis.zero_offset is 0: set it to 1.5"),
+    ],
+)
+def test_each_setting_that_differs_is_told_with_field_both_values_and_remedy(code, text, sentence):
+    (found,) = conflicts(FIELDS | {code: text}, A, B)
+    assert re.search(sentence, found), found
+
+
+def test_the_other_geometries_of_the_firmware_are_understood():
+    # Mode 13 counts from the zenith, mode 2 has arms, holder and length in another order.
+    lowers = replace(A, geometry=Triangle(300.0, 300.0, 90.0, 52.0, 0.0, "lowers"))
+    assert conflicts(FIELDS | {83: "13", 76: "0.0"}, lowers, B) == ()
+    etop = dict(zip(range(70, 78), ("300.0", "300.0", "0.0", "195.3", "0.0", "0.0", "0.0", "0.0"), strict=True))
+    assert conflicts(FIELDS | etop | {83: "2"}, A, B) == ()
+    drive = AxisSetup(Proportional(1.0, -60.0), -50.0, 50.0)
+    assert conflicts(FIELDS | {70: "120.0", 83: "1", 80: "3"}, drive, B) == ()
+    (found,) = conflicts(FIELDS | {70: "130.0", 83: "1", 80: "3"}, drive, B)
+    assert "field 70 of the positioner says -50, but instruments.positioner.a_axis.low_deg is -60" in found
