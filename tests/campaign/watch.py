@@ -80,6 +80,7 @@ class Watch:
         self._storm_s = None
         self._stepped_s = -math.inf
         self._sendings = 0
+        self._sent_s = -math.inf
         self._told = set()
         self._screens, self._read = b"", {}
 
@@ -110,6 +111,7 @@ class Watch:
             yield
         finally:
             self._sendings -= 1
+            self._sent_s = self.now_s
         self.explained.confirmed(target, self._readings(), self.now_s)
 
     def homes(self, axis):
@@ -222,7 +224,9 @@ class Watch:
             return
         if why is None:
             self._check_unexplained(axis, at_deg, now_s)
-            self.telling.unexplained(turned_deg, now_s)
+            # One axis may have taken a target that the other did not take: the move fails, and that is told.
+            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S:
+                self.telling.unexplained(turned_deg, now_s)
         else:
             self._unexplained_s[axis] = None
             self.telling.stands()
