@@ -3,7 +3,9 @@
 import asyncio
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any, TypeVar
 
 from daemon.clock import Clock
 from daemon.config import Motion as MotionSettings
@@ -19,6 +21,8 @@ from drivers.interfaces import Axis, Positioner
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
+
+T = TypeVar("T")
 
 _BETWEEN_ATTEMPTS_S = 1.0
 # The unit itself gives up after 10 min.
@@ -237,7 +241,7 @@ class Runs:
         guard = self._guard
         guard.clearing = True
         try:
-            await guard.attended(self._positioner.clear_faults())
+            await guard.attended(self._unless_interrupted(self._positioner.clear_faults))
             guard.doubts.cleared()
         finally:
             guard.clearing = False
@@ -256,7 +260,7 @@ class Runs:
     async def _home_one(self, axis: Axis) -> None:
         guard = self._guard
         guard.watch.expect_homing(axis, await guard.look(moving=True))
-        await guard.attended(self._positioner.home(axis))
+        await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
         deadline_s = self._clock.monotonic() + _HOMING_WITHIN_S
         while True:
             telemetry = await guard.look(moving=True)
@@ -275,6 +279,12 @@ class Runs:
         trouble = telemetry.reference_doubt or ", ".join(telemetry.faults)
         if trouble or telemetry.was_reset:
             raise _HomingFailedError(trouble or "the positioner has restarted")
+
+    async def _unless_interrupted(self, call: Callable[[], Coroutine[Any, Any, T]]) -> T:
+        """Return what the driver's call returns; it is looked at with the call itself, for a stop may come any time."""
+        if self._interrupted:
+            raise RefusedError("positioner", "a stop came in between")
+        return await call()
 
     def _tell(self, text: str) -> None:
         log.info(text)

@@ -4,7 +4,7 @@ Kept beside the store, so that a restart of the service forgets none of it.
 """
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -33,6 +33,12 @@ class _Kept(BaseModel):
     homing: bool = False
 
 
+def _said_once(texts: Iterable[str]) -> str:
+    """Return the sentences in one, without those that another one says as well."""
+    parts = list(dict.fromkeys(part for text in texts for part in text.split("; ")))
+    return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
+
+
 class Doubts:
     """Doubts and incidents by kind, and the faults that were last seen.
 
@@ -58,7 +64,7 @@ class Doubts:
     @property
     def reference(self) -> str | None:
         """Why the reference is in doubt, or None."""
-        return "; ".join(self._doubts.values()) or None
+        return _said_once(self._doubts.values()) or None
 
     @property
     def incident(self) -> str | None:

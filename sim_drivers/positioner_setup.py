@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from solar.frames import Angles
 
@@ -25,6 +25,8 @@ class Actuator:
         Extension raises the tracker's angle; else it lowers it, and `low_deg` is the higher of the two.
     zero_offset_mm
         What the unit adds to every target, as its fields 192 and 193 have it.
+    stator_mm, travel_mm
+        Length of the actuator at the low end switch, and from there to the high one; they follow from the rest.
     """
 
     arm_1_mm: float
@@ -35,6 +37,8 @@ class Actuator:
     holder_mm: float = 0.0
     raises: bool = True
     zero_offset_mm: float = 0.0
+    stator_mm: float = field(init=False, repr=False, compare=False)
+    travel_mm: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not (self.arm_1_mm > 0 and self.arm_2_mm > 0 and (self.low_deg < self.high_deg) is self.raises):
@@ -43,16 +47,9 @@ class Actuator:
             raise ValueError(f"the triangle must stay between 0 and 180 deg over the whole travel, not {self}")
         if not (0 <= self.holder_mm < self._side_mm(self.low_deg) and math.isfinite(self.zero_offset_mm)):
             raise ValueError(f"the holder must be shorter than the retracted actuator, not {self}")
-
-    @property
-    def stator_mm(self) -> float:
-        """Length of the actuator at the low end switch."""
-        return self._length_mm(self.low_deg)
-
-    @property
-    def travel_mm(self) -> float:
-        """Distance between the two end switches."""
-        return self.position_mm(self.high_deg)
+        # Asked for at every look at the unit, so worked out once.
+        object.__setattr__(self, "stator_mm", self._length_mm(self.low_deg))
+        object.__setattr__(self, "travel_mm", self.position_mm(self.high_deg))
 
     def position_mm(self, angle_deg: float) -> float:
         """Extension beyond the low end switch at a tracker angle [deg]; NaN where the triangle does not close."""

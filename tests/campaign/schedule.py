@@ -168,7 +168,7 @@ def _episode(random, now_s, events, spans, commands):
             events.append(_fault(random, at_s, _pick(random, {name: span[0] for name, span in spans.items()}), spans))
         else:
             events.append(_command(random, at_s, _pick(random, commands)))
-    return now_s + 10 + random.expovariate(1 / 240)
+    return now_s + 10 + random.expovariate(1 / 150)
 
 
 def _pick(random, weights):

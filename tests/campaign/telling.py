@@ -49,6 +49,8 @@ class Telling:
     def look(self, plant, now_s):
         """Look at what has been told by now; nothing is asked of a service that has ended meanwhile."""
         blocked = plant.motion.unexplained
+        if plant.watch.explained.by_hand(now_s):
+            self._cause_s = now_s
         if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
             self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
         self._blocked = blocked

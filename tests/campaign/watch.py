@@ -80,7 +80,9 @@ class Watch:
         self._storm_s = None
         self._stepped_s = -math.inf
         self._sendings = 0
+        self._sent_s = -math.inf
         self._told = set()
+        self._screens, self._read = b"", {}
 
     @property
     def now_s(self):
@@ -109,6 +111,7 @@ class Watch:
             yield
         finally:
             self._sendings -= 1
+            self._sent_s = self.now_s
         self.explained.confirmed(target, self._readings(), self.now_s)
 
     def homes(self, axis):
@@ -221,7 +224,9 @@ class Watch:
             return
         if why is None:
             self._check_unexplained(axis, at_deg, now_s)
-            self.telling.unexplained(turned_deg, now_s)
+            # One axis may have taken a target that the other did not take: the move fails, and that is told.
+            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S:
+                self.telling.unexplained(turned_deg, now_s)
         else:
             self._unexplained_s[axis] = None
             self.telling.stands()
@@ -249,12 +254,18 @@ class Watch:
 
     def _readings(self):
         """What the unit itself says of its axes: position and destination of each, and the angles."""
-        found = dict(TokenStream().feed(self.plant.unit.live_screens(self.now_s) + b"$"))
-        return {
-            "a": (float(found[Field.A_POSITION]), float(found[Field.A_DESTINATION])),
-            "b": (float(found[Field.B_POSITION]), float(found[Field.B_DESTINATION])),
-            "angles": (float(found[Field.A_ANGLE]), float(found[Field.B_ANGLE])),
-        }
+        screens = self.plant.unit.live_screens(self.now_s)
+        if screens != self._screens:
+            found = dict(TokenStream().feed(screens + b"$"))
+            self._screens, self._read = (
+                screens,
+                {
+                    "a": (float(found[Field.A_POSITION]), float(found[Field.A_DESTINATION])),
+                    "b": (float(found[Field.B_POSITION]), float(found[Field.B_DESTINATION])),
+                    "angles": (float(found[Field.A_ANGLE]), float(found[Field.B_ANGLE])),
+                },
+            )
+        return self._read
 
     # The promises.
 
