@@ -316,6 +316,9 @@ def test_stands_since_tells_when_telemetry_saw_both_axes_come_to_rest(run_rig):
         await quiet(bench)
         before_s = bench.motion.stands_since_s
         assert before_s < now(bench) - 15
+        await bench.motion.stop()
+        assert bench.motion.stands_since_s is None, "whether it stood is not known before the next look"
+        await bench.until(lambda: bench.motion.stands_since_s, 3, "standstill")
         bench.motion.order(Target(0, 60, "test"))
         await asyncio.sleep(3)
         assert bench.motion.stands_since_s is None

@@ -268,7 +268,6 @@ def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fail
 def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
     async def scenario(bench):
         await under_way(bench)
-        bench.control.hold("so that control orders nothing")
         bench.motion.freeze("Ann stopped it at 10:00")
         assert await moves_for(bench, 10) <= 2.0
         for call in (bench.motion.home, lambda: bench.motion.order(Target(0, 60, "test"), stow=True)):
