@@ -358,11 +358,15 @@ class Watch:
         if self._sendings:
             self.fails("two-targets", f"{target} is sent while another target is being sent")
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
-        if any(self.moving.values()) and now_s - self._sampled_s <= SAMPLING_S and not itself and self._live(now_s):
+        seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
+        near = now_s - self._sampled_s <= SAMPLING_S
+        if any(self.moving.values()) and near and seen and not itself and self._live(now_s):
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
-        if control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
+        # A second try of the same move is no new decision.
+        begins = now_s - self.plant.motion.last_move_started_s < 1.0
+        if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
             self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
         wrong_clock = abs(self.plant.clock.step_s) > CLOCK_STEP_S and now_s - self._stepped_s < CLOCK_SETTLES_S
         if wrong_clock and control.mode in (Mode.FALLBACK, Mode.NIGHT) and now_s - self._stepped_s > 1.0:
