@@ -235,8 +235,6 @@ class Motion(MotionState):
             await self._positioner.close()
 
     async def _connect(self) -> None:
-        self._wanted = None
-        self._home_wanted = False
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
         before = guard.rested
@@ -266,6 +264,7 @@ class Motion(MotionState):
     async def _lost(self, error: DeviceError) -> None:
         self._guard.lost()
         self._wanted = None
+        self._home_wanted = False
         if self._clear_wanted is not None:
             self._clear_wanted = None
             self._tell("nothing was cleared: the positioner was lost first")

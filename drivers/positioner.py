@@ -149,7 +149,10 @@ class PozsolPositioner:
         if not (a.allows(a_deg) and b.allows(b_deg)):
             limits = f"A {a.minimum_deg:g} to {a.maximum_deg:g}, B {b.minimum_deg:g} to {b.maximum_deg:g} deg"
             raise ValueError(f"target A {a_deg}, B {b_deg} deg is outside the limits ({limits})")
-        whole: dict[Axis, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
+        try:
+            whole: dict[Axis, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
+        except ValueError as error:
+            raise RefusedError(_DEVICE, f"is not given a target: {error}") from error
         what = f"the target A {a_deg:.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
         self._require_fit(what)
         stops, sent_s = self._stops, 0.0

@@ -48,7 +48,8 @@ class Axis:
             raise ValueError(f"the axis can stand between {low} and {high}, not {angle_deg} deg")
         self.actuator = actuator
         self.drive = drive
-        self.range_mm = math.floor(actuator.travel_mm)
+        self.travel_mm = actuator.travel_mm
+        self.range_mm = math.floor(self.travel_mm)
         self.control: Control = "idle"
         self.active = self.manual = False
         self.outward = self.enabled = True
@@ -111,7 +112,7 @@ class Axis:
 
     def high_closed(self, now_s: float) -> bool:
         """Tell what the high end switch says."""
-        return self.true_mm(now_s) >= self.actuator.travel_mm - _HAIR_MM
+        return self.true_mm(now_s) >= self.travel_mm - _HAIR_MM
 
     def events(self) -> tuple[float, ...]:
         """Return when this axis next changes by itself, in times that may lie in the past."""
@@ -121,7 +122,7 @@ class Axis:
         if self._sees:
             still_s = max(still_s, profile.last_edge_s + EDGE_MEMORY_S)
         starts_s = profile.first_edge_s if self._sees else math.inf
-        low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.actuator.travel_mm, 1.0)
+        low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.travel_mm, 1.0)
         return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, self._passes_s, low_s, high_s
 
     @property
@@ -244,4 +245,4 @@ class Axis:
     def _replace(self, profile: Profile, now_s: float) -> None:
         self._remember_edges(now_s)
         self._passes_s = math.inf
-        self._profile = profile.cut_at(-HARD_STOP_MM, self.actuator.travel_mm + HARD_STOP_MM)
+        self._profile = profile.cut_at(-HARD_STOP_MM, self.travel_mm + HARD_STOP_MM)

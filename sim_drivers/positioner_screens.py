@@ -79,6 +79,7 @@ _PRINTED: dict[int, str] = {
     226: "116",
 }
 """What is printed of everything that a simulated unit has no use for."""
+_SUN_SENSOR = b"$\x800000$\x810000"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +150,7 @@ def fast_screen(slot: int, now: Readout) -> bytes:
         }
     else:
         clock = {Field.GMT_MONTH: days // 30 % 12 + 1, Field.GMT_YEAR: days // 360}
-    tail = token(Field.SERVICE, now.service) if slot == 5 else b""
+    tail = _SUN_SENSOR if slot == 1 else token(Field.SERVICE, now.service) if slot == 5 else b""
     return b"".join(token(field, str(value)) for field, value in clock.items()) + tail
 
 

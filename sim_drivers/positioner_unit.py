@@ -186,7 +186,10 @@ class PositionerUnit:
             self._aim(name, self._position(name, angle_deg), now)
         # One decision can make the next one possible at once, as the end of a reference run at standstill does.
         for _ in range(3):
+            before = self._chosen, self._runs_out, self._axis.control, self._axis.active
             self._control(now)
+            if before == (self._chosen, self._runs_out, self._axis.control, self._axis.active):
+                break
         self._schedule(now)
 
     def _run(self, now: float) -> None:

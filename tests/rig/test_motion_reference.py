@@ -10,7 +10,7 @@ from daemon.records import Event, Mode, Target
 from daemon.reference import RESET
 from drivers.errors import RefusedError
 
-from .motion_tools import alarms, drive_b, lose, show
+from .motion_tools import STOP_PACKET, alarms, drive_b, lose, show
 from .test_faults import at_rest, commands_sent, tracking
 from .test_motion_rule import moves_for, quiet
 
@@ -379,5 +379,22 @@ def test_a_tracker_that_stands_elsewhere_after_an_outage_is_in_doubt(run_rig):
         bench.motion.order(Target(0, 90, "storm"), stow=True)
         await asyncio.sleep(60)
         assert bench.truth().b_deg == pytest.approx(90, abs=1)
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("how", ["rest", "a stow"])
+def test_a_homing_run_that_is_broken_off_ends_with_stop(run_rig, monkeypatch, how):
+    async def scenario(bench):
+        await quiet(bench)
+        bench.motion.home()
+        await asyncio.sleep(8)
+        sent = commands_sent(bench, monkeypatch)
+        if how == "rest":
+            bench.motion.rest()
+        else:
+            bench.motion.order(Target(0, 90, "storm"), stow=True)
+        await asyncio.sleep(3)
+        assert sent[0][1].startswith(STOP_PACKET)
 
     run_rig(scenario)

@@ -432,6 +432,28 @@ def test_at_the_end_a_move_of_ours_is_stopped_and_shown(run_rig, caplog):
     assert not moves
 
 
+def test_at_the_end_no_new_move_is_taken(run_rig, caplog):
+    async def act(bench):
+        async def orders():
+            while not refused:
+                try:
+                    bench.motion.order(Target(20, 60, "late"))
+                except RefusedError as error:
+                    refused.append(error.message)
+                await asyncio.sleep(0.01)
+
+        refused = bench.refused = []
+        bench.late = asyncio.create_task(orders())
+        benches.append(bench)
+        await asyncio.sleep(0.5)
+
+    benches = []
+    said, moves = ended(run_rig, caplog, act)
+    assert said == "motion stopped: telemetry shows both axes standing"
+    assert not moves
+    assert benches[0].refused == ["the service ends"]
+
+
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [("deaf", "stop was sent, and no telemetry has shown the axes standing since"), ("unplug", "could not be sent")],

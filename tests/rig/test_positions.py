@@ -15,7 +15,7 @@ from .conftest import HandWeather
 from .test_api import serve
 from .test_faults import at_rest, tracking
 from .test_optimal import ClearDays
-from .test_stop import alarms
+from .test_stop import alarms, look_seldom
 
 __all__ = ["serve"]
 
@@ -99,6 +99,8 @@ def test_a_hold_that_outlasts_the_night_is_an_alarm_from_sunrise_on(run_rig, com
         await tracking(bench)
         place = (10.0, 60.0) if command == "goto" else ()
         await getattr(operator(bench), command)(*place, "measuring", "ana")
+        await asyncio.sleep(300)
+        look_seldom(bench)
         await asyncio.sleep(17 * 3600)
         assert not alarms(bench), "the sun is not up before 6:03"
         await asyncio.sleep(3.5 * 3600)
@@ -114,6 +116,7 @@ def test_a_hold_of_this_morning_is_not_forgotten_this_evening(run_rig):
     async def scenario(bench):
         await asyncio.sleep(3600)
         await operator(bench).hold("measuring", "ana")
+        look_seldom(bench)
         await asyncio.sleep(12 * 3600)
         assert not alarms(bench)
 
@@ -176,6 +179,7 @@ def test_the_count_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve
         await asyncio.sleep(1800)
         assert len(bench.of(Move)) == 4
         assert [alarm.name for alarm in bench.service.alarms.active] == ["day-budget"]
+        look_seldom(bench)
         await asyncio.sleep(14 * 3600)
         assert not bench.service.alarms.active
 

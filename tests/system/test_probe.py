@@ -45,7 +45,7 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert "modem lines: the port has none" in positioner.stdout
     assert re.search(r"angle A every 1[12]\d ms", positioner.stdout)
     assert "geometry of A fits" in positioner.stdout
-    assert "70=300.0, 71=300.0, 72=90.0" in positioner.stdout
+    assert "70=195.3, 71=300.0, 72=300.0" in positioner.stdout
     assert sent(tmp_path / "positioner") == []
     assert bench.state()["positioner"]["received"] == {}
 

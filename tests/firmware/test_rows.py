@@ -1,0 +1,244 @@
+"""What running the firmware has shown, a test each, on the firmware itself and on the simulated unit."""
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.pozsol_wire import TokenStream
+from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.positioner_setup import A_ACTUATOR, Actuator, Setup
+from solar.frames import Angles
+from tests.firmware.peer import Firmware
+
+STOP, HOME_A, HOME_B, CLEAR = b"$9s\r", b"$95\r", b"$96\r", b"$\x880\r"
+A_OUT, A_IN, A_HOMING, B_HOMING, A_LOW = 1 << 11, 1 << 12, 1 << 13, 1 << 17, 1 << 19
+MOTION = A_OUT | A_IN | A_HOMING | B_HOMING | 1 << 15 | 1 << 16
+
+
+@pytest.fixture(params=["firmware", "simulated"])
+def both(request, unit: Firmware):
+    """One of the two units, in the same state."""
+    return unit if request.param == "firmware" else unit.twin()
+
+
+def after(unit, packet: bytes, ms: int):
+    unit.feed(packet)
+    unit.step(ms)
+    return unit.look()
+
+
+def test_the_first_packet_after_each_connection_is_lost(both):
+    after(both, b"$.300\r", 1000)
+    both.cause("replug")
+    assert after(both, STOP, 200).motion[0] == 1
+    after(both, STOP, 600)
+    assert both.look().motion == (0, 0)
+
+
+def test_a_supply_dip_ends_a_reference_run_without_a_word(both):
+    assert after(both, HOME_A, 1000).status & A_HOMING
+    both.cause("supply low")
+    both.step(800)
+    both.cause("supply back")
+    both.step(2000)
+    look = both.look()
+    assert look.status == 0
+    assert look.position_mm[0] > 200
+
+
+def test_the_homing_bit_comes_with_the_first_impulse_and_goes_when_the_axis_is_stuck(both):
+    assert not after(both, HOME_A, 30).status & A_HOMING
+    both.step(200)
+    assert both.look().status & A_HOMING
+    both.cause("halls of A dead")
+    both.step(1000)
+    assert not both.look().status & A_HOMING
+    both.step(1500)
+    assert both.look().status & 0xFF == 1 << 1
+
+
+def test_homing_one_axis_while_the_other_moves_leaves_that_without_control(both):
+    after(both, b"$.300\r", 2000)
+    counted = both.look().position_mm[0]
+    look = after(both, HOME_B, 300)
+    assert look.motion[0] == 1
+    assert look.position_mm[0] == pytest.approx(counted, abs=0.2)
+    both.step(4000)
+    assert both.look().status & 0xFF == 1 << 1
+    assert both.look().status & B_HOMING
+
+
+def test_homing_an_axis_that_moves_outwards_is_lost(both):
+    after(both, b"$.300\r", 2000)
+    turn = both.look().position_mm[0]
+    after(both, HOME_A, 12_000)
+    look = both.look()
+    assert not look.status & MOTION
+    assert look.position_mm[0] == pytest.approx(turn + 3.2 - 10.0, abs=0.4)
+
+
+@pytest.mark.parametrize("text", [b"-5", b"-400", b"99999999999"])
+def test_a_negative_destination_is_the_far_end(both, text):
+    assert after(both, b"$.%s\r" % text, 100).destination_mm[0] == 376.0
+
+
+@pytest.mark.parametrize(
+    ("text", "destination_mm"), [(b"1e1", 264), (b"0x10", 283), (b"\t10", 264), (b"nan", 0), (b"inf", 0), (b"", 228)]
+)
+def test_numbers_are_read_as_c_reads_them(both, text, destination_mm):
+    assert after(both, b"$,%s\r" % text, 100).destination_mm[0] == destination_mm
+
+
+def test_a_command_begins_with_the_first_byte(both):
+    before = both.look().destination_mm
+    assert after(both, b"\r$.300\r", 100).destination_mm == before
+    assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
+
+
+def test_after_a_stop_the_destination_is_the_position_and_the_bits_are_clear_while_the_axis_runs_out(both):
+    after(both, b"$.300\r", 2000)
+    look = after(both, STOP, 80)
+    assert look.motion[0] == 1
+    assert look.destination_mm[0] == pytest.approx(look.position_mm[0], abs=0.02)
+    both.step(500)
+    assert both.look().motion[0] == 0
+    assert both.look().position_mm[0] == pytest.approx(look.position_mm[0] + 0.3, abs=0.15)
+
+
+def test_during_homing_the_destination_runs_ahead_and_the_other_axis_targets_are_taken(both):
+    look = after(both, HOME_A, 1000)
+    assert look.destination_mm[0] == pytest.approx(look.position_mm[0] - 10.0, abs=0.05)
+    assert after(both, b"$2100\r", 100).destination_mm[1] == 100.0
+    assert after(both, b"$.100\r", 100).destination_mm[0] > 200.0
+
+
+def test_targets_are_refused_until_five_seconds_after_an_undervoltage(both):
+    both.cause("supply low")
+    both.step(500)
+    both.cause("supply back")
+    both.step(4500)
+    before = both.look().destination_mm
+    assert after(both, b"$.300\r", 100).destination_mm == before
+    both.step(1000)
+    assert after(both, b"$.300\r", 100).destination_mm[0] == 300.0
+
+
+def test_overcurrent_forgets_that_axis_target_and_the_other_axis_begins(both):
+    after(both, b"$.300\r", 1500)
+    after(both, b"$2200\r", 500)
+    both.cause("overcurrent A")
+    both.step(3000)
+    look = both.look()
+    assert look.status & 0xFF == 1
+    assert look.motion == (0, -1)
+    assert look.destination_mm[0] == pytest.approx(look.position_mm[0], abs=0.02)
+
+
+def test_on_a_reversal_it_drives_the_old_way_for_another_second(both):
+    after(both, b"$.300\r", 2000)
+    turn = both.look().position_mm[0]
+    look = after(both, b"$.200\r", 900)
+    assert look.motion[0] == 1
+    assert look.position_mm[0] == pytest.approx(turn + 2.8, abs=0.2)
+    both.step(2000)
+    assert both.look().motion[0] == -1
+
+
+def test_the_button_shows_only_while_it_is_held(both):
+    both.cause("button out")
+    both.step(100)
+    assert both.look().status == 1 << 9
+    both.step(1000)
+    assert both.look().motion[0] == 1
+    both.cause("no button")
+    both.step(700)
+    assert both.look().status == 0
+    assert both.look().motion[0] == 0
+
+
+def test_off_puts_a_slave_on_standby_and_never_switches_tracking_on(both):
+    both.cause("slave")
+    assert after(both, b"$8Y\r", 100).status & 1 << 25
+    for _ in range(2):
+        assert not after(both, b"$8N\r", 100).status & 1 << 25
+    assert after(both, b"$.100\r", 100).destination_mm[0] == 100.0
+
+
+def test_an_action_without_a_meaning_ends_a_move(both):
+    after(both, b"$.300\r", 1000)
+    assert after(both, b"$9x\r", 250).motion[0] == 1
+    both.step(500)
+    assert both.look().motion[0] == 0
+    assert both.look().destination_mm[0] < 240
+
+
+def test_a_reference_run_ends_beyond_its_switch_with_the_count_anew(lock_step):
+    firmware = Firmware(lock_step, -51.0, 90.0)
+    try:
+        for unit in (firmware.twin(), firmware):
+            after(unit, HOME_A, 6000)
+            look = unit.look()
+            assert look.position_mm[0] == pytest.approx(-0.39, abs=0.05)
+            assert look.status == A_LOW
+            assert look.destination_mm[0] == look.position_mm[0]
+            assert after(unit, CLEAR, 100).status == A_LOW
+    finally:
+        firmware.close()
+
+
+def test_geometry_ranges_supply_and_mode_are_printed_alike(unit):
+    unit.step(4000)
+    theirs = unit.unit.fields()
+    ours = dict(TokenStream().feed(unit.twin().core.screens(0.0) + b"$"))
+    geometry = (*range(70, 81), 83, *range(96, 108), 110, 111, 192, 193)
+    for code in (
+        37,
+        39,
+        *geometry,
+        44,
+        45,
+        46,
+        48,
+        49,
+        50,
+        56,
+        58,
+        63,
+        64,
+        108,
+        109,
+        112,
+        113,
+        122,
+        123,
+        126,
+        127,
+        136,
+    ):
+        assert ours[code] == theirs[code], code
+    assert set(theirs) == set(ours)
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        replace(A_ACTUATOR, holder_mm=39.6),
+        replace(A_ACTUATOR, zero_offset_mm=5.0),
+        Actuator(300.0, 280.0, 100.0, 52.0, -52.0, raises=False),
+    ],
+    ids=["holder", "zero offset", "lowers"],
+)
+def test_another_triangle_is_driven_to_alike(unit, actuator):
+    angle_deg = -actuator.apex_deg if actuator.raises else 180.0 - actuator.apex_deg
+    sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm, 0.0, actuator.holder_mm, float(actuator.raises))
+    for code, value in [*enumerate((*sides, angle_deg, 0.0), start=70), (192, actuator.zero_offset_mm)]:
+        after(unit, b"$%c%.4f\r" % (code, value), 60)
+    unit.step(500)
+    core, now = PositionerCore(setup=Setup(a_actuator=actuator, start=Angles(0.0, 90.0))), 0.0
+    for target_deg in (-45.0, -10.0, 0.0, 20.0, 45.0):
+        packet = b"$,%.1f\r" % target_deg
+        theirs = after(unit, packet, 100).destination_mm[0]
+        core.feed(packet, now)
+        now += 0.1
+        ours = dict(TokenStream().feed(core.screens(now) + b"$"))[46]
+        assert float(ours) == pytest.approx(theirs, abs=0.02), target_deg

@@ -1,0 +1,149 @@
+"""The positioner's driver on the simulated unit, in virtual time: halts, refusals, doubts."""
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from daemon.timeloop import VirtualTimeLoop
+from drivers.errors import LinkLostError, RefusedError, StillMovingError
+from drivers.geometry import AxisSetup, Triangle
+from drivers.positioner import PozsolPositioner
+from drivers.positioner_line import Heard
+from drivers.positioner_watch import FAST, SLOW, PositionerWatch
+from drivers.pozsol_wire import Field
+from drivers.telemetry import FieldTable
+from sim_drivers.in_memory import InMemoryPositioner
+from sim_drivers.positioner_core import PositionerCore
+from solar.frames import Limits
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
+
+
+def on_unit(scenario):
+    """Run a scenario with an open driver, its unit, and the time."""
+
+    async def scene():
+        now = asyncio.get_running_loop().time
+        core = PositionerCore(now())
+        positioner = InMemoryPositioner(core, now, Limits())
+        await positioner.open()
+        await scenario(positioner, core, now)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
+def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_stands():
+    async def scenario(positioner, core, now):
+        start_s = now()
+        await positioner.halt()
+        assert now() - start_s < 0.6
+        await positioner.move_to(-30.0, 45.0)
+        await asyncio.sleep(5.0)
+        start_s = now()
+        await positioner.halt()
+        assert now() - start_s < 1.0
+        stands = core.truth(now())
+        await asyncio.sleep(60.0)
+        assert core.truth(now()) == pytest.approx(stands, abs=0.01)
+
+    on_unit(scenario)
+
+
+def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
+    async def scenario(positioner, core, now):
+        await positioner.move_to(-40.0, 45.0)
+        core.inject("deaf", now())
+        start_s = now()
+        with pytest.raises(StillMovingError, match="keeps moving after 12 s of stops"):
+            await positioner.halt()
+        assert 11.0 < now() - start_s < 14.0
+
+    on_unit(scenario)
+
+
+def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
+    async def scenario(positioner, _core, _now):
+        flat = replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0))
+        positioner = PozsolPositioner(positioner.cable, _now, flat, B)
+        assert "a_axis cannot be" in (await positioner.open()).setup_conflicts[0]
+        with pytest.raises(RefusedError, match="no position for"):
+            await positioner.move_to(0.0, 45.0)
+
+    on_unit(scenario)
+
+
+@pytest.mark.parametrize(("deaf_axis", "other"), [("a", "b_deg"), ("b", "a_deg")])
+def test_a_move_that_one_axis_does_not_take_is_refused_and_the_other_is_stopped(deaf_axis, other):
+    async def scenario(positioner, core, now):
+        core.inject(f"{deaf_axis}_ignores_targets", now())
+        with pytest.raises(RefusedError, match="did not take the target"):
+            await positioner.move_to(-30.0, 45.0)
+        await asyncio.sleep(1.0)
+        stands = getattr(core.truth(now()), other)
+        await asyncio.sleep(60.0)
+        assert getattr(core.truth(now()), other) == pytest.approx(stands, abs=0.01)
+
+    on_unit(scenario)
+
+
+def test_with_a_fault_of_one_axis_nothing_is_sent_to_the_other():
+    async def scenario(positioner, core, now):
+        core.inject("a_overcurrent", now())
+        stands = core.truth(now())
+        with pytest.raises(RefusedError, match=r"is not given the target .*: it reports a_overcurrent"):
+            await positioner.move_to(-30.0, 45.0)
+        await asyncio.sleep(30.0)
+        assert core.truth(now()) == stands
+
+    on_unit(scenario)
+
+
+def test_a_reference_run_that_a_stop_ends_leaves_the_doubt_for_the_axis():
+    async def scenario(positioner, core, now):
+        await positioner.home("a")
+        await asyncio.sleep(3.0)
+        assert (await positioner.read_telemetry()).homing
+        await positioner.stop()
+        await asyncio.sleep(2.0)
+        seen = await positioner.read_telemetry()
+        assert (seen.homing, seen.reference_doubt) == (False, "the reference run of A did not end")
+        assert (await positioner.clear_faults()).reference_doubt == "the reference run of A did not end"
+        assert (await positioner.read_telemetry()).reference_doubt == ""
+
+    on_unit(scenario)
+
+
+def test_a_restart_is_forgotten_once_both_axes_have_been_homed():
+    async def scenario(positioner, core, now):
+        core.power_cycle(now())
+        assert "has restarted" in (await positioner.read_telemetry()).reference_doubt
+        for axis, doubt in (("a", "the positioner has restarted"), ("b", "")):
+            await positioner.home(axis)
+            for _ in range(200):
+                await asyncio.sleep(1.0)
+                await positioner.read_telemetry()
+            assert (await positioner.read_telemetry()).reference_doubt == doubt
+
+    on_unit(scenario)
+
+
+def test_old_telemetry_is_silence_and_old_status_is_too():
+    texts = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
+    clock = [0.0]
+
+    def look(stale, age_s):
+        clock[0] = 100.0
+        table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
+        for field, text in texts.items():
+            table.take([(field, text)], 100.0 - (age_s if field in stale else 0.0))
+        return watch.look(Heard(table.snapshot()))
+
+    assert look((), 0.0).supply_v == 24.0
+    for field in (*FAST, *SLOW):
+        limit_s = 2.0 if field in FAST else 8.0
+        assert look((field,), limit_s - 0.1)
+        with pytest.raises(LinkLostError, match="has been silent for"):
+            look((field,), limit_s + 0.1)
