@@ -14,6 +14,9 @@ _STALLED_AFTER_S = 6.0
 _SPARE_S = 20.0
 # Telemetry comes several times a second: two looks closer than this may be of the same.
 _STANDS_AFTER_S = 0.3
+# An axis that is near enough may yet be taken up by the unit after the other one, to go all the way.
+_TAKES_UP_S = 3.0
+_AIMS_ELSEWHERE = 1.0
 
 
 class Progress(StrEnum):
@@ -77,7 +80,7 @@ class Follow:
             if axis.overshot(angle):
                 return Progress.OVERSHOT, f"{axis.name} stands at {angle:.1f} deg, beyond its target {axis.target:.1f}"
         if all(axis.there(angle) for axis, angle in zip(self._axes, angles, strict=True)):
-            stands = still and now_s - self._moved_s >= _STANDS_AFTER_S
+            stands = still and now_s - self._moved_s >= (_TAKES_UP_S if _aims_elsewhere(telemetry) else _STANDS_AFTER_S)
             return (Progress.ARRIVED if stands else Progress.GOING), ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
         if now_s - self._moved_s > _STALLED_AFTER_S:
@@ -107,6 +110,13 @@ class _Axis:
 
     def overshot(self, angle: float) -> bool:
         return not (self._lowest <= angle <= self._highest)
+
+
+def _aims_elsewhere(telemetry: Telemetry) -> bool:
+    return (
+        abs(telemetry.position_a - telemetry.destination_a) > _AIMS_ELSEWHERE
+        or abs(telemetry.position_b - telemetry.destination_b) > _AIMS_ELSEWHERE
+    )
 
 
 def _hint(telemetry: Telemetry) -> str:

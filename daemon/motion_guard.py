@@ -184,7 +184,9 @@ class Guard:
         if stray is None or seen is None:
             return True
         how = f"against a stop ({self.frozen})" if self.frozen else "without an order"
-        self._under_inquiry = text = f"{stray.text} {how}: {_CLEAR}"
+        text = f"{stray.text} {how}: {_CLEAR}"
+        if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
+            self._under_inquiry = text
         explained = False
         try:
             await self.halt()
@@ -200,7 +202,8 @@ class Guard:
     async def _look_at_halt(self, start_s: float) -> None:
         telemetry = await self.look(moving=True)
         moves = self.watch.stands_since_s is None and not telemetry.button_pressed
-        if moves and self._clock.monotonic() - start_s > _DEAF_AFTER_S:
+        # Whoever presses a button moves the axis against any stop.
+        if moves and self._clock.monotonic() - max(start_s, self._pressed_s) > _DEAF_AFTER_S:
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {_CLEAR}")
 

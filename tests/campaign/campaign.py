@@ -121,6 +121,8 @@ class Run:
             self.watch.clock_steps()
         if fault.uncounts:
             self.watch.reference_excused = True
+        if name.endswith("hall_loss"):
+            self.watch.blind.add(name[0])
         if fault.by_hand:
             self.watch.explained.held(is_held=True, now=self.plant.clock.monotonic())
         self.watch.disturbs()
@@ -130,6 +132,8 @@ class Run:
             self.watch.moves_itself()
         if fault.by_hand:
             self.watch.explained.held(is_held=False, now=self.plant.clock.monotonic())
+        if name.endswith("hall_loss"):
+            self.watch.blind.discard(name[0])
         if name == "deaf":
             self.watch.deaf(is_deaf=False)
         self.watch.disturbs()

@@ -24,6 +24,7 @@ class Scripted:
         self.is_served = True
         self.wind_m_s = 3.0
         self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
+        self.motion.last_move_started_s = 0.0
         actuator = SimpleNamespace(angle_deg=lambda position: position / 5)
         self.setup = SimpleNamespace(a_actuator=actuator, b_actuator=actuator)
         self.records = []
@@ -54,7 +55,7 @@ class Scripted:
 
     def order(self, a, b, *, taken=True):
         """Let the service order a move and the unit take it, or the driver say that it did not."""
-        self.motion.target = (a, b)
+        self.motion.target, self.motion.last_move_started_s = (a, b), self.now_s
         with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
             self.watch.heard(b"$\x2c%g" % a, self.now_s)
             self.watch.heard(b"$\x30%g" % b, self.now_s)

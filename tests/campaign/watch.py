@@ -22,6 +22,8 @@ MOVES_DEG = 0.003
 STANDSTILL_S = 0.7
 UNEXPLAINED_S = 2.0
 SAMPLING_S = 0.15
+UNIT_TRIPS_S = 1.5
+"""Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
 CONNECTED_S = 2.0
 """From the first telemetry on the service has this long before everything binds."""
 CONNECTS_WITHIN_S = 15.0
@@ -65,6 +67,7 @@ class Watch:
         self._wake = asyncio.Event()
         self._fast_until_s = 0.0
         self._unexplained_s = {"a": None, "b": None}
+        self._begun_s = 0.0
         self._connected_s = math.inf
         self._connected = False
         self._reachable_s = 0.0
@@ -81,6 +84,7 @@ class Watch:
         self._stepped_s = -math.inf
         self._sendings = 0
         self._sent_s = -math.inf
+        self.blind = set()
         self._told = set()
         self._screens, self._read = b"", {}
 
@@ -119,6 +123,7 @@ class Watch:
             self.fails("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
 
     def service_begins(self):
+        self._begun_s = self.now_s
         self._connected, self._connected_s, self._reachable_s, self._grace_s = False, math.inf, self.now_s, 0.0
 
     def link_changes(self):
@@ -273,7 +278,7 @@ class Watch:
         since_s = self._unexplained_s[axis]
         if since_s is None:
             self._unexplained_s[axis] = now_s - SAMPLE_S
-        elif now_s - since_s > UNEXPLAINED_S + SAMPLING_S:
+        elif now_s - since_s > UNEXPLAINED_S + SAMPLING_S + (UNIT_TRIPS_S if axis in self.blind else 0.0):
             motion, control = self.plant.motion, self.plant.control
             self.fails(
                 "unexplained-motion",
@@ -358,13 +363,21 @@ class Watch:
         if self._sendings:
             self.fails("two-targets", f"{target} is sent while another target is being sent")
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
-        if any(self.moving.values()) and now_s - self._sampled_s <= SAMPLING_S and not itself and self._live(now_s):
+        seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
+        near = now_s - self._sampled_s <= SAMPLING_S
+        if any(self.moving.values()) and near and seen and not itself and self._live(now_s):
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
-        if control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
+        # A second try of the same move is no new decision.
+        begins = now_s - self.plant.motion.last_move_started_s < 1.0
+        if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
             self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
-        wrong_clock = abs(self.plant.clock.step_s) > CLOCK_STEP_S and now_s - self._stepped_s < CLOCK_SETTLES_S
+        # A process that began after the step has never known another time.
+        known = self._stepped_s > self._begun_s
+        wrong_clock = (
+            known and abs(self.plant.clock.step_s) > CLOCK_STEP_S and now_s - self._stepped_s < CLOCK_SETTLES_S
+        )
         if wrong_clock and control.mode in (Mode.FALLBACK, Mode.NIGHT) and now_s - self._stepped_s > 1.0:
             step_s = self.plant.clock.step_s
             self.fails(

@@ -214,6 +214,22 @@ def test_a_button_at_the_unit_stops_motion_and_is_no_unexplained_motion(run_rig)
     assert sum("a button is pressed" in event.text for event in bench.of(Event)) == 1
 
 
+def test_a_button_that_is_held_for_long_blocks_nothing_and_is_no_deafness(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.unit.inject("button", bench.clock.monotonic())
+        for _ in range(80):
+            await asyncio.sleep(0.5)
+            assert bench.motion.unexplained is None
+        bench.unit.repair("button", bench.clock.monotonic())
+        await asyncio.sleep(20)
+        assert bench.motion.unexplained is None
+        assert not alarms(bench)
+
+    run_rig(scenario)
+
+
 def test_a_button_pressed_in_mid_move_ends_the_move(run_rig):
     async def scenario(bench):
         await under_way(bench)

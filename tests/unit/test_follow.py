@@ -10,15 +10,15 @@ from drivers.interfaces import Telemetry
 from solar.frames import Limits
 
 
-def look(a, b, faults=()):
+def look(a, b, faults=(), pending=0.0):
     return Telemetry(
         time_monotonic_s=0.0,
         a_deg=a,
         b_deg=b,
         position_a=a * 3.7 + 200,
         position_b=b * 3.7,
-        destination_a=0.0,
-        destination_b=0.0,
+        destination_a=a * 3.7 + 200 + pending,
+        destination_b=b * 3.7,
         supply_v=24.0,
         faults=faults,
     )
@@ -40,6 +40,13 @@ def test_a_move_has_arrived_when_it_is_there_and_still():
     assert move.judge(look(10, 90), 1)[0] is Progress.GOING
     assert move.judge(look(20.3, 60.2), 2)[0] is Progress.GOING, "there, but perhaps still moving"
     assert move.judge(look(20.3, 60.2), 3)[0] is Progress.ARRIVED
+
+
+def test_an_axis_near_enough_that_the_unit_will_yet_take_up_has_not_arrived():
+    move = follow()
+    assert move.judge(look(20.3, 60.2, pending=2.0), 1)[0] is Progress.GOING
+    assert move.judge(look(20.3, 60.2, pending=2.0), 3)[0] is Progress.GOING
+    assert move.judge(look(20.3, 60.2, pending=2.0), 5)[0] is Progress.ARRIVED, "it never does"
 
 
 def test_standing_still_short_of_the_target_is_a_stall():
