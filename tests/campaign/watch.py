@@ -331,7 +331,7 @@ class Watch:
             return
         self._compared_s = now_s
         if not self.is_wrong():
-            self._wrong_s, self.reference_excused = None, False
+            self._wrong_s, self.reference_excused = None, bool(self.blind)
             return
         if self._wrong_s is None:
             self._wrong_s = now_s
