@@ -485,3 +485,20 @@ def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service(run_ri
     said, _ = ended(run_rig, caplog, act)
     assert said.startswith("motion is not known to be stopped: ")
     assert benches[0].clock.monotonic() - benches[0].end_s < 12
+
+
+def test_a_host_that_was_busy_for_seconds_does_not_call_a_standing_unit_deaf(run_rig):
+    async def scenario(bench):
+        halt = bench.positioner.halt
+
+        async def busy_then_halt():
+            asyncio.get_running_loop().skip(8.0)
+            await halt()
+
+        bench.positioner.halt = busy_then_halt
+        await bench.until(lambda: bench.motion.connected, 30, "the connection")
+        await asyncio.sleep(10)
+        assert "deaf-to-stop" not in alarms(bench)
+        assert bench.motion.unexplained is None
+
+    run_rig(scenario)
