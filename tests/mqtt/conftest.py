@@ -152,7 +152,7 @@ class MqttBench(Bench):
         )
         self.mqtt.attach(self.service, lambda: state(self.service, recent, speed, None, self.mqtt.status))
 
-    async def serve(self, stop):
+    async def run_until(self, stop):
         await self.service.run(stop, self.mqtt.run())
 
 
@@ -167,7 +167,7 @@ def settings_for(port, **sections):
 async def serving(*benches):
     """Run services, and end them as a signal does."""
     stop = asyncio.Event()
-    tasks = [asyncio.create_task(bench.serve(stop)) for bench in benches]
+    tasks = [asyncio.create_task(bench.run_until(stop)) for bench in benches]
     try:
         yield
     finally:

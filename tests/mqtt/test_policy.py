@@ -173,7 +173,7 @@ def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_bro
             async def scenario():
                 rig = MqttBench(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
-                serving = asyncio.create_task(rig.serve(stop) if enabled else rig.service.run(stop))
+                serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
                 await asyncio.sleep(86400)
                 stop.set()
                 await serving
