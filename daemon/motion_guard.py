@@ -14,7 +14,7 @@ from daemon.alarms import Alarms
 from daemon.clock import Clock
 from daemon.config_instruments import PositionerSettings
 from daemon.motion_alarms import Currents, show
-from daemon.motion_watch import Stray, Watch
+from daemon.motion_watch import Stray, Watch, aims_home
 from daemon.records import Event, Pose, Record
 from daemon.reference import Doubts
 from drivers.errors import DeviceError, StillMovingError
@@ -238,8 +238,10 @@ class Guard:
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
         stray = self.watch.look(telemetry)
-        own_run = telemetry.homing and not (self.homing or self.watch.on_its_way)
-        if own_run and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S:
+        told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
+        # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
+        own_run = told and not self.watch.on_its_way
+        if not self.homing and (own_run or (stray is not None and (told or aims_home(telemetry)))):
             text = "the positioner made a reference run of its own"
             self.doubts.doubt("own run", f"{text}, its count may have changed: home it")
             stray = stray or Stray(text, telemetry.time_monotonic_s)

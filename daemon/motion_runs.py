@@ -211,7 +211,9 @@ class Runs:
     async def home(self) -> None:
         """Make a reference run of both axes; only a good one of each ends the doubts about the reference."""
         guard, doubts = self._guard, self._guard.doubts
-        doubted = doubts.reference is not None
+        # The run clears the unit's faults, and with them what they said about the count.
+        faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
+        doubted = faulty or doubts.reference is not None
         self._interrupted = False
         guard.homing, guard.rested = True, None
         doubts.homing_begins()

@@ -16,6 +16,8 @@ _SETTLES_S = 10.0
 # No drive of this kind turns so fast [deg/s]: the count has changed, and not the tracker.
 _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
+# While homing the unit aims so many of its position units inwards of where it is.
+_HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
 _AXES: tuple[Axis, Axis] = ("a", "b")
 
 
@@ -171,6 +173,12 @@ class Watch:
             if axis not in self._homing and not (low <= here <= high):
                 return _moved(axis.upper(), rest, telemetry)
         return None
+
+
+def aims_home(telemetry: Telemetry) -> bool:
+    """Whether an axis has the destination that a reference run gives it, which shows before the bit does."""
+    ways = (telemetry.position_a - telemetry.destination_a, telemetry.position_b - telemetry.destination_b)
+    return any(abs(way - _HOMES_AHEAD) <= _HOMES_WITHIN for way in ways)
 
 
 def _positions(telemetry: Telemetry) -> tuple[float, float]:

@@ -42,12 +42,15 @@ class Person:
             await self._give_wrong(value)
             return
         stopped_before = self._watch.stopped and self._now > self._watch.stop_asked_s
+        maintained_before = self._watch.maintained
         self._begins(name)
         given, plant, watch = self._given, self._plant, self._watch
         generation = plant.service
         try:
             answer = await self._door.give(plant.service, name, value, _WHY)
         except CommandError as error:
+            if name == "maintenance" and not maintained_before and "could not be sent" not in str(error):
+                watch.maintenance_ends()
             self._check_sentence(name, str(error))
             if stopped_before and name not in ("stop", "auto"):
                 self._check_refusal(name, str(error))
@@ -56,8 +59,6 @@ class Person:
             return
         if stopped_before and name not in ("stop", "auto") and watch.stopped:
             watch.fails("stop-undone", f"{name} was carried out under a stop: {answer.text}")
-        if name == "maintenance":
-            watch.maintenance_begins()
         if answer.done:
             await self._check_done(name, value, answer.text, given)
 
@@ -68,6 +69,8 @@ class Person:
     def _begins(self, name):
         if name == "stop":
             self._watch.stop_is_asked()
+        elif name == "maintenance":
+            self._watch.maintenance_begins()
         elif name == "auto":
             self._watch.stop_is_released()
             self._watch.maintenance_ends()

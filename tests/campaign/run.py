@@ -48,6 +48,7 @@ def _campaign(chosen):
         for violation in outcome.violations:
             print(f"seed {schedule.seed}: {violation}", flush=True)
         found.update(outcome.promises)
+        print(f"seed {schedule.seed} done, {time.monotonic() - begun_s:.0f} s", file=sys.stderr, flush=True)
         if outcome.violations and chosen.reduce:
             reduced = reduce(schedule, {outcome.violations[0].promise})
             chosen.reduce.write_text(reduced.json())

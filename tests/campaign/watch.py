@@ -151,7 +151,8 @@ class Watch:
         self._stop_measured = True
 
     def maintenance_begins(self):
-        self._maintenance_s = self.now_s
+        if self._maintenance_s is None:
+            self._maintenance_s = self.now_s
 
     def maintenance_ends(self):
         self._maintenance_s = None
@@ -163,6 +164,11 @@ class Watch:
     def stopped(self):
         """Whether a person's stop is latched."""
         return self._stop_s is not None
+
+    @property
+    def maintained(self):
+        """Whether the tracker is in maintenance."""
+        return self._maintenance_s is not None
 
     @property
     def stop_asked_s(self):

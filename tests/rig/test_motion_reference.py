@@ -271,6 +271,26 @@ def test_a_homing_run_that_is_broken_off_leaves_the_doubt_that_was_there(run_rig
     run_rig(scenario)
 
 
+def test_a_homing_run_that_has_cleared_a_fault_and_is_broken_off_leaves_a_doubt(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        bench.unit.inject("a_hall_loss", now(bench))
+        bench.control.goto(20, 60, "test")
+        await bench.until(lambda: bench.motion.telemetry.faults, 60, "the fault")
+        bench.unit.repair("a_hall_loss", now(bench))
+        await at_rest(bench)
+        bench.control.home()
+        await bench.until(lambda: bench.motion.homing and not bench.motion.telemetry.faults, 20, "the clearing")
+        await asyncio.sleep(3)
+        bench.control.stow("storm")
+        await bench.until(lambda: not bench.motion.homing, 10, "the end of homing")
+        await at_rest(bench)
+        assert "homing was not finished" in bench.motion.doubt
+
+    run_rig(scenario)
+
+
 def test_the_other_axis_may_not_move_during_a_reference_run(run_rig):
     async def scenario(bench):
         await quiet(bench)

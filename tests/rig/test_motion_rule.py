@@ -230,6 +230,17 @@ def test_a_button_that_is_held_for_long_blocks_nothing_and_is_no_deafness(run_ri
     run_rig(scenario)
 
 
+def test_a_reference_run_of_the_unit_in_mid_move_leaves_the_count_in_doubt(run_rig):
+    async def scenario(bench):
+        await under_way(bench)
+        bench.unit.inject("re_reference", bench.clock.monotonic())
+        await bench.until(lambda: bench.motion.unexplained, 3, "the alarm")
+        await asyncio.sleep(10)
+        assert "reference run of its own" in bench.motion.doubt
+
+    run_rig(scenario)
+
+
 def test_a_button_pressed_in_mid_move_ends_the_move(run_rig):
     async def scenario(bench):
         await under_way(bench)
