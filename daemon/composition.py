@@ -162,8 +162,11 @@ def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
     """Return a rig of no instruments under a sky."""
 
     def wind() -> float | None:
-        with _weather_may_end():
+        # Asked every second of a simulated day, and a sensor four times a scan: a context manager would cost more.
+        try:
             return scene.wind_speed(clock.utc())
+        except WeatherError as error:
+            raise UserError(str(error)) from error
 
     sensor = wind if _tells_wind(weather) else None
     return Rig(None, None, None, sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
@@ -266,14 +269,18 @@ def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemor
 def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
 
+    shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
+
     def sensor(channel: int, now_s: float) -> float | None:
-        if channel in (settings.cube.self_test_channel, settings.cube.second_self_test_channel):
+        if channel in shorted:
             return 0.0
         face = face_of_channel.get(channel)
         if face is None:
             return None
-        with _weather_may_end():
+        try:
             return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+        except WeatherError as error:
+            raise UserError(str(error)) from error
 
     meter = settings.instruments.voltmeter
     switch = MultiplexerCore(inputs=sensor, latency_s=0.0)

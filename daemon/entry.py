@@ -1,31 +1,52 @@
 """Where the program begins: straight to the service for what cannot wait, to the command line for all else."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.errors import UserError
 
 _URGENT = ("stop", "stow")
+_OPTIONS = {"--config": "config", "-c": "config", "--api": "api", "--token-file": "token_file", "--why": "why"}
 
 
 def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
-    match sys.argv[1:]:
-        case [command] if command in _URGENT:
-            _at_once(command, None)
-        case [command, "--config" | "-c", config] if command in _URGENT:
-            _at_once(command, Path(config))
-        case _:
-            from daemon.cli import main as command_line  # noqa: PLC0415 - the large libraries
+    command, *rest = sys.argv[1:] or [""]
+    given = _plainly_given(rest) if command in _URGENT else None
+    if given is None:
+        from daemon.cli import main as command_line  # noqa: PLC0415 - the large libraries
 
-            command_line()
+        command_line()
+    else:
+        _at_once(command, given)
 
 
-def _at_once(command: str, config: Path | None) -> None:
+def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:
+    """Return the values of options, or None for what the command line had better look at: help, and mistakes."""
+    given: dict[str, str] = {}
+    left = iter(words)
+    for word in left:
+        option, equals, value = word.partition("=")
+        name = _OPTIONS.get(option)
+        if name is None or (equals and option == "-c"):
+            return None
+        if not equals:
+            value = next(left, "")
+        if not value or value.startswith("-"):
+            return None
+        given[name] = value
+    return given
+
+
+def _at_once(command: str, given: dict[str, str]) -> None:
     from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
 
+    paths = {name: Path(given[name]) for name in ("config", "token_file") if name in given}
+    said = {"why": given["why"]} if "why" in given else {}
     try:
-        reply = find(config, None, None).command(command)
+        client = find(paths.get("config"), given.get("api"), paths.get("token_file"))
+        reply = client.command(command, **said)
     except UserError as error:
         sys.stderr.write(f"heliocube: {error}\n")
         sys.exit(2)

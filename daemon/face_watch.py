@@ -9,10 +9,10 @@ from daemon.alarms import Alarms
 from daemon.clock import Clock
 from daemon.clockwatch import ClockWatch
 from daemon.config import Cube, Site
+from daemon.pointing import SunDirection
 from daemon.records import FACES
-from solar.ephemeris import sun_direction
 from solar.frames import Array
-from solar.plausible import Doubt, doubts, lit
+from solar.plausible import LOWEST_SINE, Doubt, doubts, lit
 from solar.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
@@ -56,7 +56,7 @@ class FaceWatch:
     """
 
     def __init__(self, site: Site, cube: Cube, clock: Clock, alarms: Alarms) -> None:
-        self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
+        self._sun_direction = SunDirection(site)
         self._normals = face_normals(cube, site.latitude_deg)
         self._clock = clock
         self._clock_watch = ClockWatch(clock)
@@ -96,10 +96,12 @@ class FaceWatch:
         self._begun_s = self._clock.monotonic()
 
     def _judge(self) -> None:
+        sun = self._sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2)
+        if sun[2] < LOWEST_SINE:
+            return
         sums, counts = (np.sum(part, axis=0) for part in zip(*self._blocks, strict=True))
         with np.errstate(invalid="ignore"):
             faces, voltages = sums / counts
-        sun = sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2, *self._site)
         found = doubts(faces, voltages, sun, self._normals)[0]
         light = bool(lit(faces, sun)[0])
         for face, doubt in enumerate(found.tolist()):

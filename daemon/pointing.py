@@ -7,7 +7,7 @@ import numpy as np
 from daemon.config import Law, LawName, Site
 from daemon.records import NO_ESTIMATE, Estimate, Irradiances, Target
 from solar import laws
-from solar.ephemeris import SunPosition, sun_position
+from solar.ephemeris import SunPosition, sun_direction, sun_position
 from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
 
 _SUN_EVERY_S = 60.0
@@ -65,6 +65,32 @@ class SunElevation:
             sun = sun_position(instants, site.latitude_deg, site.longitude_deg, site.altitude_m)
             self._elevation_deg = sun.elevation_deg.tolist()
         return self._elevation_deg[at]
+
+
+class SunDirection:
+    """The unit vector towards the apparent sun, computed for an hour at once and interpolated within the minutes.
+
+    Parameters
+    ----------
+    site
+        Where.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
+        self._first_minute = 0
+        self._suns = np.empty((0, 3))
+
+    def __call__(self, utc_s: float) -> Array:
+        """Return the direction at an instant [s UTC], shape (3,), to a hundred thousandth of its length."""
+        minute, share = divmod(utc_s / _SUN_EVERY_S, 1.0)
+        at = int(minute) - self._first_minute
+        if not (0 <= at < len(self._suns) - 1):
+            self._first_minute, at = int(minute), 0
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE + 1)
+            self._suns = sun_direction(instants, *self._site)
+        now: Array = self._suns[at] + share * (self._suns[at + 1] - self._suns[at])
+        return now
 
 
 class Pointing:

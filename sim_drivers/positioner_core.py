@@ -63,6 +63,8 @@ class PositionerCore:
         self._deaf = self._mislays_packet = False
         self._reboot_s = math.inf
         self._slot = self._slow = self._links = 0
+        self._live = b""
+        self._standstill: int | None = None
 
     @property
     def setup(self) -> Setup:
@@ -130,7 +132,11 @@ class PositionerCore:
 
     def live_screens(self, now: float) -> bytes:
         """Return only what changes while axes move (both axes, supply, mode, status); cheaper than `screens`."""
-        return screens.live_screens(self._readout(now))
+        self.advance(now)
+        standstill = self._unit.standstill
+        if standstill is None or standstill != self._standstill:
+            self._live, self._standstill = screens.live_screens(self._readout(now)), standstill
+        return self._live
 
     def inject(self, fault: str, now: float) -> None:
         """Cause one of `FAULTS`; `ValueError` for anything else. Conditions last until `repair`."""

@@ -58,6 +58,7 @@ class PositionerUnit:
         self._refuses_until_s = -math.inf
         self._button_s = self._manual_s = self._idle_s = self._braked_s = math.inf
         self._homing_ordered = self._runs_out = self._idled = False
+        self._looks = 0
         self._schedule(now)
 
     def advance(self, now: float) -> None:
@@ -172,6 +173,12 @@ class PositionerUnit:
             if axis.control == "home":
                 return axis.counted_mm(now) - HOMING_AHEAD_MM
         return axis.target_mm
+
+    @property
+    def standstill(self) -> int | None:
+        """A number that stays the same while nothing has moved or changed; None while an axis moves."""
+        standing = all(axis.rests_s == -math.inf for axis in self.axes.values())
+        return self._looks if standing else None
 
     def readout(self, now: float, link_counter: int) -> Readout:
         """Return what the unit would print now."""
@@ -353,6 +360,7 @@ class PositionerUnit:
         self._manual_s = self._idle_s = self._braked_s = math.inf
 
     def _schedule(self, now: float) -> None:
+        self._looks += 1
         a, b = self.axes.values()
         homing_s = self._axis.homing_since_s + HOMING_TIMEOUT_S
         own = (self._manual_s, self._idle_s, self._braked_s, self._self_clear_s, self._button_s, homing_s)

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from solar.frames import Array
 
 _SOLAR_CONSTANT_W_M2 = 1361.0
-_DAY_SINE = float(np.sin(np.radians(5.0)))
+LOWEST_SINE = float(np.sin(np.radians(5.0)))
+"""Sine of the sun's elevation below which nothing is judged."""
 _BRIGHT_DAY_SINE = float(np.sin(np.radians(10.0)))
 # The shaded face of a clear day over dark ground still reads several percent of the zenith face.
 _DEAD_SHARE = 0.01
@@ -78,14 +79,14 @@ def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normal
         (Doubt.DEAD, dead),
     ):
         found[seen] = doubt
-    found[up[:, 2] < _DAY_SINE] = Doubt.NONE
+    found[up[:, 2] < LOWEST_SINE] = Doubt.NONE
     return found
 
 
 def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell where there is light enough for a face without doubts to count as sound, shape (n,)."""
     faces, up = np.atleast_2d(np.asarray(faces_w_m2, float)), np.atleast_2d(np.asarray(sun, float))
-    return (_second(faces) > _LIT_W_M2) & (up[:, 2] >= _DAY_SINE)
+    return (_second(faces) > _LIT_W_M2) & (up[:, 2] >= LOWEST_SINE)
 
 
 def _second(faces: Array) -> Array:

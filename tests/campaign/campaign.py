@@ -19,6 +19,7 @@ LINES_OF_AN_OUTAGE = 50
 LINES_OF_A_COMMAND = 8
 RECOVERS_WITHIN_S = 3000.0
 MEMORY = Path("/dev/shm")
+PROCESS = ("kill", "kill_torn", "end")
 _ROUTINE = ("moving", "staying")
 
 
@@ -101,7 +102,7 @@ class Run:
 
     async def _fault(self, event):
         fault, plant = FAULTS[event.name], self.plant
-        if event.name in ("kill", "end") and not plant.is_served:
+        if event.name in PROCESS and not plant.is_served:
             return
         self._note(event.name, fault)
         self._lasting[event.name] += 1
@@ -146,7 +147,7 @@ class Run:
         await asyncio.gather(*lasting, return_exceptions=True)
         for name, count in self._lasting.items():
             fault = FAULTS[name]
-            if count and fault.end is not None and name not in ("kill", "end"):
+            if count and fault.end is not None and name not in PROCESS:
                 await _called(fault.end, self.plant, next(e.value for e in self.schedule.events if e.name == name))
                 self._note_end(name, fault)
         for device in self.plant.plugged:

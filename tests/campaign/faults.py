@@ -94,6 +94,21 @@ def _set_clock_right(plant, value):
     plant.clock.step_s = 0.0
 
 
+async def _kill_while_writing(plant, value):
+    """Die in the middle of writing one of the kept files, as no file system should let it happen."""
+    await plant.kill()
+    files = plant.kept_files()
+    if files:
+        torn = files[int(value[0]) % len(files)]
+        torn.write_bytes(torn.read_bytes()[: int(value[1])])
+
+
+def _suspend(plant, value):
+    """Let the process stand still while the world goes on."""
+    asyncio.get_running_loop().skip(value[0])
+    plant.watch.link_changes()
+
+
 async def _replace_process(plant, value):
     plant.renew()
 
@@ -150,6 +165,8 @@ FAULTS = {
         lambda plant, value: plant.switch.unstick(plant.clock.monotonic()),
     ),
     "kill": Fault(lambda plant, value: plant.kill(), _replace_process),
+    "kill_torn": Fault(_kill_while_writing, _replace_process),
+    "suspended": Fault(_suspend),
     "end": Fault(lambda plant, value: plant.end(), _replace_process),
 }
 """Every fault that a schedule may name."""

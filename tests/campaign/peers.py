@@ -77,12 +77,13 @@ class BenchUnit:
 
     def __init__(self, folder, config):
         self._folder = folder / "bench"
-        self._process = subprocess.Popen(
-            [HELIOCUBE, "bench", "--dir", self._folder, "--config", config],
-            stdout=subprocess.PIPE,
-            stderr=(folder / "bench.log").open("w"),
-            text=True,
-        )
+        with (folder / "bench.log").open("w") as log:
+            self._process = subprocess.Popen(
+                [HELIOCUBE, "bench", "--dir", self._folder, "--config", config],
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+            )
         if self._process.stdout.readline() != "ready\n":
             raise NotThereError(f"the bench did not start: {(folder / 'bench.log').read_text()}")
         self.config = self._folder / "heliocube.toml"

@@ -102,6 +102,10 @@ class Plant(Bench):
         kept = self._lasting.store.directory / "operator.json"
         return kept.read_bytes() if kept.is_file() else b""
 
+    def kept_files(self):
+        """Return what the service has kept for its next start."""
+        return sorted(path for path in self._lasting.store.directory.rglob("*") if path.is_file())
+
     def plug(self, device, *, up):
         self.plugged[device] = up
         getattr(self, device).link_up = up

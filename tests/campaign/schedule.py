@@ -121,6 +121,8 @@ _SPAN = {
     "switch_reset": (1, None, None),
     "switch_line_stuck": (2, 10, 900),
     "kill": (5, 0.2, 60),
+    "kill_torn": (1, 0.2, 60),
+    "suspended": (2, None, None),
     "end": (3, 0.2, 60),
 }
 _COMMANDS = {
@@ -200,6 +202,10 @@ def _fault(random, at_s, name, spans):
         value = (random.randrange(3), random.randrange(2))
     elif name in ("meter_garbled", "meter_mute", "switch_fails"):
         value = (random.choice((1, 2, 8)),)
+    elif name == "kill_torn":
+        value = (random.randrange(8), random.choice((0, 1, 20)))
+    elif name == "suspended":
+        value = (random.choice((0.5, 3.0, 12.0, 60.0)),)
     elif name == "meter_late":
         value = (random.choice((0.5, 2.5, 6.0)),)
     return Event(at_s, "fault", name, value, lasts_s)

@@ -230,7 +230,7 @@ class Watch:
         if why is None:
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is told.
-            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S:
+            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
                 self.telling.unexplained(turned_deg, now_s)
         else:
             self._unexplained_s[axis] = None
@@ -331,7 +331,7 @@ class Watch:
             return
         self._compared_s = now_s
         if not self.is_wrong():
-            self._wrong_s, self.reference_excused = None, False
+            self._wrong_s, self.reference_excused = None, bool(self.blind)
             return
         if self._wrong_s is None:
             self._wrong_s = now_s

@@ -158,10 +158,13 @@ def test_a_configuration_that_leads_nowhere_is_one_sentence(tmp_path, text, sent
     assert err.count("\n") == 1
 
 
-def test_an_urgent_command_loads_no_large_library(tmp_path):
+@pytest.mark.parametrize(
+    "words", [["stop"], ["stow", "--api=127.0.0.1:1"], ["stop", "--why", "a hand", "--api", "127.0.0.1:1"]]
+)
+def test_an_urgent_command_loads_no_large_library(tmp_path, words):
     shutil.rmtree(tmp_path)
     code = (
-        "import sys; sys.argv = ['heliocube', 'stop']\n"
+        f"import sys; sys.argv = ['heliocube', *{words}]\n"
         "from daemon.entry import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
