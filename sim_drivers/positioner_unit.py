@@ -255,6 +255,8 @@ class PositionerUnit:
         if self._any_moving(now) or abs(self._way(self._chosen, now)) >= dead_mm:
             return
         if abs(self._way(other, now)) > dead_mm:
+            if self._axis.control == "home":
+                self._axis.control = "idle"
             self._choose(other, now)
             self._axis.control = "track"
 
