@@ -98,8 +98,8 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
     disturbed, calm = (run_rig(scenario(unplug), load=SIMULATED) for unplug in (True, False))
     texts = [event.text for event in disturbed.of(Event) if event.subject == "load"]
     assert len(texts) == 2
-    assert texts[0].startswith("lost: load:")
-    assert texts[1] == "back"
+    assert texts[0].startswith("the load is down: load:")
+    assert texts[1] == "the load is back"
     assert disturbed.of(IvCurve)[-1].quality is CurveQuality.OK
     assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(360, abs=5)
 

@@ -66,8 +66,8 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert modes(bench) == [Mode.TRACKING, Mode.FALLBACK, Mode.TRACKING]
     told = [event.text for event in bench.of(Event) if event.subject == "cube"]
     assert len(told) == 2
-    assert told[0].startswith("lost")
-    assert told[1] == "back"
+    assert told[0].startswith("the cube is down")
+    assert told[1] == "the cube is back"
 
 
 @pytest.mark.parametrize("out_s", [1, 70])
@@ -182,7 +182,7 @@ def test_after_a_reconnection_the_first_word_is_stop_and_the_first_move_a_new_de
     bench = run_rig(scenario)
     assert MoveOutcome.LINK_LOST in [move.outcome for move in bench.of(Move)]
     told = [event.text for event in bench.of(Event) if event.subject == "positioner"]
-    assert [text.split(":")[0] for text in told][:2] == ["positioner lost", "positioner back"]
+    assert [text.split(":")[0] for text in told][:2] == ["the positioner is down", "the positioner is back"]
 
 
 def test_a_lost_reference_waits_for_the_operator_and_homing_restores_it(run_rig):
