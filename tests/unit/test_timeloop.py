@@ -105,6 +105,7 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
             return len(calls) == 3
 
         end = call_every(1.0, call)
+        loop.call_later(60.0, int)
         await woken.wait()
         assert loop.time() - start_s == pytest.approx(3.0, abs=1e-6), "who is woken runs before time goes on"
         await asyncio.sleep(2.5)
