@@ -86,6 +86,7 @@ class Acquisition:
         self._read_w_m2 = [math.nan] * len(FACES)
         self._backoff = Backoff(random)
         self.outage = Outage(log, "the cube")
+        self._was_open = False
         self.skipped = 0
         self.scan_every_s = cube.scan_every_s
         self.last_scan_s = clock.monotonic()
@@ -109,9 +110,9 @@ class Acquisition:
                     raise
                 except DeviceError as error:
                     first = not self.outage.is_down
-                    self.outage.down(self._clock.monotonic(), str(error))
+                    text = self.outage.down(self._clock.monotonic(), str(error))
                     if first:
-                        self._tell(f"lost: {error}")
+                        self._tell(text)
                     await self._close()
                     await asyncio.sleep(self._backoff.next_s())
         finally:
@@ -121,7 +122,8 @@ class Acquisition:
         # The meter first: a second service fails at its port before it can touch the switch of the first.
         meter = await self._voltmeter.open()
         switch = await self._multiplexer.open()
-        if not self.outage.is_down:
+        if not self._was_open:
+            self._was_open = True
             log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
 
     async def _close(self) -> None:
@@ -132,9 +134,7 @@ class Acquisition:
         due_s = self._clock.monotonic()
         while True:
             scan = await self.scan()
-            if self.outage.is_down:
-                self.outage.up(self._clock.monotonic())
-                self._tell("back")
+            self._tell(self.outage.up(self._clock.monotonic()))
             self._backoff.reset()
             self.last_scan_s = self._clock.monotonic()
             self._on_scan(scan)
@@ -233,4 +233,5 @@ class Acquisition:
         return Quality.OK
 
     def _tell(self, text: str) -> None:
-        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))
+        if text:
+            self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))

@@ -21,6 +21,7 @@ from daemon.parking import Parking
 from daemon.pointing import Pointing
 from daemon.readings import Readings
 from daemon.records import Decision, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
+from daemon.recurrence import Recurrence, Said
 from daemon.reminders import Reminders
 from daemon.stow_watch import StowWatch
 from daemon.waiting import wait_at_most
@@ -32,6 +33,8 @@ log = logging.getLogger("heliocube.control")
 _TICK_S = 5.0
 # Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
+# Changes between the same two modes that are told each for itself.
+_FEW_CHANGES = 12
 _BY_THE_CLOCK = ("chronometric", "optimal")
 
 
@@ -126,6 +129,7 @@ class Control(Doors):
         self._decision: Decision | None = None
         self._data = Data.WAITING
         self._last_why = ""
+        self._changes: dict[frozenset[Mode], Recurrence] = {}
         self.last_tick_s = clock.monotonic()
 
     # Doors for the bridge, for motion and for operators.
@@ -253,7 +257,7 @@ class Control(Doors):
 
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()
-        log.info("%s -> %s: %s", self.mode, mode, why, extra={"fields": {"mode": mode}})
+        self._log_mode(mode, why, now_s)
         self._publish(ModeChange(utc_s, now_s, self.mode, mode, why))
         self.mode = mode
         self._since_utc_s = utc_s
@@ -262,6 +266,14 @@ class Control(Doors):
         if mode is Mode.FAULT:
             # Where an operator wanted to go before the fault may be a wrong place to go to after it.
             self._orders.hold_at = None
+
+    def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
+        """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
+        changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES))
+        said = changes.note(now_s)
+        often = f" ({changes.how_often(now_s)} between these two)" if said is Said.OFTEN else ""
+        level = logging.DEBUG if said is Said.QUIETLY else logging.INFO
+        log.log(level, "%s -> %s: %s%s", self.mode, mode, why, often, extra={"fields": {"mode": mode}})
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:
         safety = self._settings.safety

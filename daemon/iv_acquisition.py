@@ -67,6 +67,7 @@ class IvAcquisition:
         self._backoff = Backoff(random)
         self._zenith_w_m2, self._zenith_s = math.nan, -math.inf
         self.outage = Outage(log, "the load")
+        self._was_open = False
         self.skipped = 0
         self.identity: str | None = None
         self.last: IvCurve | None = None
@@ -87,9 +88,9 @@ class IvAcquisition:
                     await self._measure()
                 except DeviceError as error:
                     first = not self.outage.is_down
-                    self.outage.down(self._clock.monotonic(), str(error))
+                    text = self.outage.down(self._clock.monotonic(), str(error))
                     if first:
-                        self._tell(f"lost: {error}")
+                        self._tell(text)
                     self.identity = None
                     await self._load.close()
                     await asyncio.sleep(self._backoff.next_s())
@@ -98,7 +99,8 @@ class IvAcquisition:
 
     async def _open(self) -> None:
         self.identity = await self._load.open()
-        if not self.outage.is_down:
+        if not self._was_open:
+            self._was_open = True
             log.info("the load is open", extra={"fields": {"load": self.identity}})
 
     async def _measure(self) -> None:
@@ -107,9 +109,7 @@ class IvAcquisition:
             curve = None
             if self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
                 curve = await self._curve()
-            if self.outage.is_down:
-                self.outage.up(self._clock.monotonic())
-                self._tell("back")
+            self._tell(self.outage.up(self._clock.monotonic()))
             self._backoff.reset()
             if curve is not None:
                 self.last = curve
@@ -172,7 +172,8 @@ class IvAcquisition:
         )
 
     def _tell(self, text: str) -> None:
-        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
+        if text:
+            self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
 
 
 def _packed(voltage_v: np.ndarray, current_a: np.ndarray) -> str:

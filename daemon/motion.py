@@ -108,6 +108,7 @@ class Motion(MotionState):
         self._stowing = False
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
+        self._was_connected = False
         self._was_ready = (False, False)
         self.may_rehome = False
 
@@ -243,19 +244,29 @@ class Motion(MotionState):
         pose = guard.pose
         assert pose is not None  # noqa: S101 - narrowing for the type checker; halt has just looked
         name = f"{identity.board}, firmware {identity.firmware}, serial {identity.serial}"
-        if self.outage.up(self._clock.monotonic()):
-            self._publish_event(f"positioner back: {name}")
-        else:
-            log.info("the positioner is connected: %s", name)
+        told = self._note_link(name)
         if before is not None and self._jumped(before, pose):
             text = (
                 f"positioner stands at A {pose.a_deg:.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "
                 f"A {before.a_deg:.1f}, B {before.b_deg:.1f} deg"
             )
-            self._tell(text)
+            if told:
+                self._tell(text)
             self._guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
         self._backoff.reset()
         self._note_readiness()
+
+    def _note_link(self, name: str = "") -> bool:
+        """Take note that the unit answers; return whether there was anything to tell of it."""
+        if name and not self._was_connected:
+            self._was_connected = True
+            if not self.outage.is_down:
+                log.info("the positioner is connected: %s", name)
+                return True
+        text = self.outage.up(self._clock.monotonic(), name)
+        if text:
+            self._publish_event(text)
+        return bool(text)
 
     def _jumped(self, before: Pose, after: Pose) -> bool:
         tolerance = self._settings.tolerance_deg
@@ -269,15 +280,16 @@ class Motion(MotionState):
             self._clear_wanted = None
             self._tell("nothing was cleared: the positioner was lost first")
         first = not self.outage.is_down
-        self.outage.down(self._clock.monotonic(), str(error))
-        if first:
-            self._publish_event(f"positioner lost: {error}")
+        text = self.outage.down(self._clock.monotonic(), str(error))
+        if first and text:
+            self._publish_event(text)
         self._note_readiness()
         await self._positioner.close()
 
     async def _serve(self) -> None:
         while True:
             await self._guard.look(moving=False)
+            self._note_link()
             if await self._do_what_is_asked():
                 continue
             await wait_at_most(self._wake, self._polling.idle_s)

@@ -27,6 +27,7 @@ T = TypeVar("T")
 LOOK_MOVING_S = 0.5
 # Pauses between the tries to stop a unit that does not listen; they never end while it moves.
 _DEAF_AFTER_S = 5.0
+_DEAF_LOOKS = 2
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
 # A turn of the slow screens, in which the unit tells of buttons and restarts, and a little.
 _STATUS_WITHIN_S = 4.0
@@ -98,6 +99,7 @@ class Guard:
         self._reset_before = False
         self._under_inquiry: str | None = None
         self._halted_for: tuple[str, ...] = ()
+        self._deaf_looks = 0
         self.telemetry: Telemetry | None = None
         self.pose: Pose | None = None
         self.rested: Pose | None = None
@@ -200,10 +202,14 @@ class Guard:
         return explained
 
     async def _look_at_halt(self, start_s: float) -> None:
-        telemetry = await self.look(moving=True)
-        moves = self.watch.stands_since_s is None and not telemetry.button_pressed
+        before, telemetry = self.telemetry, await self.look(moving=True)
         # Whoever presses a button moves the axis against any stop.
-        if moves and self._clock.monotonic() - max(start_s, self._pressed_s) > _DEAF_AFTER_S:
+        from_s = max(start_s, self._pressed_s) + _DEAF_AFTER_S
+        late = before is not None and before.time_monotonic_s > from_s and not telemetry.button_pressed
+        moved = before is not None and not self.watch.same_place(before, telemetry)
+        # A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
+        self._deaf_looks = self._deaf_looks + 1 if late and moved else 0
+        if self._deaf_looks >= _DEAF_LOOKS:
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {_CLEAR}")
 

@@ -243,7 +243,9 @@ class Runs:
         guard = self._guard
         guard.clearing = True
         try:
-            await guard.attended(self._unless_interrupted(self._positioner.clear_faults))
+            # Only the run itself may tell whether the count is right.
+            clear = partial(self._positioner.clear_faults, forgive=False)
+            await guard.attended(self._unless_interrupted(clear))
             guard.doubts.cleared()
         finally:
             guard.clearing = False
@@ -254,6 +256,9 @@ class Runs:
                 self._tell("homing was stopped before its end")
                 return NOT_FINISHED if doubted else None
         await guard.halt()
+        telemetry = await guard.look(moving=False)
+        if telemetry.reference_doubt:
+            raise _HomingFailedError(telemetry.reference_doubt)
         guard.doubts.referenced()
         self._retries.forget()
         self._tell("homing finished")
@@ -261,7 +266,8 @@ class Runs:
 
     async def _home_one(self, axis: Axis) -> None:
         guard = self._guard
-        guard.watch.expect_homing(axis, await guard.look(moving=True))
+        before = await guard.look(moving=True)
+        guard.watch.expect_homing(axis, before)
         await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
         deadline_s = self._clock.monotonic() + _HOMING_WITHIN_S
         while True:
@@ -278,7 +284,10 @@ class Runs:
             if self._clock.monotonic() > deadline_s:
                 raise _HomingFailedError(f"axis {axis.upper()} has not come to its end switch")
             await wait_at_most(self._wake, self._look_every_s)
-        trouble = telemetry.reference_doubt or ", ".join(telemetry.faults)
+        # A doubt about both axes stays until the other one has been homed as well.
+        known = before.reference_doubt.split("; ")
+        fresh = "; ".join(text for text in telemetry.reference_doubt.split("; ") if text not in known)
+        trouble = fresh or ", ".join(telemetry.faults)
         if trouble or telemetry.was_reset:
             raise _HomingFailedError(trouble or "the positioner has restarted")
 

@@ -240,9 +240,11 @@ class Store:
                 self._waiting.popleft()
             self._written += count
             self._lost = self._numbers - self._written - len(self._waiting)
-            lost, self._told_lost = self._lost - self._told_lost, self._lost
-            was_down = self._outage.up(self._clock.monotonic())
-        if was_down:
+            lost = self._lost - self._told_lost
+            told = self._outage.up(self._clock.monotonic())
+            if told:
+                self._told_lost = self._lost
+        if told:
             self._tell(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
 
     def _reason(self, error: Exception) -> str:
@@ -255,8 +257,8 @@ class Store:
     def _failed(self, reason: str) -> None:
         with self._changed:
             first = not self._outage.is_down
-            self._outage.down(self._clock.monotonic(), reason)
-        if first:
+            told = self._outage.down(self._clock.monotonic(), reason)
+        if first and told:
             self._tell(f"cannot write: {reason}; records wait in memory")
 
     def _tell(self, text: str) -> None:

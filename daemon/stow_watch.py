@@ -114,8 +114,9 @@ class StowWatch:
     def reasons(self, now_s: float) -> tuple[str, ...]:
         """Ask every source at this monotonic time and return all reasons to stow, none of them twice."""
         found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
-        self._keep(found, now_s)
-        return tuple(dict.fromkeys(found.values()))
+        if found.keys() != self._kept:
+            self._keep(found, now_s)
+        return tuple(dict.fromkeys(found.values())) if found else ()
 
     def unheard_why(self, now_s: float) -> str | None:
         """Return which sources have not been heard once since the start, in words, or None."""
@@ -155,7 +156,7 @@ class StowWatch:
                 timer.cancel()
 
     def _keep(self, found: dict[str, str], now_s: float) -> None:
-        if found.keys() == self._kept or not self._sources or now_s < self._save_s:
+        if not self._sources or now_s < self._save_s:
             return
         if self._file.save(found, self._clock.utc()):
             self._kept, self._save_s = found.keys(), -math.inf

@@ -79,6 +79,8 @@ class Wishes(BaseModel):
     @property
     def stillness(self) -> str | None:
         """Why nothing at all may move, or None: the first of maintenance, a person's stop, a person at the buttons."""
+        if self.maintenance is None and self.stop is None and self.buttons is None:
+            return None
         return self.told("maintenance") or self.told("stop") or self.told("buttons")
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:

@@ -156,10 +156,11 @@ class Positioner(Protocol):
     async def home(self, axis: Axis) -> None:
         """Halt both axes, start a reference run of one to its low end switch, and return once it has begun."""
 
-    async def clear_faults(self) -> Telemetry:
+    async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
         """Clear latched faults and the reset mark; return the last look before that, its status no older than the call.
 
-        What shows in that look is what was cleared; whatever came later was not seen by anybody.
+        What shows in that look is what was cleared; whatever came later was not seen by anybody. Without `forgive` the
+        doubts about the reference stay, as before a reference run: nobody has said that the count is right.
         """
 
 

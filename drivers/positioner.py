@@ -207,10 +207,11 @@ class PozsolPositioner:
             self._watch.break_off_run()
             raise
 
-    async def clear_faults(self) -> Telemetry:
+    async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
         """Halt, look at a status younger than the call, clear, and wait until it shows; return that look.
 
-        The unit would go on with what was pending behind a fault, so both axes stand first.
+        The unit would go on with what was pending behind a fault, so both axes stand first. Without `forgive` the
+        doubts about the reference stay.
         """
         stops, called_s = self._stops, self._now()
         await self._stand(stops)
@@ -225,7 +226,8 @@ class PozsolPositioner:
             stops,
             _STATUS_SHOWS_S,
         )
-        self._watch.forgive(kinds)
+        if forgive:
+            self._watch.forgive(kinds)
         return seen
 
     async def _identify(self) -> PositionerIdentity:

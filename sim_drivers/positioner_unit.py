@@ -231,9 +231,9 @@ class PositionerUnit:
 
     def _control(self, now: float) -> None:
         if self._runs_out and not self._axis.moving(now):
-            self._axis.target_mm, self._axis.control = self._axis.counted_mm(now), "idle"
+            self._stop_all(now)
+            self._axis.control = "idle"
             self._runs_out = False
-            self._axis.release(now)
         self._take_turns(now)
         axis = self._axis
         if axis.blocked:
@@ -255,6 +255,8 @@ class PositionerUnit:
         if self._any_moving(now) or abs(self._way(self._chosen, now)) >= dead_mm:
             return
         if abs(self._way(other, now)) > dead_mm:
+            if self._axis.control == "home":
+                self._axis.control = "idle"
             self._choose(other, now)
             self._axis.control = "track"
 

@@ -257,8 +257,8 @@ class Scene:
 
 
 def _between(values: list[float], index: int, share: float) -> float | None:
-    before, after = values[index : index + 2]
-    value = before + (after - before) * share
+    before = values[index]
+    value = before + (values[index + 1] - before) * share
     return None if isnan(value) else value
 
 

@@ -112,8 +112,8 @@ class ApiServer:
             bound.close()
             first = not self._outage.is_down
             reason = f"{self._address} cannot be listened on: {error.strerror}; set api.listen to another port"
-            self._outage.down(now_s, reason)
-            if first:
+            told = self._outage.down(now_s, reason)
+            if first and told:
                 clock = self._service.clock
                 self._service.bus.publish(Event(clock.utc(), clock.monotonic(), "api", reason))
             return

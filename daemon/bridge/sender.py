@@ -147,7 +147,7 @@ class _Target:
             self._last_error_s = now_s
             self._outage.down(now_s, self._last_error)
         elif now_s - self._last_error_s >= BACK_AFTER_S:
-            self._outage.up(self._last_error_s)
+            self._outage.up(self._last_error_s if self._outage.is_down else now_s)
 
     def close(self) -> None:
         if self._socket is not None:

@@ -251,12 +251,13 @@ class Link:
     def _back(self) -> None:
         now_s = self._clock.monotonic()
         self._unsteady = False
-        lost = self._outbox.dropped - self._told_dropped
-        self._told_dropped = self._outbox.dropped
         if self._told_back_s == -math.inf and not self._outage.is_down:
             log.info("connected to the MQTT broker at %s:%d", self._settings.host, self._settings.port)
-        if self._outage.up(now_s):
+        if self._outage.is_down:
             self._told_back_s = now_s
+        if self._outage.up(now_s):
+            lost = self._outbox.dropped - self._told_dropped
+            self._told_dropped = self._outbox.dropped
             dropped = f"; {lost} messages were dropped meanwhile, the oldest first" if lost else ""
             self._tell(f"the broker is back{dropped}")
 

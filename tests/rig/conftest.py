@@ -10,6 +10,7 @@ import pytest
 from daemon.bus import Bus
 from daemon.clock import LoopClock
 from daemon.config import Settings
+from daemon.motion import OFTEN, Polling
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.timeloop import VirtualTimeLoop
@@ -55,7 +56,10 @@ class SteppingClock(LoopClock):
 class Bench:
     """One service, its instruments, and everything it has published."""
 
-    def __init__(self, loop, settings, start, weather, role, setup=None):
+    polling = OFTEN
+
+    def __init__(self, loop, settings, start, weather, role, setup=None, polling=OFTEN):
+        self.polling = polling
         self.clock = SteppingClock(loop.time, start.timestamp())
         self.weather = weather
         self.wind_m_s = 3.0
@@ -100,6 +104,7 @@ class Bench:
             self.bus,
             KEY,
             Notifier({}, 0),
+            polling=self.polling,
         )
 
     def _sensor(self, channel, now_s):
@@ -124,12 +129,12 @@ class Bench:
     def of(self, kind):
         return [record for record in self.records if isinstance(record, kind)]
 
-    async def until(self, condition, within_s, what):
-        """Let time pass until the condition holds."""
+    async def until(self, condition, within_s, what, every_s=0.02):
+        """Let time pass until the condition holds; it is looked at `every_s`."""
         deadline = self.clock.monotonic() + within_s
         while not condition():
             assert self.clock.monotonic() < deadline, f"{what} did not happen within {within_s} s; mode {self.mode}"
-            await asyncio.sleep(0.02)
+            await asyncio.sleep(every_s)
 
     async def until_mode(self, mode, within_s):
         await self.until(lambda: self.mode is mode, within_s, f"mode {mode}")
@@ -137,9 +142,14 @@ class Bench:
 
 @pytest.fixture
 def run_rig():
-    """Run a scenario, an async function that is given the bench, beside the service."""
+    """Run a scenario, an async function that is given the bench, beside the service.
 
-    def run(scenario, *, start="2022-10-12T10:00", weather=None, role=Role.BOTH, setup=None, **sections):
+    Where hours pass and nothing hangs on it, a positioner at rest may be looked at less often than the service does.
+    """
+
+    def run(
+        scenario, *, start="2022-10-12T10:00", weather=None, role=Role.BOTH, setup=None, rest_look_s=None, **sections
+    ):
         sections.setdefault("bridge", {}).update(listen="127.0.0.1:0", send_to=())
         settings = Settings.model_validate(sections)
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
@@ -151,6 +161,7 @@ def run_rig():
                 HandWeather() if weather is None else weather,
                 role,
                 setup,
+                OFTEN if rest_look_s is None else Polling(idle_s=rest_look_s),
             )
 
             async def beside():

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+from drivers import pozsol_wire as wire
 from drivers.pozsol_wire import Field, encode_command
 
-A_PACKET, B_PACKET, STOP_PACKET = b"$,", b"$0", b"$9s"
+A_PACKET, B_PACKET, STOP_PACKET = b"$.", b"$2", b"$9s"
+TRACKING_OFF_PACKET = encode_command(Field.MODE, wire.TRACKING_OFF)
 
 
 def drive(bench, field, value):

@@ -96,7 +96,7 @@ def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start,
             await asyncio.sleep(600)
             assert alarm(bench) is None
 
-    run_rig(scenario, weather=weather, start=start)
+    run_rig(scenario, weather=weather, start=start, rest_look_s=5.0)
 
 
 def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):

@@ -10,7 +10,7 @@ from daemon.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
 from sim_drivers.positioner_setup import Drive, Setup
 
-from .motion_tools import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show
+from .motion_tools import A_PACKET, B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, alarms, drive_b, lose, show
 from .test_faults import at_rest, commands_sent, tracking, under_way
 from .test_motion_rule import moves_for, quiet
 
@@ -149,17 +149,22 @@ def test_what_was_ordered_before_a_loss_is_forgotten(run_rig, monkeypatch):
 
 
 @pytest.mark.parametrize("when", ["at the connection", "later"])
-def test_own_tracking_is_switched_off(run_rig, when):
+def test_own_tracking_is_switched_off(run_rig, monkeypatch, when):
     async def scenario(bench):
         await quiet(bench)
         if when == "at the connection":
             bench.positioner.link_up = False
             await asyncio.sleep(2)
-        bench.unit._unit._own_tracking = True
+        # Without a supply it cannot move, whatever it wants.
+        bench.unit.inject("undervoltage", now(bench))
+        bench.unit.inject("own_tracking", now(bench))
+        sent = commands_sent(bench, monkeypatch)
         bench.positioner.link_up = True
-        await bench.until(lambda: bench.motion.connected, 20, "the connection")
+        await bench.until(lambda: TRACKING_OFF_PACKET in [data for _, data in sent], 20, "the command")
         await asyncio.sleep(3)
-        assert not bench.unit._unit._own_tracking
+        assert not bench.motion.telemetry.autonomous
+        bench.unit.repair("undervoltage", now(bench))
+        assert await moves_for(bench, 10) == 0.0
         assert bench.motion.unexplained is None, "nothing has moved"
         await bench.until_mode(Mode.TRACKING, 20)
 
@@ -284,7 +289,7 @@ def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(ru
         assert len(targets(sent)) <= 60
         monkeypatch.undo()
         await bench.until(lambda: bench.truth().b_deg > 89, 700, "the stow")
-        await asyncio.sleep(30)
+        await at_rest(bench)
         assert "move-failed" not in alarms(bench)
 
     run_rig(scenario)

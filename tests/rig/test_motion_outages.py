@@ -6,8 +6,10 @@ import logging
 import pytest
 
 from daemon.motion import Polling
+from drivers import pozsol_wire as wire
+from drivers.pozsol_wire import Field
 
-from .motion_tools import A_PACKET, B_PACKET, lose
+from .motion_tools import A_PACKET, B_PACKET, drive, lose
 from .test_faults import commands_sent
 from .test_motion_rule import quiet
 
@@ -29,7 +31,7 @@ async def flapping(bench):
     while now(bench) < end_s:
         bench.unit.inject("a_overcurrent", now(bench))
         await asyncio.sleep(120)
-        bench.unit._unit._clear_faults()
+        drive(bench, Field.STATUS, wire.CLEAR)
         await asyncio.sleep(120)
 
 

@@ -141,7 +141,9 @@ def test_doubts_and_incidents_outlive_the_service(run_rig, tmp_path):
     async def scenario(bench):
         await quiet(bench)
         bench.unit.power_cycle(now(bench))
-        drive_b(bench, 85.0)
+        for _ in range(2):
+            # The unit mislays the first packet after its restart.
+            drive_b(bench, 85.0)
         await bench.until(lambda: bench.motion.unexplained and bench.motion.doubt, 30, "both")
         await asyncio.sleep(10)
 
@@ -297,9 +299,7 @@ def test_the_other_axis_may_not_move_during_a_reference_run(run_rig):
         bench.motion.home()
         await asyncio.sleep(8)
         assert bench.motion.homing
-        bench.unit._unit.axes["b"].aim(10.0, now(bench))
-        bench.unit._unit.axes["b"].begin(now(bench))
-        bench.unit._unit._schedule()
+        bench.unit.inject("re_reference", now(bench))
         assert await moves_for(bench, 20) <= 2.0
         assert "B moved" in bench.motion.unexplained
         assert "homing failed" in bench.motion.doubt
@@ -376,8 +376,8 @@ def test_rehoming_that_fails_is_tried_again_after_ever_longer_pauses(run_rig, mo
 def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
     async def scenario(bench):
         await quiet(bench)
+        bench.unit.power_cycle(now(bench))
         bench.unit.inject("a_overcurrent", now(bench))
-        bench.unit._unit._was_reset = True
         await asyncio.sleep(120)
         assert bench.motion.doubt
         assert not [text for text in told(bench) if text == "homing"]

@@ -204,14 +204,15 @@ def test_a_button_at_the_unit_stops_motion_and_is_no_unexplained_motion(run_rig)
         assert await moves_for(bench, 20) <= 2.0
         assert bench.motion.unexplained is None
         assert bench.motion.pressed
-        with pytest.raises(RefusedError, match="a button is pressed"):
+        with pytest.raises(RefusedError, match="a button was pressed"):
             bench.motion.order(Target(0, 90, "test"))
-        with pytest.raises(RefusedError, match="a button is pressed"):
+        with pytest.raises(RefusedError, match="a button was pressed"):
             bench.motion.home()
         assert "unexplained-motion" not in alarms(bench)
 
     bench = run_rig(scenario)
-    assert sum("a button is pressed" in event.text for event in bench.of(Event)) == 1
+    told = [event.text for event in bench.of(Event) if event.subject == "positioner"]
+    assert sum("a button is pressed" in text for text in told) == 1
 
 
 def test_a_button_that_is_held_for_long_blocks_nothing_and_is_no_deafness(run_rig):
@@ -295,15 +296,16 @@ def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fail
 def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
     async def scenario(bench):
         await under_way(bench)
-        bench.motion.freeze("Ann stopped it at 10:00")
+        await bench.control.stop("Ann works there")
         assert await moves_for(bench, 10) <= 2.0
         for call in (bench.motion.home, lambda: bench.motion.order(Target(0, 60, "test"), stow=True)):
-            with pytest.raises(RefusedError, match="Ann stopped it at 10:00"):
+            with pytest.raises(RefusedError, match="Ann works there"):
                 call()
         drive_b(bench, 85.0)
         assert await moves_for(bench, 10) <= 2.0
-        assert "against a stop (Ann stopped it at 10:00)" in bench.motion.unexplained
-        bench.motion.freeze(None)
+        assert "against a stop (" in bench.motion.unexplained
+        assert "Ann works there" in bench.motion.unexplained
+        bench.control.auto()
         await cleared(bench)
         bench.motion.order(Target(0, 60, "test"))
         assert await moves_for(bench, 3) > 0
@@ -496,3 +498,20 @@ def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service(run_ri
     said, _ = ended(run_rig, caplog, act)
     assert said.startswith("motion is not known to be stopped: ")
     assert benches[0].clock.monotonic() - benches[0].end_s < 12
+
+
+def test_a_host_that_was_busy_for_seconds_does_not_call_a_standing_unit_deaf(run_rig):
+    async def scenario(bench):
+        halt = bench.positioner.halt
+
+        async def busy_then_halt():
+            asyncio.get_running_loop().skip(8.0)
+            await halt()
+
+        bench.positioner.halt = busy_then_halt
+        await bench.until(lambda: bench.motion.connected, 30, "the connection")
+        await asyncio.sleep(10)
+        assert "deaf-to-stop" not in alarms(bench)
+        assert bench.motion.unexplained is None
+
+    run_rig(scenario)

@@ -70,7 +70,7 @@ def test_decisions_come_every_five_minutes_from_a_window_of_two(run_rig):
 
 
 def test_noise_alone_moves_nothing(run_rig):
-    bench = run_rig(one_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"})
+    bench = run_rig(one_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
     assert len(bench.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
 
 
@@ -96,7 +96,7 @@ def test_night_falls_and_morning_comes(run_rig):
             conditions.dhi_w_m2[:] = 300.0 * up
             return conditions
 
-    bench = run_rig(through_the_night, start="2022-10-12T15:00", weather=Day())
+    bench = run_rig(through_the_night, start="2022-10-12T15:00", weather=Day(), rest_look_s=5.0)
     modes = [change.after for change in bench.of(ModeChange)]
     assert modes == [Mode.TRACKING, Mode.NIGHT, Mode.TRACKING]
     dark = next(change.time_utc_s for change in bench.of(ModeChange) if change.after is Mode.NIGHT)

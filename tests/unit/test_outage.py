@@ -77,5 +77,60 @@ def test_a_day_of_outage_is_at_most_twenty_lines_however_often_it_fails(gaps_s):
         now_s += gap_s
         if now_s > 86400:
             break
-        lines += outage.down(now_s, "x")
-    assert lines + outage.up(now_s) <= 20
+        lines += bool(outage.down(now_s, "x"))
+    assert lines + bool(outage.up(now_s)) <= 20
+
+
+def flap(outage, times, start_s=0.0, reason="unplugged"):
+    """Be down for 10 s and up for 10 s; return the monotonic time after it [s]."""
+    for turn in range(times):
+        outage.down(start_s + 20.0 * turn, reason)
+        outage.up(start_s + 20.0 * turn + 10.0)
+    return start_s + 20.0 * times
+
+
+def test_what_comes_and_goes_is_told_six_times_and_then_by_its_number(outage, caplog):
+    flap(outage, 12)
+    assert told(caplog) == [
+        *[("WARNING", "the positioner is down: unplugged"), ("INFO", "the positioner is back")] * 6,
+        ("WARNING", "the positioner comes and goes: 7 times in the last hour: unplugged"),
+    ]
+
+
+def test_a_day_of_coming_and_going_is_few_lines(outage, caplog):
+    flap(outage, 4320)
+    assert len(told(caplog)) <= 20
+
+
+def test_what_came_and_went_is_steady_after_half_an_hour_and_that_is_told_with_its_number(outage, caplog):
+    end_s = flap(outage, 20) - 10.0
+    caplog.clear()
+    assert not outage.up(end_s + 1799.0)
+    assert outage.up(end_s + 1800.0)
+    assert not outage.up(end_s + 1801.0)
+    text = "the positioner is steady again: it has worked for 30 min, after 20 outages"
+    assert told(caplog) == [("INFO", text)]
+
+
+def test_a_new_outage_after_coming_and_going_is_told_at_once(outage, caplog):
+    end_s = flap(outage, 20)
+    outage.up(end_s + 2000.0)
+    caplog.clear()
+    assert outage.down(end_s + 3000.0, "no answer") == "the positioner is down: no answer"
+    assert outage.up(end_s + 3010.0, "firmware 7") == "the positioner is back: firmware 7"
+
+
+def test_a_true_outage_in_the_middle_of_coming_and_going_is_told_after_an_hour(outage, caplog):
+    end_s = flap(outage, 20)
+    caplog.clear()
+    lines = [second for second in range(0, 7 * 3600, 5) if outage.down(end_s + second, "no answer")]
+    assert lines == [3600, 6 * 3600]
+    assert told(caplog)[0] == ("WARNING", "the positioner is still down: no answer")
+
+
+def test_whether_it_is_down_is_known_however_it_is_told(outage):
+    end_s = flap(outage, 20)
+    outage.down(end_s, "no answer")
+    assert (outage.is_down, outage.since, outage.reason) == (True, end_s, "no answer")
+    outage.up(end_s + 5.0)
+    assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
