@@ -15,6 +15,7 @@ from tests.campaign.person import WORKS, Person, known
 from tests.campaign.plant import LogLines, build
 from tests.campaign.watch import Violation, Watch
 
+GUST_S = 1.3
 LINES_OF_AN_OUTAGE = 50
 LINES_OF_A_COMMAND = 8
 RECOVERS_WITHIN_S = 3000.0
@@ -108,6 +109,12 @@ class Run:
         self._lasting[event.name] += 1
         await _called(fault.begin, plant, event.value)
         await asyncio.sleep(event.lasts_s)
+        if (
+            event.name == "wind"
+            and event.lasts_s >= GUST_S
+            and plant.served_since_s < plant.clock.monotonic() - event.lasts_s
+        ):
+            self.watch.gust()
         self._lasting[event.name] -= 1
         if fault.end is not None and not self._lasting[event.name]:
             await _called(fault.end, plant, event.value)

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 import shutil
 from datetime import UTC, datetime
 
@@ -84,6 +85,7 @@ class Plant(Bench):
         self._lasting = settings
         self.serving = None
         self.served = asyncio.Event()
+        self.served_since_s = math.inf
         self.commands = set()
         self._stop = None
         super().__init__(loop, settings, start, weather, Role.BOTH, setup)
@@ -118,6 +120,7 @@ class Plant(Bench):
         self.serving = asyncio.create_task(self.service.run(self._stop), name="service")
         self.serving.add_done_callback(self._ended)
         self.served.set()
+        self.served_since_s = self.clock.monotonic()
         self.watch.service_begins()
 
     def _ended(self, task):

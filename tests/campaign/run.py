@@ -12,6 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.campaign.campaign import reduce, run
+from tests.campaign.doors import DOORS
 from tests.campaign.faults import CannotDoError
 from tests.campaign.schedule import Schedule, draw
 
@@ -22,6 +23,7 @@ def main():
     parser.add_argument("--from", type=int, default=1, dest="first", help="the first")
     parser.add_argument("--hours", type=float, default=3.0, help="of virtual time for each")
     parser.add_argument("--without", nargs="*", default=[], help="faults and commands that are left out")
+    parser.add_argument("--door", choices=DOORS, default="direct", help="how commands are given")
     parser.add_argument("--schedule", type=Path, help="run this one file instead, as --reduce has written it")
     parser.add_argument("--show", action="store_true", help="print the whole schedule and the service's log")
     parser.add_argument("--reduce", type=Path, help="write the reduced schedule of the first failure here")
@@ -40,7 +42,7 @@ def _campaign(chosen):
         else [draw(seed, chosen.hours, chosen.without) for seed in range(chosen.first, chosen.first + chosen.seeds)]
     )
     for schedule in schedules:
-        outcome = run(schedule)
+        outcome = run(schedule, DOORS[chosen.door])
         events += len(schedule.events)
         latencies_s += outcome.stop_latencies_s
         if chosen.show:
@@ -50,7 +52,8 @@ def _campaign(chosen):
         found.update(outcome.promises)
         print(f"seed {schedule.seed} done, {time.monotonic() - begun_s:.0f} s", file=sys.stderr, flush=True)
         if outcome.violations and chosen.reduce:
-            reduced = reduce(schedule, {outcome.violations[0].promise})
+            door = DOORS[chosen.door]
+            reduced = reduce(schedule, {outcome.violations[0].promise}, lambda fewer: run(fewer, door))
             chosen.reduce.write_text(reduced.json())
             print(f"reduced to {len(reduced.events)} events:\n{reduced.text()}\n{chosen.reduce}", flush=True)
             return 1

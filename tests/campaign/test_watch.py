@@ -250,6 +250,14 @@ def test_a_tracker_that_tracks_in_a_storm_is_seen(plant):
     assert promises(plant) == ["storm"]
 
 
+@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOW, Mode.HOLD])
+def test_a_tracker_that_does_not_stay_stowed_after_a_gust_is_seen(plant, mode):
+    plant.control.mode = mode
+    plant.watch.gust()
+    plant.wait(70)
+    assert set(promises(plant)) == ({"storm"} if mode is Mode.TRACKING else set())
+
+
 def test_a_move_on_old_readings_is_seen(plant):
     plant.control.state.scan_age_s = 20.0
     plant.order(1, 60)

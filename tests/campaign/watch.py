@@ -35,6 +35,8 @@ REFERENCE_DEG = 0.8
 REFERENCE_EVERY_S = 5.0
 DOUBTS_WITHIN_S = 30.0
 STORM_S = 11.0
+GUST_STOWS_S = 60.0
+FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 STALE_S = 16.0
 CLOCK_SETTLES_S = 890.0
 CLOCK_STEP_S = 30.0
@@ -81,6 +83,7 @@ class Watch:
         self._compared_s = -math.inf
         self.reference_excused = False
         self._storm_s = None
+        self._gust_s = -math.inf
         self._stepped_s = -math.inf
         self._sendings = 0
         self._sent_s = -math.inf
@@ -157,6 +160,11 @@ class Watch:
     def maintenance_ends(self):
         self._maintenance_s = None
 
+    def gust(self):
+        """The wind has been strong for more than a second."""
+        if self.plant.is_served and self.now_s - self._begun_s > STORM_S:
+            self._gust_s = self.now_s
+
     def clock_steps(self):
         self._stepped_s = self.now_s
 
@@ -216,6 +224,7 @@ class Watch:
         self._check_stop(now_s)
         self._check_reference(now_s)
         self._check_storm(now_s)
+        self._check_gust(now_s)
         if self._live(now_s):
             self.telling.look(self.plant, now_s)
         else:
@@ -359,10 +368,16 @@ class Watch:
             return
         if self._storm_s is None:
             self._storm_s = now_s
-        free = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
         since_s = max(self._storm_s, self._reachable_s)
-        if now_s - since_s > STORM_S and self.plant.control.mode in free and self._live(now_s):
+        if now_s - since_s > STORM_S and self.plant.control.mode in FREE and self._live(now_s):
             self.fails("storm", f"mode {self.plant.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
+
+    def _check_gust(self, now_s):
+        """A gust is over soon, and the tracker stays stowed after it."""
+        if not self._gust_s + STORM_S < now_s < self._gust_s + GUST_STOWS_S:
+            return
+        if self._reachable_s < now_s - STORM_S and self.plant.control.mode in FREE and self._live(now_s):
+            self.fails("storm", f"mode {self.plant.control.mode} {now_s - self._gust_s:.0f} s after a gust")
 
     def _check_target(self, target):
         control, now_s = self.plant.control, self.now_s
