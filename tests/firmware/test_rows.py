@@ -244,17 +244,6 @@ def test_another_triangle_is_driven_to_alike(unit, actuator):
         assert float(ours) == pytest.approx(theirs, abs=0.02), target_deg
 
 
-def test_a_target_that_comes_while_the_other_axis_runs_out_after_its_reference_run_is_forgotten_at_its_end(lock_step):
-    firmware = Firmware(lock_step, -50.978, 14.976)
-    looks = []
-    for both in (firmware, firmware.twin()):
-        both.feed(HOME_A)
-        both.step(1833)
-        looks += [after(both, b"$047.43\r", 50), after(both, b"", 700)]
-    firmware.close()
-    assert [look.destination_mm[1] for look in looks] == pytest.approx([149.0, 9.28] * 2, abs=0.02)
-
-
 def test_a_slave_that_is_switched_to_tracking_waits_for_its_master(both):
     both.cause("slave")
     before = both.look()
