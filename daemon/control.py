@@ -34,7 +34,7 @@ _TICK_S = 5.0
 # Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
 # Changes between the same two modes that are told each for itself.
-_FEW_CHANGES = 12
+_FEW_CHANGES = 8
 _BY_THE_CLOCK = ("chronometric", "optimal")
 
 
@@ -269,7 +269,7 @@ class Control(Doors):
 
     def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
         """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
-        changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES))
+        changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES, reminds=False))
         said = changes.note(now_s)
         often = f" ({changes.how_often(now_s)} between these two)" if said is Said.OFTEN else ""
         level = logging.DEBUG if said is Said.QUIETLY else logging.INFO

@@ -31,10 +31,13 @@ class Recurrence:
     ----------
     few
         How many are told each for itself.
+    reminds
+        Whether the number is told again and again, and not only once.
     """
 
-    def __init__(self, few: int) -> None:
+    def __init__(self, few: int, *, reminds: bool = True) -> None:
         self._few = few
+        self._reminds = reminds
         self._times: deque[float] = deque(maxlen=_MOST)
         self._often = self._new_chance = False
         self._spells = self._reminders = self._told = self._count = 0
@@ -55,7 +58,7 @@ class Recurrence:
                 return Said.PLAINLY
             self._often, self._told = True, 0
             self._spells += 1
-        if now_s < self._due_s:
+        if now_s < self._due_s or (self._told and not self._reminds):
             return Said.QUIETLY
         self._due_s = now_s + self._pause_s()
         self._reminders += 1

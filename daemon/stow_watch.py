@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from daemon.clock import Clock, iso_utc
 from daemon.replace_file import replace_file
 from daemon.stow import StowSource, StowStatus
+from daemon.timeloop import call_every
 
 log = logging.getLogger("heliocube.stow")
 
@@ -132,28 +133,29 @@ class StowWatch:
         """Ask the sources between the looks of control too, so that no gust is missed, until cancelled."""
         loop = asyncio.get_running_loop()
         failed: asyncio.Future[None] = loop.create_future()
-        stowed, timer = False, None
+        stowed = False
 
-        def look() -> None:
-            # A timer and not a sleeping task: 86,400 looks of a simulated day have to be cheap.
-            nonlocal stowed, timer
-            timer = loop.call_later(_LOOK_EVERY_S, look)
+        def look() -> bool:
+            # Called back and not a sleeping task: 86,400 looks of a simulated day have to be cheap.
+            nonlocal stowed
+            if failed.done():
+                return True
             try:
                 stows = bool(self.reasons(self._clock.monotonic()))
             except Exception as error:  # noqa: BLE001 - it is raised below, where this is waited for
-                timer.cancel()
                 failed.set_exception(error)
-                return
-            if stows and not stowed:
+                return True
+            begins, stowed = stows and not stowed, stows
+            if begins:
                 self._wake()
-            stowed = stows
+            return begins
 
-        look()
+        end = call_every(_LOOK_EVERY_S, look)
         try:
+            look()
             await failed
         finally:
-            if timer is not None:
-                timer.cancel()
+            end()
 
     def _keep(self, found: dict[str, str], now_s: float) -> None:
         if not self._sources or now_s < self._save_s:

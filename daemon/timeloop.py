@@ -5,11 +5,13 @@ jumps to the next timer. Datagrams on loopback arrive within the send call, so t
 """
 
 import asyncio
+import math
 import selectors
 import time
 from asyncio import AbstractEventLoop, Future
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from math import ceil
 from typing import Any, TypeVarTuple, cast
 
@@ -63,9 +65,17 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
         return self._start_s + (time.monotonic() - self._start_s) * self._speed
 
 
+@dataclass(slots=True, eq=False)
+class _Beat:
+    due_s: float
+    every_s: float
+    call: Callable[[], bool]
+
+
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
+        self.beats: list[_Beat] = []
         self._now_ns = 0
         self.now_s = 0.0
         self.jobs = 0
@@ -79,7 +89,7 @@ class _VirtualSelector(_DelegatingSelector):
         events = self._real.select(0)
         if events:
             return events
-        if self.jobs or timeout is None:
+        if self.jobs or (timeout is None and not self.beats):
             events = self._real.select(_DEADLOCK_AFTER_S)
             if not events:
                 raise RuntimeError(
@@ -87,8 +97,22 @@ class _VirtualSelector(_DelegatingSelector):
                     "the program waits for something that virtual time cannot bring"
                 )
             return events
-        self.skip(timeout)
+        self._jump(timeout)
         return events
+
+    def _jump(self, timeout: float | None) -> None:
+        # A timer within twice the time so far is found again exactly: subtracting such floats loses nothing.
+        until_s = math.inf if timeout is None else self.now_s + timeout
+        while self.beats:
+            beat = min(self.beats, key=_due_s) if len(self.beats) > 1 else self.beats[0]
+            if beat.due_s >= until_s:
+                break
+            self.skip(max(beat.due_s - self.now_s, 0.0))
+            beat.due_s = self.now_s + beat.every_s
+            if beat.call() or timeout is None:
+                return
+        if timeout is not None:
+            self.skip(max(until_s - self.now_s, 0.0))
 
     def skip(self, duration_s: float) -> None:
         # Counted in whole nanoseconds, so that nothing is lost to rounding in a year.
@@ -106,6 +130,20 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Virtual seconds since construction."""
         return self._virtual.now_s
+
+    def call_every(self, every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
+        """Call back again and again, at a tenth of what a timer costs; return what ends that.
+
+        Parameters
+        ----------
+        every_s
+            Virtual seconds between two calls.
+        call
+            Returns whether it has set off anything that has to run before time goes on.
+        """
+        beat = _Beat(self.time() + every_s, every_s, call)
+        self._virtual.beats.append(beat)
+        return lambda: self._virtual.beats.remove(beat)
 
     def skip(self, duration_s: float) -> None:
         """Let time jump although timers are set: those that come due meanwhile run once, late, and see the new time."""
@@ -125,6 +163,29 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def _job_done(self, _future: Future[Any]) -> None:
         self._virtual.jobs -= 1
+
+
+def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
+    """Call back every `every_s` of the running loop's time, whatever loop it is; return what ends that."""
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, VirtualTimeLoop):
+        return loop.call_every(every_s, call)
+    timer: asyncio.TimerHandle
+
+    def again() -> None:
+        nonlocal timer
+        timer = loop.call_later(every_s, again)
+        call()
+
+    def end() -> None:
+        timer.cancel()
+
+    timer = loop.call_later(every_s, again)
+    return end
+
+
+def _due_s(beat: _Beat) -> float:
+    return beat.due_s
 
 
 def new_loop(speed: float) -> AbstractEventLoop:

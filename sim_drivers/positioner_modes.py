@@ -37,7 +37,7 @@ class OwnModes:
     """
 
     def __init__(self, setup: Setup) -> None:
-        self.tracking = self.slave = False
+        self.tracking = self.slave = self._is_led = False
         self.wind = _Stow(setup.wind_stow, 0.5, setup.wind_hold_s)
         self.snow = _Stow(setup.snow_stow, 10.0, setup.snow_hold_s)
         self._setup = setup
@@ -55,12 +55,13 @@ class OwnModes:
 
     def lead(self, present: bool, now: float) -> None:
         """Let a master take the unit over and lead it, or let it go."""
-        self.slave = present
+        self.slave = self._is_led = present
         self.switch(present, now)
 
     def restart(self, now: float) -> None:
-        """Start tracking anew if it is on."""
-        self._next_s = now if self.tracking else math.inf
+        """Start tracking anew if it is on; without a word of its master a slave stays where it is."""
+        moves = self.tracking and (self._is_led or not self.slave)
+        self._next_s = now if moves else math.inf
 
     def events(self) -> tuple[float, ...]:
         """Return when something changes by itself."""

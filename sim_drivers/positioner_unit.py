@@ -27,8 +27,8 @@ BRAKING_S = 0.34
 """From its target until the unit has braked an axis; what it is told in that time is lost."""
 IDLE_S = 1.0
 """For so long an axis without a reason to be driven stays switched on."""
-BUTTON_S = 0.32
-"""How long a button has to be held before it does something, and again."""
+BUTTON_S, BUTTON_AGAIN_S = 0.32, 0.301
+"""How long a button has to be held before it does something, and until it does so again."""
 MOTOR_CURRENT_A = 0.8
 Button = Literal["out", "in", "both"]
 """Which of the unit's buttons is held; both together choose the other axis."""
@@ -339,7 +339,7 @@ class PositionerUnit:
             self._braked_s = min(self._braked_s, now + 2 * POLL_S)
 
     def _obey_button(self, now: float) -> None:
-        self._button_s = now + BUTTON_S
+        self._button_s = now + BUTTON_AGAIN_S
         if self.button == "both":
             self._by_button = "b" if self._by_button == "a" else "a"
             self._set_manual(True)

@@ -1,6 +1,8 @@
 """How far the simulated positioner agrees with the maker's firmware, and where not: the table of docs/hardware.md.
 
-    python -m tests.bench.firmware_agreement [SEED [COUNT]]
+    python -m tests.bench.firmware_agreement [SEED [COUNT [odd]]]
+
+With `odd` the sequences are of bytes that nobody would send who knows the unit.
 
 Needs qemu-arm and the firmware's build beside the repository. About half a second a sequence.
 """
@@ -8,22 +10,24 @@ Needs qemu-arm and the firmware's build beside the repository. About half a seco
 import sys
 from collections import Counter
 
+from tests.firmware.odd_sequences import odd_sequence
 from tests.firmware.peer import driver, missing
-from tests.firmware.sequences import STATES, run, sequence
+from tests.firmware.sequences import STATES, kind, run, sequence
 
 
-def main(seed: int = 0, count: int = 300) -> None:
+def main(seed: int = 0, count: int = 300, *, odd: bool = False) -> None:
     if why := missing():
         sys.exit(why)
     module = driver()
     tried, differing = Counter(), Counter()
     for number in range(seed, seed + count):
-        outcome = run(module, sequence(number))
+        case = odd_sequence(number)[1] if odd else sequence(number)
+        outcome = run(module, case)
         state = outcome.sequence.state
         tried[state] += 1
         if outcome.differences:
             differing[state] += 1
-            print(f"{number} ({state}): {'; '.join(outcome.differences[:3])}")
+            print(f"{number} ({state}, {kind(case)}): {'; '.join(outcome.differences[:3])}")
             for step in outcome.sequence.steps:
                 print(f"    {step}")
     print(f"{'state':16} {'sequences':>9} {'agree':>6}")
@@ -34,4 +38,4 @@ def main(seed: int = 0, count: int = 300) -> None:
 
 
 if __name__ == "__main__":
-    main(*(int(argument) for argument in sys.argv[1:3]))
+    main(*(int(argument) for argument in sys.argv[1:3]), odd="odd" in sys.argv[3:])

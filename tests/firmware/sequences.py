@@ -33,6 +33,7 @@ _LATE_MS = 120
 _LOOKS = 3
 _FLICKERS, _FLICKER_MS = 3, 3
 """While an axis runs out, the firmware shows the other way now and then for a millisecond: it is looked at again."""
+_ORDERS = {"A": (b"$,", b"$.", b"$92", b"$94", b"$95"), "B": (b"$0", b"$2", b"$91", b"$93", b"$96")}
 STATUS_BITS = 0x91FF_FFFF & ~(1 << 10 | 1 << 14 | 1 << 30) | 1 << 25
 """What the driver reads: faults, reset, button, motion and homing, switches, pulse loss, own tracking, destinations."""
 
@@ -70,14 +71,34 @@ def sequence(seed: int) -> Sequence:
     """Return the case of a seed."""
     draw = random.Random(seed)
     state = draw.choice(STATES)
-    near_low = state in ("homed", "bad switch")
-    a_deg, b_deg = draw.uniform(-51.5, -48 if near_low else 48), draw.uniform(13.5, 16 if near_low else 89)
-    steps = [*_prelude(state, a_deg, b_deg, draw)]
+    a_deg, b_deg = start_angles(state, draw)
+    steps = [*prelude(state, a_deg, b_deg, draw)]
     for _ in range(draw.randint(1, 4)):
         wait_ms = draw.choice((draw.randint(_SHORT_MS, 900), draw.randint(_SHORT_MS, _LONG_MS)))
         steps.append(Step(_packets(draw), draw.choice((0, 0, 5, 25, 60)), wait_ms=wait_ms))
     steps.append(Step(wait_ms=draw.randint(1000, 6000)))
     return Sequence(seed, state, a_deg, b_deg, tuple(steps))
+
+
+def kind(case: Sequence) -> str:
+    """Return which documented difference (docs/hardware.md) a case can meet, by its state and its commands."""
+    packets = b"".join(packet for step in case.steps for packet in step.packets)
+    if case.state == "button held":
+        return "a button that is held"
+    if case.state == "own tracking" or b"$8Y" in packets or b"$8y" in packets:
+        return "own tracking"
+    if case.state == "arriving":
+        return "a target a few impulses away"
+    orders = {axis: sum(packets.count(code) for code in codes) for axis, codes in _ORDERS.items()}
+    if max(orders.values()) > 1:
+        return "a reversal at the first impulse"
+    return "of no documented kind"
+
+
+def start_angles(state: str, draw: random.Random) -> tuple[float, float]:
+    """Return where A and B stand at first [deg]."""
+    near_low = state in ("homed", "bad switch")
+    return draw.uniform(-51.5, -48 if near_low else 48), draw.uniform(13.5, 16 if near_low else 89)
 
 
 def run(module: ModuleType, case: Sequence) -> Outcome:
@@ -131,7 +152,8 @@ def _differences(all_shown: list[Look], looks: list[Look]) -> list[str]:
     return found
 
 
-def _prelude(state: str, a_deg: float, b_deg: float, draw: random.Random) -> list[Step]:
+def prelude(state: str, a_deg: float, b_deg: float, draw: random.Random) -> list[Step]:
+    """Return the steps that bring a unit into a state."""
     a = Step((_target(46, draw),), wait_ms=draw.randint(_SHORT_MS, _LONG_MS))
     b = Step((_target(50, draw),), wait_ms=draw.randint(_SHORT_MS, _LONG_MS))
     home_a, home_b = (Step((packet,), wait_ms=draw.randint(_SHORT_MS, 6000)) for packet in (b"$95\r", b"$96\r"))

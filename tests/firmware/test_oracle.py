@@ -4,21 +4,28 @@ import random
 import time
 from collections import Counter
 
-from tests.firmware.sequences import run, sequence
+import pytest
+
+from tests.firmware.odd_sequences import odd_sequence
+from tests.firmware.sequences import kind, run, sequence
 
 _AGREEMENT = 0.95
-_TIME_S = 60.0
-_FEWEST, _MOST = 40, 300
+_TIME_S = 45.0
+_FEWEST, _MOST = 40, 200
+_MAKERS = {"ordinary": sequence, "odd": lambda seed: odd_sequence(seed)[1]}
 
 
-def test_fresh_sequences_agree_in_position_destination_motion_and_status(lock_step, record_property):
+@pytest.mark.parametrize("which", _MAKERS)
+def test_fresh_sequences_agree_in_position_destination_motion_and_status(lock_step, record_property, which):
     start = random.SystemRandom().randrange(1 << 32)
     outcomes, until_s = [], time.monotonic() + _TIME_S
     while len(outcomes) < _FEWEST or (len(outcomes) < _MOST and time.monotonic() < until_s):
-        outcomes.append(run(lock_step, sequence(start + len(outcomes))))
+        outcomes.append(run(lock_step, _MAKERS[which](start + len(outcomes))))
     different = [outcome for outcome in outcomes if outcome.differences]
-    told = "\n".join(f"{one.sequence.seed} ({one.sequence.state}): {one.differences}" for one in different)
-    print(f"seeds from {start}: {len(outcomes) - len(different)} of {len(outcomes)} sequences agree\n{told}")
+    told = "\n".join(
+        f"{one.sequence.seed} ({one.sequence.state}, {kind(one.sequence)}): {one.differences}" for one in different
+    )
+    print(f"{which} seeds from {start}: {len(outcomes) - len(different)} of {len(outcomes)} sequences agree\n{told}")
     record_property("agreement", 1 - len(different) / len(outcomes))
     assert len(different) <= (1 - _AGREEMENT) * len(outcomes), told
     assert max(Counter(one.sequence.state for one in different).values(), default=0) <= len(outcomes) / 20, told

@@ -1,5 +1,7 @@
 """The programs against the maker's firmware as a person runs them: the probe, and the whole role of a tracker."""
 
+import contextlib
+import json
 import re
 import socket
 import subprocess
@@ -58,20 +60,45 @@ def test_the_probe_moves_nothing_on_a_unit_that_contradicts_the_configuration(st
     assert firmware.positions_mm() == before
 
 
-def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
-    firmware = start_firmware()
-    (tmp_path / "token").write_text(TOKEN, encoding="utf-8")
-    (tmp_path / "token").chmod(0o600)
+@contextlib.contextmanager
+def tracker(firmware, folder, for_s):
+    """Run the role of a tracker on a unit; yield its configuration."""
+    (folder / "token").write_text(TOKEN, encoding="utf-8")
+    (folder / "token").chmod(0o600)
     more = (
-        f'[api]\nlisten = "127.0.0.1:{free_port()}"\ntoken_file = "{tmp_path / "token"}"\n'
+        f'[api]\nlisten = "127.0.0.1:{free_port()}"\ntoken_file = "{folder / "token"}"\n'
         '[bridge]\nlisten = "127.0.0.1:0"\ninsecure = true\n'
     )
-    config = configure(firmware, tmp_path, more)
-    with (tmp_path / "log").open("w") as log:
+    config = configure(firmware, folder, more)
+    with (folder / "log").open("w") as log:
         service = subprocess.Popen(
-            [str(HELIOCUBE), "run", "-c", str(config), "--role", "tracker", "--for", "90"], stdout=log, stderr=log
+            [str(HELIOCUBE), "run", "-c", str(config), "--role", "tracker", "--for", str(for_s)], stdout=log, stderr=log
         )
     try:
+        yield config
+    finally:
+        service.terminate()
+        service.wait(20.0)
+    assert service.returncode == 0, (folder / "log").read_text(encoding="utf-8")
+
+
+def state(config):
+    done = heliocube("status", "-c", config, "--json")
+    return json.loads(done.stdout) if done.returncode == 0 else None
+
+
+def until_state(config, condition, within_s, what):
+    """Wait for a state of the service; the limit is for a broken program, not for a slow machine."""
+    deadline_s = time.monotonic() + within_s
+    while (seen := state(config)) is None or not condition(seen):
+        assert time.monotonic() < deadline_s, f"{what}: {seen and (seen['mode'], seen['tracker'])}"
+        time.sleep(0.3)
+    return seen
+
+
+def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
+    firmware = start_firmware()
+    with tracker(firmware, tmp_path, 90) as config:
         deadline_s = time.monotonic() + 40.0
         while (going := heliocube("goto", "-c", config, "--", "-20", "85")).returncode:
             assert time.monotonic() < deadline_s, going.stderr
@@ -85,7 +112,24 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
         time.sleep(2.0)
         assert firmware.positions_mm() == pytest.approx(stands, abs=0.05), "it stood when the command returned"
         assert abs(firmware.pose_deg()[0]) < 15.0
-    finally:
-        service.terminate()
-        service.wait(20.0)
-    assert service.returncode == 0, (tmp_path / "log").read_text(encoding="utf-8")
+
+
+def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
+    firmware = start_firmware(-50.0, 16.0)
+    with tracker(firmware, tmp_path, 240) as config:
+        until_state(config, lambda seen: seen["tracker"]["connected"], 40, "the connection")
+        assert heliocube("hold", "-c", config).returncode == 0
+        firmware.control("count 0 4500")
+        until_state(config, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 20, "the doubt")
+        assert heliocube("auto", "-c", config).returncode == 0
+        until_state(config, lambda seen: seen["mode"]["name"] == "fault", 20, "the fault")
+        homed = heliocube("home", "-c", config)
+        assert homed.returncode == 0, homed.stderr
+        until_state(config, lambda seen: seen["tracker"]["homing"], 20, "the reference run")
+        seen = until_state(config, lambda seen: not seen["tracker"]["homing"], 120, "its end")
+        assert seen["tracker"]["concerns"] == []
+        assert "reference" not in [alarm["name"] for alarm in seen["alarms"]]
+        assert seen["mode"]["name"] != "fault"
+        assert heliocube("hold", "-c", config).returncode == 0
+        shown = state(config)["tracker"]["pose"]
+        assert firmware.pose_deg() == pytest.approx((shown["a_deg"], shown["b_deg"]), abs=0.5)

@@ -242,3 +242,38 @@ def test_another_triangle_is_driven_to_alike(unit, actuator):
         now += 0.1
         ours = dict(TokenStream().feed(core.screens(now) + b"$"))[46]
         assert float(ours) == pytest.approx(theirs, abs=0.02), target_deg
+
+
+def test_a_target_that_comes_while_the_other_axis_runs_out_after_its_reference_run_is_forgotten_at_its_end(lock_step):
+    firmware = Firmware(lock_step, -51.0, 60.0)
+    for both in (firmware, firmware.twin()):
+        both.feed(HOME_A)
+        while not both.look().status & A_LOW:
+            both.step(10)
+        assert after(both, b"$2100\r", 50).destination_mm[1] == 100
+        both.step(2000)
+        assert both.look().destination_mm[1] == both.look().position_mm[1] > 150
+    firmware.close()
+
+
+def test_a_slave_that_is_switched_to_tracking_waits_for_its_master(both):
+    both.cause("slave")
+    before = both.look()
+    look = after(both, b"$8Y\r", 2000)
+    assert look.status & 1 << 25
+    assert (look.position_mm, look.destination_mm) == (before.position_mm, before.destination_mm)
+
+
+def test_a_held_button_acts_first_after_320_ms_and_then_every_301_ms(both):
+    both.cause("button in")
+    times_ms, was = [], None
+    for ms in range(0, 1600, 10):
+        if ms % 60 == 0:
+            both.feed(b"$.370\r")
+        both.step(10)
+        goes_in = both.look().destination_mm[0] == 0
+        if goes_in and not was:
+            times_ms.append(ms + 10)
+        was = goes_in
+    # Its first act meets a command.
+    assert times_ms[-4:] == [pytest.approx(320 + 301 * turn, abs=10) for turn in range(1, 5)]

@@ -65,3 +65,9 @@ def test_no_rhythm_of_a_day_makes_more_than_50_lines(pauses_s):
             if now_s >= 86400.0:
                 break
     assert lines <= 50
+
+
+def test_what_is_told_elsewhere_too_is_told_by_its_number_only_once():
+    recurrence = Recurrence(3, reminds=False)
+    told_s = [time_s for time_s in range(0, 86400, 20) if recurrence.note(float(time_s)) is not QUIETLY]
+    assert told_s == [0, 20, 40, 60]

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from daemon.timeloop import ScaledTimeLoop, VirtualTimeLoop
+from daemon.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every
 
 
 def test_a_virtual_day_of_timers_passes_at_once_and_in_order():
@@ -91,3 +91,28 @@ def test_a_scaled_minute_passes_in_a_moment():
 
     with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(6000.0)) as runner:
         assert runner.run(minute()) >= 60.0
+
+
+def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended():
+    async def scenario():
+        loop, calls = asyncio.get_running_loop(), []
+        start_s, woken = loop.time(), asyncio.Event()
+
+        def call():
+            calls.append(loop.time() - start_s)
+            if len(calls) == 3:
+                woken.set()
+            return len(calls) == 3
+
+        end = call_every(1.0, call)
+        loop.call_later(60.0, int)
+        await woken.wait()
+        assert loop.time() - start_s == pytest.approx(3.0, abs=1e-6), "who is woken runs before time goes on"
+        await asyncio.sleep(2.5)
+        end()
+        assert calls == pytest.approx([1, 2, 3, 4, 5], abs=1e-6)
+        await asyncio.sleep(2.0)
+        assert len(calls) == 5
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
