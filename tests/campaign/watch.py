@@ -30,7 +30,7 @@ CONNECTED_S = 2.0
 CONNECTS_WITHIN_S = 15.0
 HEARS_AGAIN_S = 6.0
 """After a unit was deaf: the service's pauses between stops may have grown by then."""
-LIMIT_DEG = 0.05
+LIMIT_DEG = 0.02
 COUNTED_DEG = 0.02
 REFERENCE_DEG = 0.8
 REFERENCE_EVERY_S = 5.0
