@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from daemon.records import Mode
 from drivers.pozsol_wire import Field, TokenStream
 from tests.campaign.explain import Explained
+from tests.campaign.storms import STORM_S, Storms
 from tests.campaign.telling import Telling
 
 SAMPLE_S = 0.1
@@ -29,14 +30,11 @@ CONNECTED_S = 2.0
 CONNECTS_WITHIN_S = 15.0
 HEARS_AGAIN_S = 6.0
 """After a unit was deaf: the service's pauses between stops may have grown by then."""
-LIMIT_DEG = 0.05
+LIMIT_DEG = 0.02
 COUNTED_DEG = 0.02
 REFERENCE_DEG = 0.8
 REFERENCE_EVERY_S = 5.0
 DOUBTS_WITHIN_S = 30.0
-STORM_S = 11.0
-GUST_STOWS_S = 60.0
-FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 STALE_S = 16.0
 CLOCK_SETTLES_S = 890.0
 CLOCK_STEP_S = 30.0
@@ -63,6 +61,7 @@ class Watch:
         self.stop_latencies_s = []
         self.explained = Explained()
         self.telling = Telling(self.fails)
+        self.storms = Storms(self.fails)
         self.moving = {"a": False, "b": False}
         self._at = None
         self._sampled_s = -math.inf
@@ -82,8 +81,6 @@ class Watch:
         self._wrong_s = None
         self._compared_s = -math.inf
         self.reference_excused = False
-        self._storm_s = None
-        self._gust_s = -math.inf
         self._stepped_s = -math.inf
         self._sendings = 0
         self._sent_s = -math.inf
@@ -163,7 +160,7 @@ class Watch:
     def gust(self):
         """The wind has been strong for more than a second."""
         if self.plant.is_served and self.now_s - self._begun_s > STORM_S:
-            self._gust_s = self.now_s
+            self.storms.gust_s = self.now_s
 
     def clock_steps(self):
         self._stepped_s = self.now_s
@@ -223,8 +220,7 @@ class Watch:
                 self._look_at_axis(axis, is_now, is_now - was, least, now_s)
         self._check_stop(now_s)
         self._check_reference(now_s)
-        self._check_storm(now_s)
-        self._check_gust(now_s)
+        self.storms.look(self.plant, now_s, self._reachable_s, live=self._live(now_s))
         if self._live(now_s):
             self.telling.look(self.plant, now_s)
         else:
@@ -359,25 +355,6 @@ class Watch:
                 "believes-a-wrong-count",
                 f"the unit says {self._readings()['angles']}, the truth is {self._at}; mode {control.mode}, no doubt",
             )
-
-    def _check_storm(self, now_s):
-        wind = self.plant.wind_m_s
-        strong = wind is not None and wind >= self.plant.service.settings.safety.stow_wind_m_s
-        if not strong or not self.plant.is_served:
-            self._storm_s = None
-            return
-        if self._storm_s is None:
-            self._storm_s = now_s
-        since_s = max(self._storm_s, self._reachable_s)
-        if now_s - since_s > STORM_S and self.plant.control.mode in FREE and self._live(now_s):
-            self.fails("storm", f"mode {self.plant.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
-
-    def _check_gust(self, now_s):
-        """A gust is over soon, and the tracker stays stowed after it."""
-        if not self._gust_s + STORM_S < now_s < self._gust_s + GUST_STOWS_S:
-            return
-        if self._reachable_s < now_s - STORM_S and self.plant.control.mode in FREE and self._live(now_s):
-            self.fails("storm", f"mode {self.plant.control.mode} {now_s - self._gust_s:.0f} s after a gust")
 
     def _check_target(self, target):
         control, now_s = self.plant.control, self.now_s
