@@ -342,7 +342,10 @@ class Watch:
             return
         self._compared_s = now_s
         if not self.is_wrong():
-            self._wrong_s, self.reference_excused = None, bool(self.blind)
+            self._wrong_s = None
+            # What is a hair at one angle may be a degree at another.
+            true = self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
+            self.reference_excused = self.reference_excused and bool(self.blind or not true)
             return
         if self._wrong_s is None:
             self._wrong_s = now_s
