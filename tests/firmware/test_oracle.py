@@ -29,3 +29,13 @@ def test_fresh_sequences_agree_in_position_destination_motion_and_status(lock_st
     record_property("agreement", 1 - len(different) / len(outcomes))
     assert len(different) <= (1 - _AGREEMENT) * len(outcomes), told
     assert max(Counter(one.sequence.state for one in different).values(), default=0) <= len(outcomes) / 20, told
+
+
+@pytest.mark.parametrize("seed", [50079, 3228423247, 910204, 910209, 910088, 910110])
+def test_sequences_that_once_differed_agree(lock_step, seed):
+    assert run(lock_step, sequence(seed)).differences == []
+
+
+@pytest.mark.parametrize("seed", [16, 51, 100])
+def test_odd_sequences_that_once_differed_agree(lock_step, seed):
+    assert run(lock_step, odd_sequence(seed)[1]).differences == []

@@ -244,18 +244,6 @@ def test_another_triangle_is_driven_to_alike(unit, actuator):
         assert float(ours) == pytest.approx(theirs, abs=0.02), target_deg
 
 
-def test_a_target_that_comes_while_the_other_axis_runs_out_after_its_reference_run_is_forgotten_at_its_end(lock_step):
-    firmware = Firmware(lock_step, -51.0, 60.0)
-    for both in (firmware, firmware.twin()):
-        both.feed(HOME_A)
-        while not both.look().status & A_LOW:
-            both.step(10)
-        assert after(both, b"$2100\r", 50).destination_mm[1] == 100
-        both.step(2000)
-        assert both.look().destination_mm[1] == both.look().position_mm[1] > 150
-    firmware.close()
-
-
 def test_a_slave_that_is_switched_to_tracking_waits_for_its_master(both):
     both.cause("slave")
     before = both.look()

@@ -12,7 +12,7 @@ from .test_motion_outages import ORDINARY, SELDOM, now
 
 DAY_S = 24 * 3600.0
 MOST = 50
-CALM = {"cube": {"scan_every_s": 5}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
+CALM = {"cube": {"scan_every_s": 10}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
 QUICK = {
     "cube": {"scan_every_s": 20},
     "safety": {"scan_stale_s": 65, "fallback_after_s": 130, "stow_at_least_s": 60},
