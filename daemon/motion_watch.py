@@ -96,7 +96,9 @@ class Watch:
     def expect(self, telemetry: Telemetry) -> None:
         """Let the axes go to the destinations that telemetry shows, and nowhere else: a move was confirmed."""
         # It may have been on its way for a second: the way is judged from where it stood.
-        self._rest = self._rest or telemetry
+        # What was made up since the last arrival was allowed, and is no part of this way.
+        settling = self._aim is not None and self._settled_s != math.inf
+        self._rest = (self._last if settling else self._rest) or telemetry
         self._last = telemetry
         self._homing = frozenset()
         self._aim = aim = (telemetry.destination_a, telemetry.destination_b)

@@ -109,11 +109,9 @@ class Run:
         self._lasting[event.name] += 1
         await _called(fault.begin, plant, event.value)
         await asyncio.sleep(event.lasts_s)
-        if (
-            event.name == "wind"
-            and event.lasts_s >= GUST_S
-            and plant.served_since_s < plant.clock.monotonic() - event.lasts_s
-        ):
+        # Another fault may have taken the sensor away meanwhile, or the service.
+        heard_s = plant.clock.monotonic() - plant.served_since_s
+        if event.name == "wind" and plant.wind_m_s == event.value[0] and GUST_S <= event.lasts_s <= heard_s:
             self.watch.gust()
         self._lasting[event.name] -= 1
         if fault.end is not None and not self._lasting[event.name]:
