@@ -1,4 +1,4 @@
-"""When the service makes a reference run without being asked: once per cause, and then after ever longer pauses."""
+"""When the service makes a reference run without being asked: once for a doubt, and then after ever longer pauses."""
 
 import math
 
@@ -17,16 +17,22 @@ class Rehoming:
     def __init__(self, *, enabled: bool) -> None:
         self._enabled = enabled
         self._runs = 0
+        self._settled = True
         self._due_s = -math.inf
 
     def due(self, doubt: str | None, now_s: float) -> bool:
         """Tell whether to home for this doubt now; the answer yes counts as a run."""
         if doubt is None:
+            self._settled = True
             if now_s >= self._due_s:
                 self._runs = 0
             return False
-        if not self._enabled or now_s < self._due_s:
+        # A doubt that comes after the first run had ended the one before has a cause of its own; more of them are a
+        # unit that cannot keep its count.
+        another = self._settled and self._runs == 1
+        if not self._enabled or (now_s < self._due_s and not another):
             return False
+        self._settled = False
         self._due_s = now_s + _PAUSES_S[min(self._runs, len(_PAUSES_S) - 1)]
         self._runs += 1
         return True

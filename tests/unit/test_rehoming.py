@@ -1,0 +1,38 @@
+"""Automatic reference runs are few, whatever the unit does."""
+
+from daemon.rehoming import Rehoming
+
+DOUBT = "the positioner has restarted"
+
+
+def runs(rehoming, doubts):
+    """Return the times at which a run is due, of (time, doubt) pairs."""
+    return [now_s for now_s, doubt in doubts if rehoming.due(doubt, now_s)]
+
+
+def test_a_doubt_that_no_run_ends_is_homed_after_ever_longer_pauses():
+    day = [(float(now_s), DOUBT) for now_s in range(0, 86400, 10)]
+    assert runs(Rehoming(enabled=True), day) == [0, 600, 4200, 25800, 47400, 69000]
+
+
+def test_a_second_restart_soon_after_a_good_run_is_homed_at_once_and_the_third_waits():
+    restarts = [
+        (0.0, DOUBT),
+        (60.0, None),
+        (70.0, DOUBT),
+        (130.0, None),
+        (140.0, DOUBT),
+        (3669.0, DOUBT),
+        (3670.0, DOUBT),
+    ]
+    assert runs(Rehoming(enabled=True), restarts) == [0, 70, 3670]
+
+
+def test_a_quiet_time_as_long_as_the_pause_begins_anew():
+    assert runs(
+        Rehoming(enabled=True), [(0.0, DOUBT), (60.0, None), (601.0, None), (700.0, DOUBT), (1299.0, DOUBT)]
+    ) == [0, 700]
+
+
+def test_it_never_homes_where_a_person_is_to_decide():
+    assert runs(Rehoming(enabled=False), [(0.0, DOUBT), (86400.0, DOUBT)]) == []
