@@ -40,7 +40,9 @@ def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_befo
                     refused = tracker.service.receiver
                     await until(lambda name=name, seen=refused: getattr(seen.statistics, name), name)
                 assert "the topic site/cube/bridge" in tracker.service.receiver.statistics.last_refusal
-            assert {m.payload for m in lab.on("heliocube/cube/status")} == {b"online", b"offline"}
+            await until(
+                lambda: {m.payload for m in lab.on("heliocube/cube/status")} == {b"online", b"offline"}, "offline"
+            )
 
     scaled(scenario)
 
