@@ -317,6 +317,7 @@ class Motion(MotionState):
             await self._take_up(target)
         elif self._must_rehome():
             await self._runs.home()
+            self._rehoming.ended(good=self._guard.doubts.reference is None)
         else:
             return False
         return True
@@ -330,9 +331,10 @@ class Motion(MotionState):
             self._tell(f"no move: {obstacle}")
 
     def _must_rehome(self) -> bool:
-        if self._guard.frozen or self.blocked or not self.may_rehome:
+        doubt = self._guard.doubts.reference
+        if doubt is not None and (self._guard.frozen or self.blocked or not self.may_rehome):
             return False
-        return self._rehoming.due(self._guard.doubts.reference, self._clock.monotonic())
+        return self._rehoming.due(doubt, self._clock.monotonic())
 
     def _refuse_frozen(self) -> None:
         if self._guard.frozen is not None:

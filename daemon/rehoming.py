@@ -17,13 +17,12 @@ class Rehoming:
     def __init__(self, *, enabled: bool) -> None:
         self._enabled = enabled
         self._runs = 0
-        self._settled = True
+        self._settled = False
         self._due_s = -math.inf
 
     def due(self, doubt: str | None, now_s: float) -> bool:
         """Tell whether to home for this doubt now; the answer yes counts as a run."""
         if doubt is None:
-            self._settled = True
             if now_s >= self._due_s:
                 self._runs = 0
             return False
@@ -36,3 +35,7 @@ class Rehoming:
         self._due_s = now_s + _PAUSES_S[min(self._runs, len(_PAUSES_S) - 1)]
         self._runs += 1
         return True
+
+    def ended(self, *, good: bool) -> None:
+        """Take note of how the run ended: `good` where it left no doubt."""
+        self._settled = good

@@ -65,7 +65,7 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
 def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
     config = brisk(tmp_path)
     config.write_text(
-        config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"').replace("mm_s = 25.0", "mm_s = 100.0")
+        config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"')
         + '[instruments.positioner]\ndtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
     )
     bench = start_bench("--config", config, *HIGH_SUN)

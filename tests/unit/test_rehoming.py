@@ -3,16 +3,24 @@
 from daemon.rehoming import Rehoming
 
 DOUBT = "the positioner has restarted"
+GOOD = [(0.0, DOUBT), (70.0, DOUBT)]
+"""The runs that end their doubt, in the tests where a doubt ends."""
 
 
 def runs(rehoming, doubts):
     """Return the times at which a run is due, of (time, doubt) pairs."""
-    return [now_s for now_s, doubt in doubts if rehoming.due(doubt, now_s)]
+    found = []
+    for now_s, doubt in doubts:
+        if rehoming.due(doubt, now_s):
+            found.append(now_s)
+            rehoming.ended(good=(now_s, doubt) in GOOD)
+    return found
 
 
 def test_a_doubt_that_no_run_ends_is_homed_after_ever_longer_pauses():
     day = [(float(now_s), DOUBT) for now_s in range(0, 86400, 10)]
-    assert runs(Rehoming(enabled=True), day) == [0, 600, 4200, 25800, 47400, 69000]
+    day[0] = (1.0, DOUBT)
+    assert runs(Rehoming(enabled=True), day) == [1, 610, 4210, 25810, 47410, 69010]
 
 
 def test_a_second_restart_soon_after_a_good_run_is_homed_at_once_and_the_third_waits():
