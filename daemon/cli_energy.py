@@ -35,7 +35,7 @@ def energy(
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
     from solar.frames import Limits
-    from solar.optimal_law import OptimalSettings
+    from solar.laws.optimal import OptimalSettings
 
     skies, names = [_words(text) for text in (sky, laws)]
     check_names(skies, names)

@@ -24,7 +24,7 @@ from solar.energy import (
     harvest,
 )
 from solar.frames import Array, Limits
-from solar.optimal_law import OptimalSettings
+from solar.laws.optimal import OptimalSettings
 
 LAWS = ("flat", "fixed:DEG", "chronometric", "mu-prime", "sun-vector", "optimal", "optimal:THRIFT", "bound")
 IDEAL = Drive(np.inf, 0.0, 1)

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.replace_file import replace_file
-from solar.optimal_site import ALBEDO_RANGE, GAIN_RANGE, Learned
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned
 
 log = logging.getLogger("heliocube.optimal")
 

@@ -10,9 +10,9 @@ from daemon.pointing import Aim
 from daemon.records import Estimate, Quality, Scan, Target
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Array, Limits, azimuth_from_direction, direction_from_azimuth
-from solar.optimal import usable_faces
-from solar.optimal_law import OptimalLaw, OptimalSettings
-from solar.optimal_site import ALBEDO_RANGE, Learned
+from solar.laws.light import usable_faces
+from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.site import ALBEDO_RANGE, Learned
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
@@ -25,7 +25,7 @@ _MOST_WAITING = 40
 
 
 class OptimalPointing:
-    """Keeps one :class:`solar.optimal_law.OptimalLaw` informed and asks it where to point.
+    """Keeps one :class:`solar.laws.optimal.OptimalLaw` informed and asks it where to point.
 
     Parameters
     ----------

@@ -6,9 +6,9 @@ import numpy as np
 
 from daemon.config import Law, LawName, Site
 from daemon.records import NO_ESTIMATE, Estimate, Irradiances, Target
-from solar import laws
 from solar.ephemeris import SunPosition, sun_direction, sun_position
 from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
+from solar.laws import paper as laws
 
 _SUN_EVERY_S = 60.0
 _SUN_AT_ONCE = 60

@@ -31,8 +31,8 @@ from daemon.store_schema import FILE_NAME, open_for_reading
 from daemon.timeloop import VirtualTimeLoop
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
-from solar.optimal import light_from_faces, usable_faces
-from solar.optimal_site import Learned, SiteLearning
+from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.site import Learned, SiteLearning
 
 COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est")
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from solar import laws
 from solar.energy import Steer, Weather
 from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
-from solar.optimal import light_from_faces, usable_faces
-from solar.optimal_law import OptimalLaw, OptimalSettings
-from solar.optimal_site import Learned, SiteLearning
+from solar.laws import paper as laws
+from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.site import Learned, SiteLearning
 
 PAPER_EVERY_S = 300.0
 PAPER_MEAN_S = 120.0
@@ -57,7 +57,7 @@ def from_faces(
 def optimal(
     weather: Weather, faces: Array, limits: Limits, settings: OptimalSettings, start: Learned | None = None
 ) -> Steer:
-    """Run the law of :mod:`solar.optimal_law`; what each day teaches of the site serves the days after it."""
+    """Run the law of :mod:`solar.laws.optimal`; what each day teaches of the site serves the days after it."""
     days = weather.shape[1]
     grid = weather.gridded(faces, np.nan)
     sun = weather.gridded(weather.sun, 0.0)

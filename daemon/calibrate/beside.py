@@ -8,7 +8,7 @@ from daemon.calibrate.readings import Readings, Reference, span_text
 from daemon.config import Cube
 from daemon.errors import UserError
 from daemon.records import FACES
-from solar.calibration.agreement import Agreement, agreement
+from solar.agreement import Agreement, agreement
 from solar.calibration.comparison import Interval, SeriesGain, fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, night_offset
 from solar.ephemeris import Site, sun_position

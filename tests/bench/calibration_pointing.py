@@ -16,7 +16,7 @@ from solar.calibration.attitude import Attitude, attitude, face_orientations, ro
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Array, separation_deg
-from solar.laws import complete_poleward, sun_vector
+from solar.laws.paper import complete_poleward, sun_vector
 from solar.sky import SKY_MODELS, SkyModel
 
 SITE = Site(55.79064, 12.52505, 50.0)

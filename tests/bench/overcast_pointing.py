@@ -10,7 +10,7 @@ import numpy as np
 from solar.calibration.selection import clear_sky_ghi
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array, Limits, angles_within, separation_deg
-from solar.laws import sun_vector
+from solar.laws.paper import sun_vector
 from solar.overcast import overcast_factor
 from solar.sky import normal_from_tilt, sky
 

@@ -10,8 +10,7 @@ from drivers.geometry import AxisSetup, Triangle
 from drivers.positioner import PozsolPositioner
 from drivers.positioner_line import SerialLine
 from drivers.serial_port import SerialPort
-
-from .peer import BUILD, COUNTS_PER_MM, FIRMWARE
+from tests.firmware.peer import BUILD, COUNTS_PER_MM, FIRMWARE
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import LinkLostError, RefusedError
-
-from .live import A, B, driver_on, standstill_after_s, until
+from tests.firmware.live import A, B, driver_on, standstill_after_s, until
 
 
 def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_unit(start_firmware):

@@ -6,8 +6,7 @@ import time
 import pytest
 
 from drivers.errors import RefusedError
-
-from .live import driver_on, standstill_after_s, until
+from tests.firmware.live import driver_on, standstill_after_s, until
 
 
 async def over(positioner):

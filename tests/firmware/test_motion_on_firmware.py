@@ -11,8 +11,7 @@ from daemon.clock import LoopClock
 from daemon.config import Settings
 from daemon.motion import Motion
 from daemon.records import Event, Move, MoveOutcome, Target
-
-from .live import driver_on
+from tests.firmware.live import driver_on
 
 MOVES = (Target(-3.0, 88.0, "first"), Target(1.0, 86.0, "at once"), Target(-2.0, 88.5, "at once again"))
 

@@ -17,9 +17,8 @@ from daemon.mqtt.parts import Mqtt
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.timeloop import ScaledTimeLoop
+from tests.mqtt.broker import LEFT_OUT, MOSQUITTO, Broker
 from tests.rig.conftest import KEY, Bench, HandWeather
-
-from .broker import LEFT_OUT, MOSQUITTO, Broker
 
 # Fast enough for minutes to pass in seconds, slow enough for a busy machine to answer in time.
 SPEED = 20.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import observer
+from tests.mqtt.conftest import observer
 
 pytestmark = pytest.mark.system
 

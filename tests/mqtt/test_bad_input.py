@@ -12,9 +12,8 @@ import pytest
 from daemon.config_file import ConfigError, check_file, load_settings
 from daemon.records import Decision, Event, Mode
 from daemon.service import Role
-
-from .broker import CERTIFICATES
-from .conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
+from tests.mqtt.broker import CERTIFICATES
+from tests.mqtt.conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 
 PROGRAM = Path(sys.executable).with_name("heliocube")
 BASE = "heliocube/tracker"

@@ -7,8 +7,7 @@ import pytest
 from daemon.config_file import ConfigError, check_file
 from daemon.records import Mode, Quality, Scan
 from daemon.service import Role
-
-from .conftest import SPEED, MqttBench, observer, serving, settings_for, until
+from tests.mqtt.conftest import SPEED, MqttBench, observer, serving, settings_for, until
 
 TOPIC = "site/cube/bridge"
 KEYED = {"transport": "mqtt", "topic": TOPIC, "insecure": False, "key_file": "bridge.key"}

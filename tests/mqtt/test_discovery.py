@@ -9,9 +9,8 @@ import pytest
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
 from daemon.records import Mode
-
-from . import home_assistant
-from .conftest import SPEED, MqttBench, observer, serving, settings_for
+from tests.mqtt import home_assistant
+from tests.mqtt.conftest import SPEED, MqttBench, observer, serving, settings_for
 
 TOPICS = Topics("lab/rig", "roof tracker")
 TOPIC = "homeassistant/device/lab_rig_roof_tracker/config"

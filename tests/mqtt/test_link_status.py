@@ -11,8 +11,7 @@ from daemon.api.recent import Recent
 from daemon.api.state import state
 from daemon.records import Mode
 from daemon.status_view import render
-
-from .conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
+from tests.mqtt.conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 
 def seen_of(rig):

@@ -16,8 +16,7 @@ from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.records import Decision
 from daemon.timeloop import VirtualTimeLoop
-
-from .conftest import MqttBench, settings_for, until
+from tests.mqtt.conftest import MqttBench, settings_for, until
 
 CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
 

@@ -9,8 +9,7 @@ from daemon.mqtt.connection import Incoming
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.records import Mode
 from daemon.stow import WindStow
-
-from .conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
+from tests.mqtt.conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 
 class Told:

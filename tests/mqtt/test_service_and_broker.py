@@ -7,9 +7,8 @@ import pytest
 from daemon.api.commands import CommandError, Operator
 from daemon.mqtt.outbox import Message
 from daemon.records import Mode
-
-from .broker import CERTIFICATES
-from .conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
+from tests.mqtt.broker import CERTIFICATES
+from tests.mqtt.conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 
 BASE = "heliocube/tracker"
 

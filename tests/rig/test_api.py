@@ -12,8 +12,7 @@ from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
 from daemon.records import Event, Mode
 from daemon.store import StoreStatus
-
-from .test_faults import at_rest, commands_sent, tracking, under_way
+from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 
 TOKEN = "t" * 43
 BEARER = {"Authorization": f"Bearer {TOKEN}"}

@@ -5,8 +5,7 @@ import asyncio
 import pytest
 
 from daemon.records import Decision, Mode, Quality
-
-from .conftest import HandWeather
+from tests.rig.conftest import HandWeather
 
 
 async def no_cube(bench):

@@ -5,8 +5,7 @@ import asyncio
 import pytest
 
 from daemon.records import Mode, Quality
-
-from .conftest import HandWeather
+from tests.rig.conftest import HandWeather
 
 
 def qualities(bench):

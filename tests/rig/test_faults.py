@@ -14,8 +14,7 @@ from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome,
 from drivers.errors import DeviceError, DriverHungError, RefusedError
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-
-from .conftest import SITE, HandWeather
+from tests.rig.conftest import SITE, HandWeather
 
 
 def modes(bench):

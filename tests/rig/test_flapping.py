@@ -6,9 +6,8 @@ import logging
 import pytest
 
 from daemon.records import Event
-
-from .test_faults import tracking
-from .test_motion_outages import ORDINARY, SELDOM, now
+from tests.rig.test_faults import tracking
+from tests.rig.test_motion_outages import ORDINARY, SELDOM, now
 
 DAY_S = 24 * 3600.0
 MOST = 50

@@ -7,9 +7,8 @@ import subprocess
 from daemon.clock import SystemClock
 from daemon.records import Decision, Mode, Scan
 from daemon.store import Store
+from tests.rig.test_faults import tracking
 from tests.unit.test_store import ORIGIN, count, fill, small_disk
-
-from .test_faults import tracking
 
 __all__ = ["small_disk"]
 

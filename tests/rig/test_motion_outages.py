@@ -8,10 +8,9 @@ import pytest
 from daemon.motion import Polling
 from drivers import pozsol_wire as wire
 from drivers.pozsol_wire import Field
-
-from .motion_tools import A_PACKET, B_PACKET, drive, lose
-from .test_faults import commands_sent
-from .test_motion_rule import quiet
+from tests.rig.motion_tools import A_PACKET, B_PACKET, drive, lose
+from tests.rig.test_faults import commands_sent
+from tests.rig.test_motion_rule import quiet
 
 DAY_S = 24 * 3600.0
 # The log of a healthy day: one line per decision, and one per mode.

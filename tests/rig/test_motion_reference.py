@@ -9,10 +9,9 @@ from daemon.motion import Polling
 from daemon.records import Event, Mode, Target
 from daemon.reference import RESET
 from drivers.errors import RefusedError
-
-from .motion_tools import STOP_PACKET, alarms, drive_b, lose, show
-from .test_faults import at_rest, commands_sent, tracking
-from .test_motion_rule import moves_for, quiet
+from tests.rig.motion_tools import STOP_PACKET, alarms, drive_b, lose, show
+from tests.rig.test_faults import at_rest, commands_sent, tracking
+from tests.rig.test_motion_rule import moves_for, quiet
 
 CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
 

@@ -9,9 +9,8 @@ import pytest
 from daemon.records import Event, Mode, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
 from sim_drivers.positioner_setup import Drive, Setup
-
-from .motion_tools import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show
-from .test_faults import at_rest, commands_sent, tracking, under_way
+from tests.rig.motion_tools import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show
+from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 
 
 async def quiet(bench):

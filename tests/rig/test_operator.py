@@ -10,9 +10,8 @@ from daemon.api.commands import CommandError, Operator
 from daemon.config import Settings
 from daemon.records import Event, Mode
 from daemon.service import Role
-
-from .conftest import Bench, HandWeather
-from .test_faults import at_rest, commands_sent, tracking, under_way
+from tests.rig.conftest import Bench, HandWeather
+from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 
 
 def operator(bench):

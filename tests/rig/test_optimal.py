@@ -9,9 +9,8 @@ import pytest
 from daemon.records import Decision, Mode, Move, MoveOutcome, Quality, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-
-from .conftest import SITE, HandWeather
-from .test_api import serve
+from tests.rig.conftest import SITE, HandWeather
+from tests.rig.test_api import serve
 
 __all__ = ["serve"]
 

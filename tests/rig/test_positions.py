@@ -10,12 +10,11 @@ from daemon.api.commands import CommandError, Operator
 from daemon.budget import DayBudget
 from daemon.records import Decision, Event, Mode, Move, Scan
 from solar.frames import Limits
-
-from .conftest import HandWeather
-from .test_api import serve
-from .test_faults import at_rest, tracking
-from .test_optimal import ClearDays
-from .test_stop import alarms, look_seldom
+from tests.rig.conftest import HandWeather
+from tests.rig.test_api import serve
+from tests.rig.test_faults import at_rest, tracking
+from tests.rig.test_optimal import ClearDays
+from tests.rig.test_stop import alarms, look_seldom
 
 __all__ = ["serve"]
 

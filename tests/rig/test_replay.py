@@ -15,9 +15,8 @@ from daemon.store import Origin, Store
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from solar.sky import sky
-
-from .conftest import SITE
-from .test_optimal import Blinking, one_hour
+from tests.rig.conftest import SITE
+from tests.rig.test_optimal import Blinking, one_hour
 
 PLACE = ",".join(str(value) for value in SITE)
 NORMALS = ([0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1])

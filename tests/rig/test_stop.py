@@ -11,9 +11,8 @@ from daemon.motion import Polling
 from daemon.records import Event, Mode, Move
 from daemon.wishes import Wishes
 from drivers.errors import DeviceError, RefusedError
-
-from .test_api import serve
-from .test_faults import at_rest, commands_sent, tracking, under_way
+from tests.rig.test_api import serve
+from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 
 __all__ = ["serve"]
 

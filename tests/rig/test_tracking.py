@@ -9,8 +9,7 @@ import pytest
 from daemon.records import Decision, Mode, ModeChange, Move, MoveOutcome, Pose, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-
-from .conftest import SITE, HandWeather
+from tests.rig.conftest import SITE, HandWeather
 
 
 async def one_hour(_bench):

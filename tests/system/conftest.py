@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
-
-from .processes import BenchProcess, Process
-from .rig import HIGH_SUN, Rig, brisk
+from tests.system.processes import BenchProcess, Process
+from tests.system.rig import HIGH_SUN, Rig, brisk
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(sys.executable).with_name("heliocube")

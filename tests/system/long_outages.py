@@ -5,8 +5,8 @@ Run with ``python -m pytest tests/system/long_outages.py -s``.
 
 import pytest
 
-from .processes import wait_until
-from .rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.processes import wait_until
+from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
 
 OUT_S = 70.0
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]

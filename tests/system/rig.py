@@ -3,9 +3,8 @@
 import time
 
 from solar.frames import Limits, angles_within
-from solar.laws import mu_prime
-
-from .processes import wait_until
+from solar.laws.paper import mu_prime
+from tests.system.processes import wait_until
 
 WITHIN_DEG = 1.5
 SETTLES_WITHIN_S = 60.0

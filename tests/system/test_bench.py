@@ -14,8 +14,7 @@ import serial
 from daemon.config_file import check_file
 from drivers.pozsol_wire import TokenStream
 from sim_drivers.bench_client import BenchError
-
-from .processes import HELIOCUBE, wait_until
+from tests.system.processes import HELIOCUBE, wait_until
 
 pytestmark = pytest.mark.system
 

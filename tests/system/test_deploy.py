@@ -19,8 +19,7 @@ from daemon.config_file import check_file, load_settings
 from daemon.sd_notify import Notifier
 from daemon.service import Role, Service
 from daemon.timeloop import VirtualTimeLoop
-
-from .conftest import ROOT
+from tests.system.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"
 EXAMPLES = DEPLOY / "examples"

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from .processes import HELIOCUBE, Process, wait_until
-from .rig import HIGH_SUN, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.processes import HELIOCUBE, Process, wait_until
+from tests.system.rig import HIGH_SUN, SETTLES_WITHIN_S, Rig, brisk
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 

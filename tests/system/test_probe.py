@@ -13,8 +13,7 @@ from drivers.transcript import parse
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Setup
 from sim_drivers.voltmeter_core import VoltmeterCore
-
-from .processes import HELIOCUBE
+from tests.system.processes import HELIOCUBE
 
 pytestmark = pytest.mark.system
 

@@ -9,9 +9,8 @@ import serial
 
 from daemon.bridge import senml
 from daemon.records import FACES, Quality
-
-from .processes import wait_until
-from .rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.processes import wait_until
+from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
 
 # Destinations, tracking off, stop and homing, clearing of faults.
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}

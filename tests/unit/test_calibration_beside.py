@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from sim_drivers.scene import Scene
 from sim_drivers.weather import GeneratedWeather
-from solar.calibration.agreement import agreement
+from solar.agreement import agreement
 from solar.calibration.comparison import fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, clear_sky_ghi, night_offset
 from solar.ephemeris import Site

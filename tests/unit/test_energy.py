@@ -8,7 +8,7 @@ from solar import energy_laws
 from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits, angles_within, normal_from_angles
-from solar.optimal_law import OptimalSettings
+from solar.laws.optimal import OptimalSettings
 
 LIMITS = Limits()
 LYNGBY = Site(55.79064, 12.52505, 50.0)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import angles_from_direction, direction_from_azimuth, separation_deg
-from solar.laws import chronometric, complete_poleward, mu_prime, sun_vector
+from solar.laws.paper import chronometric, complete_poleward, mu_prime, sun_vector
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 

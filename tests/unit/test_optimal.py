@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles
-from solar.optimal import Light, aim_vector, light_from_faces, product, usable_faces
+from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces
 
 LIMITS = Limits()
 LATITUDE = 50.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.optimal import light_from_faces, usable_faces
-from solar.optimal_site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.sky import sky
 
 SITE = (48.7176, 2.2090, 156.0)

@@ -9,7 +9,7 @@ from daemon.config import Law, Site
 from daemon.pointing import Pointing
 from daemon.records import Irradiances
 from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
-from solar.laws import sun_vector
+from solar.laws.paper import sun_vector
 
 NOON = datetime(2022, 10, 12, 11, 50, tzinfo=UTC).timestamp()
 JUNE_MORNING = datetime(2022, 6, 21, 5, 0, tzinfo=UTC).timestamp()

@@ -28,8 +28,7 @@ from daemon.store import Origin, Store
 from daemon.store_schema import FILE_NAME, VERSION, open_for_reading, schema
 from daemon.tables import TableWriter
 from solar.frames import angles_from_direction, direction_from_azimuth
-
-from .test_tables import ALL, CURVE, T0, decision, scan
+from tests.unit.test_tables import ALL, CURVE, T0, decision, scan
 
 ORIGIN = Origin(T0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -1,6 +1,6 @@
 """The pointing law `optimal`: the same object live, in replay and in the benchmark.
 
-At every reading the light is estimated from the faces (:mod:`solar.optimal`) and remembered twice, over about one and
+At every reading the light is estimated from the faces (:mod:`solar.laws.light`) and remembered twice, over about one and
 about ten minutes. What is expected of the next minutes lies between the two: near the quick memory while the sky is
 steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects the
 expected light best is known in closed form, with the sun where it will be halfway through the rest that follows. The
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array, Limits, angles_within
-from solar.optimal import Light, aim_vector, light_from_faces, product, usable_faces
-from solar.optimal_site import Learned, SiteLearning
+from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces
+from solar.laws.site import Learned, SiteLearning
 
 Flags = NDArray[np.bool_]
 
