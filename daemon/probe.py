@@ -9,10 +9,10 @@ from daemon.config_rules import SELF_TESTS
 from daemon.real_rig import build_multiplexer, build_voltmeter, voltmeter_line
 from daemon.records import FACES
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
-from drivers.executor import DeviceThread
-from drivers.keithley2000 import Keithley2000, require_model
+from drivers.lines.threads import DeviceThread
+from drivers.lines.visa import VisaLine
+from drivers.meters.keithley2000 import Keithley2000, require_model
 from drivers.transcript import Tap
-from drivers.visa_line import VisaLine
 
 Say = Callable[[str], object]
 

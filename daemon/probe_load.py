@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from daemon.config import Settings
 from daemon.errors import UserError
 from daemon.real_rig import build_load, load_line
-from drivers import agilent6063b, chroma63600
 from drivers.errors import ConnectError, DeadlineError
-from drivers.executor import DeviceThread
-from drivers.load_session import Dialect
+from drivers.lines.threads import DeviceThread
+from drivers.lines.visa import VisaLine
+from drivers.load import agilent6063b, chroma63600
+from drivers.load.session import Dialect
 from drivers.transcript import Tap
-from drivers.visa_line import VisaLine
 from solar.iv import measured_maximum, sweep_voltages
 
 _QUESTIONS = 8

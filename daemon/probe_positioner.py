@@ -9,13 +9,13 @@ from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.real_rig import axis_setups, build_positioner, positioner_port
 from drivers.errors import RefusedError
-from drivers.geometry import AxisSetup
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
-from drivers.own_moves import own_moves
-from drivers.positioner import PozsolPositioner
-from drivers.pozsol_wire import Field, TokenStream
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.own_moves import own_moves
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.unit_setup import unheard
+from drivers.positioners.pozsol.wire import Field, TokenStream
 from drivers.transcript import Direction, Tap
-from drivers.unit_setup import unheard
 
 Say = Callable[[str], object]
 

@@ -7,19 +7,19 @@ from daemon.clock import Clock
 from daemon.config import Settings
 from daemon.config_instruments import AxisGeometry, PositionerSettings
 from daemon.errors import UserError
-from drivers import pozsol_wire
-from drivers.agilent6063b import Agilent6063B
-from drivers.chroma63600 import Chroma63600
-from drivers.electronic_load import SweepSettings
-from drivers.geometry import AxisSetup, Geometry, Proportional, Triangle
 from drivers.interfaces import ElectronicLoad
-from drivers.keithley2000 import Keithley2000
-from drivers.multiplexer import NiMultiplexer
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import SerialLine
-from drivers.serial_port import SerialPort
+from drivers.lines.serial_port import SerialPort
+from drivers.lines.visa import VisaLine, VisaSettings
+from drivers.load.agilent6063b import Agilent6063B
+from drivers.load.chroma63600 import Chroma63600
+from drivers.load.sweep import SweepSettings
+from drivers.meters.keithley2000 import Keithley2000
+from drivers.positioners.pozsol import wire as pozsol_wire
+from drivers.positioners.pozsol.geometry import AxisSetup, Geometry, Proportional, Triangle
+from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from drivers.transcript import Tap, no_tap
-from drivers.visa_line import VisaLine, VisaSettings
 
 MARGIN_OF_LEAST_V = 0.9
 """The lowest voltage of a sweep may be read this much lower without ending it."""

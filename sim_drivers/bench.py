@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field, TokenStream
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.hosts.line_host import LineHost
 from sim_drivers.hosts.ni_server import NiServer
 from sim_drivers.hosts.positioner_host import PositionerHost

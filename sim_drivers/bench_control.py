@@ -8,7 +8,7 @@ from collections.abc import Awaitable
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-from drivers.pozsol_wire import Field
+from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench import Bench
 from sim_drivers.bench_client import DEVICES, SOCKET_NAME, VERBS, BenchError
 from sim_drivers.load_core import TRIPS

@@ -10,9 +10,9 @@ import math
 import re
 import struct
 
-from drivers import pozsol_wire as wire
 from drivers.interfaces import Axis
-from drivers.pozsol_wire import Field
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field
 from sim_drivers import positioner_faults as faults
 from sim_drivers import positioner_screens as screens
 from sim_drivers.positioner_screens import Readout

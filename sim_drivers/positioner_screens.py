@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.pozsol_wire import SEPARATOR, Field
+from drivers.positioners.pozsol.wire import SEPARATOR, Field
 from sim_drivers.positioner_setup import Actuator, Setup
 
 BOARD = "36A1"

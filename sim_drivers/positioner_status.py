@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from drivers import pozsol_wire as wire
 from drivers.interfaces import Axis as AxisName
+from drivers.positioners.pozsol import wire
 from sim_drivers.positioner_motion import Axis
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.pozsol_wire import SEPARATOR
+from drivers.positioners.pozsol.wire import SEPARATOR
 from sim_drivers.hosts.pty_port import PtyPort
 from sim_drivers.positioner_core import PositionerCore
 

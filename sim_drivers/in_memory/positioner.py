@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-from drivers import geometry
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import Heard
-from drivers.pozsol_wire import TokenStream, require_allowed
-from drivers.telemetry import FieldTable
+from drivers.positioners.pozsol import geometry
+from drivers.positioners.pozsol.link import Heard
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.wire import TokenStream, require_allowed
 from sim_drivers.in_memory.link import Cabled
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Actuator

@@ -2,8 +2,8 @@
 
 import math
 
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field
 
 RUN_OUT_S = 3.0
 AT_TARGET = 1.5

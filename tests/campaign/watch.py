@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from daemon.records import Mode
-from drivers.pozsol_wire import Field, TokenStream
+from drivers.positioners.pozsol.wire import Field, TokenStream
 from tests.campaign.explain import Explained
 from tests.campaign.storms import STORM_S, Storms
 from tests.campaign.telling import Telling

@@ -6,10 +6,10 @@ import subprocess
 import sys
 import time
 
-from drivers.geometry import AxisSetup, Triangle
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import SerialLine
-from drivers.serial_port import SerialPort
+from drivers.lines.serial_port import SerialPort
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.positioner import PozsolPositioner
 from tests.firmware.peer import BUILD, COUNTS_PER_MM, FIRMWARE
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from drivers.pozsol_wire import Field, TokenStream
+from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Setup
 from solar.frames import Angles

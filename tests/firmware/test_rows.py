@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.pozsol_wire import TokenStream
+from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import A_ACTUATOR, Actuator, Setup
 from solar.frames import Angles

@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from drivers.agilent6063b import Agilent6063B
-from drivers.chroma63600 import Chroma63600
-from drivers.electronic_load import SweepSettings
 from drivers.errors import ConnectError, DeadlineError, DeviceError, IdentityError, LinkLostError, ProtocolError
-from drivers.visa_line import VisaLine, VisaSettings
+from drivers.lines.visa import VisaLine, VisaSettings
+from drivers.load.agilent6063b import Agilent6063B
+from drivers.load.chroma63600 import Chroma63600
+from drivers.load.sweep import SweepSettings
 from sim_drivers.pv_source import Light
 from solar.pv_module import Q_PEAK_G4_1_305, curve
 

@@ -8,7 +8,7 @@ import pytest
 from nidaqmx.constants import LineGrouping
 
 from drivers.errors import ConnectError, DriverMissingError, LinkLostError, RefusedError
-from drivers.multiplexer import NiMultiplexer
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.hosts.ni_server import NiServer
 from sim_drivers.multiplexer_core import MultiplexerCore
 

@@ -11,13 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import positioner, positioner_line, pozsol_wire, serial_port, telemetry
 from drivers.errors import DeviceError
-from drivers.geometry import AxisSetup, Triangle
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import SerialLine
-from drivers.pozsol_wire import Field, encode_command
-from drivers.serial_port import SerialPort
+from drivers.lines import serial_port
+from drivers.lines.serial_port import SerialPort
+from drivers.positioners.pozsol import link as positioner_line
+from drivers.positioners.pozsol import positioner
+from drivers.positioners.pozsol import stream as telemetry
+from drivers.positioners.pozsol import wire as pozsol_wire
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.wire import Field, encode_command
 
 ALLOWED = re.compile(rb"\$([,0]-?\d+\.\d{4}|[.2]\d+|8N|9[s56]|\x880)\r", re.ASCII)
 STOP = b"$9s\r"

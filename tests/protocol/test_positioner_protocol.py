@@ -14,13 +14,13 @@ from itertools import pairwise
 
 import pytest
 
-from drivers import pozsol_wire as wire
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError
-from drivers.geometry import AxisSetup, Proportional, Triangle
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import SerialLine
-from drivers.pozsol_wire import Field, TokenStream
-from drivers.serial_port import SerialPort
+from drivers.lines.serial_port import SerialPort
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
+from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.hosts.positioner_host import BANNER
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Setup

@@ -18,8 +18,8 @@ from drivers.errors import (
     OverRangeError,
     ProtocolError,
 )
-from drivers.keithley2000 import Keithley2000
-from drivers.visa_line import VisaLine, VisaSettings
+from drivers.lines.visa import VisaLine, VisaSettings
+from drivers.meters.keithley2000 import Keithley2000
 from sim_drivers.voltmeter_core import VoltmeterCore
 
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field, encode_command
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field, encode_command
 
 A_PACKET, B_PACKET, STOP_PACKET = b"$.", b"$2", b"$9s"
 TRACKING_OFF_PACKET = encode_command(Field.MODE, wire.TRACKING_OFF)

@@ -6,8 +6,8 @@ import logging
 import pytest
 
 from daemon.motion import Polling
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field
 from tests.rig.motion_tools import A_PACKET, B_PACKET, drive, lose
 from tests.rig.test_faults import commands_sent
 from tests.rig.test_motion_rule import quiet

@@ -12,7 +12,7 @@ import pytest
 import serial
 
 from daemon.config_file import check_file
-from drivers.pozsol_wire import TokenStream
+from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.bench_client import BenchError
 from tests.system.processes import HELIOCUBE, wait_until
 

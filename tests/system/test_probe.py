@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from drivers.pozsol_wire import Field, TokenStream, parse_status
+from drivers.positioners.pozsol.wire import Field, TokenStream, parse_status
 from drivers.transcript import parse
 from sim_drivers.positioner_core import PositionerCore
 from sim_drivers.positioner_setup import Setup

@@ -4,7 +4,7 @@ import threading
 import pytest
 
 from drivers.errors import DeadlineError, DriverHungError, LinkLostError
-from drivers.executor import DeviceThread
+from drivers.lines.threads import DeviceThread
 
 
 @pytest.fixture

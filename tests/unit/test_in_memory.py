@@ -14,7 +14,7 @@ from drivers.errors import (
     ProtocolError,
     RefusedError,
 )
-from drivers.pozsol_wire import Field
+from drivers.positioners.pozsol.wire import Field
 from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.multiplexer_core import MultiplexerCore
 from sim_drivers.positioner_core import PositionerCore

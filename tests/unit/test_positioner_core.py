@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field, TokenStream, encode_command, parse_status
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, parse_status
 from sim_drivers.positioner_core import FAULTS, PositionerCore
 from sim_drivers.positioner_profile import coast, drive_to
 from sim_drivers.positioner_screens import SLOW_SCREENS

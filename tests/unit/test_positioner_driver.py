@@ -7,12 +7,12 @@ import pytest
 
 from daemon.timeloop import VirtualTimeLoop
 from drivers.errors import LinkLostError, RefusedError, StillMovingError
-from drivers.geometry import AxisSetup, Triangle
-from drivers.positioner import PozsolPositioner
-from drivers.positioner_line import Heard
-from drivers.positioner_watch import FAST, SLOW, PositionerWatch
-from drivers.pozsol_wire import Field
-from drivers.telemetry import FieldTable
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.link import Heard
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
+from drivers.positioners.pozsol.wire import Field
 from sim_drivers.in_memory import InMemoryPositioner
 from sim_drivers.positioner_core import PositionerCore
 from solar.frames import Limits

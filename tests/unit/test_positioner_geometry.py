@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.geometry import AxisSetup, Proportional, Triangle
-from drivers.unit_setup import SETUP_FIELDS, conflicts, count_step, unheard
+from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
+from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step, unheard
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)

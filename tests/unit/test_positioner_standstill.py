@@ -2,12 +2,12 @@
 
 import pytest
 
-from drivers.geometry import AxisSetup, Triangle
-from drivers.homing import HomingRun, Seen
-from drivers.pozsol_wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
-from drivers.reference import Reference
-from drivers.standstill import Standstill
-from drivers.switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.homing import HomingRun, Seen
+from drivers.positioners.pozsol.reference import Reference
+from drivers.positioners.pozsol.standstill import Standstill
+from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 QUIET, HOMING, LOW = parse_status("0"), parse_status(str(1 << 13)), parse_status(str(1 << 19))

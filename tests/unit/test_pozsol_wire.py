@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import pozsol_wire as wire
-from drivers.pozsol_wire import Field, TokenStream, encode_command, parse_number, parse_status
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, parse_number, parse_status
 
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
 

@@ -4,8 +4,8 @@ import threading
 import pytest
 
 from drivers.errors import LinkLostError
-from drivers.pozsol_wire import Field
-from drivers.telemetry import TelemetryReader
+from drivers.positioners.pozsol.stream import TelemetryReader
+from drivers.positioners.pozsol.wire import Field
 
 
 class Wire:

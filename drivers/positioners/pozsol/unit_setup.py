@@ -9,8 +9,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.geometry import AxisSetup, Proportional, Triangle
 from drivers.interfaces import Axis
+from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 
 _FIRST = {"a": 70, "b": 96}
 _GEAR = {"a": 78, "b": 104}

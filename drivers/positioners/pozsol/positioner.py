@@ -17,16 +17,16 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers import pozsol_wire as wire
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
-from drivers.geometry import AxisSetup
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
-from drivers.positioner_line import Line
-from drivers.positioner_watch import FAST, SLOW, PositionerWatch
-from drivers.pozsol_wire import Field, encode_command
-from drivers.standstill import Standstill
-from drivers.telemetry import Value
-from drivers.unit_setup import SETUP_FIELDS, conflicts, count_step
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.link import Line
+from drivers.positioners.pozsol.standstill import Standstill
+from drivers.positioners.pozsol.stream import Value
+from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
+from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
+from drivers.positioners.pozsol.wire import Field, encode_command
 
 _DEVICE = "positioner"
 _IDENTITY = (Field.BOARD, Field.VERSION, Field.SERIAL)

@@ -10,8 +10,8 @@ has; an error queue is not used.
 
 from collections.abc import Callable
 
-from drivers.electronic_load import ScpiLoad, SweepSettings
-from drivers.load_session import Dialect, Line
+from drivers.load.session import Dialect, Line
+from drivers.load.sweep import ScpiLoad, SweepSettings
 
 PROTECTIONS = {
     1: "over-temperature",
@@ -50,7 +50,7 @@ def dialect(channel: int) -> Dialect:
 
 
 class Chroma63600(ScpiLoad):
-    """The load at one channel; parameters as those of `drivers.electronic_load.ScpiLoad`."""
+    """The load at one channel; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
     def __init__(self, connect: Callable[[], Line], channel: int, settings: SweepSettings) -> None:
         super().__init__(connect, dialect(channel), settings)

@@ -19,7 +19,7 @@ from drivers.errors import (
     OverRangeError,
     ProtocolError,
 )
-from drivers.executor import DeviceThread
+from drivers.lines.threads import DeviceThread
 
 _DEVICE = "voltmeter"
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)(?:VDC)?", re.ASCII)

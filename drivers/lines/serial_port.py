@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConnectError, LinkLostError
-from drivers.pozsol_wire import require_allowed
+from drivers.positioners.pozsol.wire import require_allowed
 from drivers.transcript import Tap, no_tap
 
 _READ_S = 0.2

@@ -10,8 +10,8 @@ first two. Not used: the flag "unregulated", which the family's manual says does
 
 from collections.abc import Callable
 
-from drivers.electronic_load import ScpiLoad, SweepSettings
-from drivers.load_session import Dialect, Line
+from drivers.load.session import Dialect, Line
+from drivers.load.sweep import ScpiLoad, SweepSettings
 
 PROTECTIONS = {
     1: "voltage fault",
@@ -45,7 +45,7 @@ DIALECT = Dialect(
 
 
 class Agilent6063B(ScpiLoad):
-    """The load; parameters as those of `drivers.electronic_load.ScpiLoad`."""
+    """The load; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
     def __init__(self, connect: Callable[[], Line], settings: SweepSettings) -> None:
         super().__init__(connect, DIALECT, settings)

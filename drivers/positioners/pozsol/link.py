@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
-from drivers.executor import DeviceThread
-from drivers.telemetry import FieldTable, Port, TelemetryReader, Value
+from drivers.lines.threads import DeviceThread
+from drivers.positioners.pozsol.stream import FieldTable, Port, TelemetryReader, Value
 
 _DEVICE = "positioner"
 _OPEN_S = 5.0

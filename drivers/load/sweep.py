@@ -2,7 +2,7 @@
 
 The load holds one voltage after another, and the module is in open circuit in between. Whatever ends a sweep, the input
 is switched off and the load is asked whether it is; where it does not answer it is told to, unheard, and the next
-`open` switches the input off before anything else is set. A make is a `drivers.load_session.Dialect`.
+`open` switches the input off before anything else is set. A make is a `drivers.load.session.Dialect`.
 """
 
 import asyncio
@@ -12,9 +12,9 @@ from functools import partial
 from typing import TypeVar
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
-from drivers.executor import DeviceThread
 from drivers.interfaces import SweepPlan, SweptCurve
-from drivers.load_session import DEVICE, Dialect, Line, LoadSession
+from drivers.lines.threads import DeviceThread
+from drivers.load.session import DEVICE, Dialect, Line, LoadSession
 
 T = TypeVar("T")
 

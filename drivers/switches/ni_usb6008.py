@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from drivers.errors import ConnectError, DeviceError, DriverMissingError, LinkLostError, RefusedError
-from drivers.executor import DeviceThread
+from drivers.lines.threads import DeviceThread
 from drivers.transcript import Tap, no_tap
 
 _DEVICE = "multiplexer"

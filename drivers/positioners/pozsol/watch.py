@@ -5,14 +5,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.errors import LinkLostError, ProtocolError
-from drivers.geometry import AxisSetup
-from drivers.homing import HomingRun, Seen
 from drivers.interfaces import Axis, Telemetry
-from drivers.own_moves import OWN_MOVES, own_moves
-from drivers.positioner_line import Heard
-from drivers.pozsol_wire import Field, Status, parse_status
-from drivers.reference import Reference
-from drivers.switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.homing import HomingRun, Seen
+from drivers.positioners.pozsol.link import Heard
+from drivers.positioners.pozsol.own_moves import OWN_MOVES, own_moves
+from drivers.positioners.pozsol.reference import Reference
+from drivers.positioners.pozsol.wire import Field, Status, parse_status
 
 _DEVICE = "positioner"
 AXES: tuple[Axis, Axis] = ("a", "b")

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from drivers.geometry import AxisSetup
 from drivers.interfaces import Axis
-from drivers.pozsol_wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, Status
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, Status
 
 # B moves for certain, and did so when the status was sent.
 _MOVES = 0.1

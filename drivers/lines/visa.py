@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
 from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissingError, LinkLostError
-from drivers.serial_port import cannot_open, terminal_errors
+from drivers.lines.serial_port import cannot_open, terminal_errors
 from drivers.transcript import Tap, no_tap
 
 _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}

@@ -6,9 +6,9 @@ dips. So the verdict takes the homing bit, the position and the end switch toget
 
 from dataclasses import dataclass, field
 
-from drivers.geometry import AxisSetup
 from drivers.interfaces import Axis
-from drivers.pozsol_wire import Status
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.wire import Status
 
 # More than an axis runs out on its ramp, in the unit's position units.
 _MOVED = 1.0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
-from drivers.pozsol_wire import DECIMALS, Field, TokenStream, parse_number, parse_status
+from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, parse_number, parse_status
 
 # What comes first may be an old screen that has waited in the unit since its last listener left.
 _IGNORE_FIRST_S = 0.1

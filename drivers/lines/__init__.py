@@ -1,0 +1,1 @@
+"""Lines to instruments: serial ports, VISA resources, and the thread that blocking calls live in."""

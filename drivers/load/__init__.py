@@ -1,0 +1,1 @@
+"""Electronic loads, which measure the current-voltage curve of a module."""

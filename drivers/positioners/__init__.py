@@ -1,0 +1,1 @@
+"""What turns a tracker: one module or folder for each make."""

@@ -1,0 +1,1 @@
+"""What switches the inputs of a meter from sensor to sensor."""
