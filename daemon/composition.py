@@ -19,14 +19,14 @@ from daemon.real_rig import MARGIN_OF_LEAST_V, build_load, build_multiplexer, bu
 from daemon.records import FACES
 from daemon.service import Rig, Role
 from drivers.interfaces import ElectronicLoad, Positioner
-from sim_drivers.in_memory import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
-from sim_drivers.load_core import LoadCore
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.load.core import LoadCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Drive, Setup
 from sim_drivers.pv_source import Light, PvSource
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from sim_drivers.weather_parts import WeatherInParts
@@ -347,9 +347,9 @@ async def run_bench(
     directory cannot be used.
     """
     try:
-        from sim_drivers.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
-        from sim_drivers.bench_client import BenchError  # noqa: PLC0415
-        from sim_drivers.bench_control import BenchControl  # noqa: PLC0415
+        from sim_drivers.bench.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
+        from sim_drivers.bench.client import BenchError  # noqa: PLC0415
+        from sim_drivers.bench.control import BenchControl  # noqa: PLC0415
     except ImportError as error:
         raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
 
@@ -382,7 +382,7 @@ async def run_bench(
 
 def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
     """Send a command to the bench in a directory and return its answer; raises `UserError`."""
-    from sim_drivers.bench_client import BenchError, request  # noqa: PLC0415 - not needed by the service
+    from sim_drivers.bench.client import BenchError, request  # noqa: PLC0415 - not needed by the service
 
     try:
         return request(directory, verb, arguments)
@@ -392,6 +392,6 @@ def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
 
 def bench_verbs() -> dict[str, tuple[str, str]]:
     """Return the bench's commands by name: what each takes, and what it does."""
-    from sim_drivers.bench_client import VERBS  # noqa: PLC0415 - not needed by the service
+    from sim_drivers.bench.client import VERBS  # noqa: PLC0415 - not needed by the service
 
     return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

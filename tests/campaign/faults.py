@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim_drivers.positioner_core import FAULTS as UNIT_FAULTS
+from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 
 class CannotDoError(Exception):

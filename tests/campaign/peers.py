@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from sim_drivers.bench_client import request
-from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR
+from sim_drivers.bench.client import request
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 TOKEN = "t" * 43

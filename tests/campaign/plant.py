@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from daemon.bus import Bus
 from daemon.config import Settings
 from daemon.service import Role
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryVoltmeter
-from sim_drivers.positioner_setup import Setup
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from solar.frames import Angles
 from tests.rig.conftest import Bench, HandWeather
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import ModuleType
 
 from drivers.positioners.pozsol.wire import Field, TokenStream
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Setup
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Setup
 from solar.frames import Angles
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "shared" / "firmware"

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from drivers.positioners.pozsol.wire import TokenStream
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import A_ACTUATOR, Actuator, Setup
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import A_ACTUATOR, Actuator, Setup
 from solar.frames import Angles
 from tests.firmware.peer import Firmware
 

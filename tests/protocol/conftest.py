@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from drivers.transcript import parse
-from sim_drivers.hosts.line_host import LineHost
-from sim_drivers.hosts.positioner_host import PositionerHost
-from sim_drivers.hosts.voltmeter_host import VoltmeterHost
-from sim_drivers.load_core import LoadCore
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.bench.line_host import LineHost
+from sim_drivers.bench.positioner_host import PositionerHost
+from sim_drivers.bench.voltmeter_host import VoltmeterHost
+from sim_drivers.load.core import LoadCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Drive, Setup
 from sim_drivers.pv_source import Light
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.pv_module import Q_PEAK_G4_1_305, curve, voltage
 
 HERE = Path(__file__).parent

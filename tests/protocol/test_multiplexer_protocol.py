@@ -9,8 +9,8 @@ from nidaqmx.constants import LineGrouping
 
 from drivers.errors import ConnectError, DriverMissingError, LinkLostError, RefusedError
 from drivers.switches.ni_usb6008 import NiMultiplexer
-from sim_drivers.hosts.ni_server import NiServer
-from sim_drivers.multiplexer_core import MultiplexerCore
+from sim_drivers.bench.ni_server import NiServer
+from sim_drivers.multiplexer import MultiplexerCore
 
 
 @contextlib.asynccontextmanager

@@ -21,9 +21,9 @@ from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangl
 from drivers.positioners.pozsol.link import SerialLine
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field, TokenStream
-from sim_drivers.hosts.positioner_host import BANNER
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Setup
+from sim_drivers.bench.positioner_host import BANNER
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)

@@ -20,7 +20,7 @@ from drivers.errors import (
 )
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.meters.keithley2000 import Keithley2000
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 

@@ -14,13 +14,13 @@ from daemon.motion import OFTEN, Polling
 from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.in_memory import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
-from sim_drivers.load_core import LoadCore
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.load.core import LoadCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pv_source import PvSource
 from sim_drivers.scene import Scene, SensorModel
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import Conditions
 from solar.ephemeris import Site
 from solar.pv_module import Q_PEAK_G4_1_305

@@ -8,7 +8,7 @@ import pytest
 
 from daemon.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
-from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.pozsol.setup import Drive, Setup
 from tests.rig.motion_tools import A_PACKET, B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, alarms, drive_b, lose, show
 from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.rig.test_motion_rule import moves_for, quiet

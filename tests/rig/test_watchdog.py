@@ -9,7 +9,7 @@ import pytest
 from daemon.records import Mode, Move, MoveOutcome
 from daemon.sd_notify import Notifier
 from daemon.watchdog import Watchdog
-from sim_drivers.positioner_setup import Drive, Setup
+from sim_drivers.pozsol.setup import Drive, Setup
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_drivers.bench_client import request
+from sim_drivers.bench.client import request
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 READY_WITHIN_S = 30.0

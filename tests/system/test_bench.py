@@ -13,7 +13,7 @@ import serial
 
 from daemon.config_file import check_file
 from drivers.positioners.pozsol.wire import TokenStream
-from sim_drivers.bench_client import BenchError
+from sim_drivers.bench.client import BenchError
 from tests.system.processes import HELIOCUBE, wait_until
 
 pytestmark = pytest.mark.system

@@ -10,9 +10,9 @@ import pytest
 
 from drivers.positioners.pozsol.wire import Field, TokenStream, parse_status
 from drivers.transcript import parse
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Setup
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.voltmeter.core import VoltmeterCore
 from tests.system.processes import HELIOCUBE
 
 pytestmark = pytest.mark.system

@@ -12,9 +12,9 @@ from daemon.clock import LoopClock
 from daemon.config import Cube
 from daemon.records import Quality
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryVoltmeter
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 DAY, NIGHT = 30.0, -20.0
 

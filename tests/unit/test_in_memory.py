@@ -15,11 +15,11 @@ from drivers.errors import (
     RefusedError,
 )
 from drivers.positioners.pozsol.wire import Field
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Drive, Setup
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.transports import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.frames import Angles, Limits
 
 VOLTS = (0.010, 0.020, 0.030, 0.040)

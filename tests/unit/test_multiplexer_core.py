@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_drivers.multiplexer_core import DaqWriteError, MultiplexerCore
+from sim_drivers.multiplexer import DaqWriteError, MultiplexerCore
 
 CONNECTED = range(5)
 

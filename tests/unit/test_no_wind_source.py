@@ -14,8 +14,8 @@ from daemon.sd_notify import Notifier
 from daemon.service import Rig, Role, Service
 from daemon.stow import WindStow
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.in_memory import InMemoryPositioner
-from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.transports import InMemoryPositioner
 
 
 def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **safety):

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, parse_status
-from sim_drivers.positioner_core import FAULTS, PositionerCore
-from sim_drivers.positioner_profile import coast, drive_to
-from sim_drivers.positioner_screens import SLOW_SCREENS
-from sim_drivers.positioner_setup import A_ACTUATOR, B_ACTUATOR, Actuator, Drive, Setup
+from sim_drivers.pozsol.core import FAULTS, PositionerCore
+from sim_drivers.pozsol.profile import coast, drive_to
+from sim_drivers.pozsol.screens import SLOW_SCREENS
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, Drive, Setup
 from solar.frames import Angles
 
 STOP = encode_command(Field.ACTION, wire.STOP)

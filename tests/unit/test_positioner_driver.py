@@ -13,8 +13,8 @@ from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
 from drivers.positioners.pozsol.wire import Field
-from sim_drivers.in_memory import InMemoryPositioner
-from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.transports import InMemoryPositioner
 from solar.frames import Limits
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)

@@ -5,7 +5,7 @@ import tty
 
 import pytest
 
-from sim_drivers.hosts.pty_port import LOOK_EVERY_S, PtyPort
+from sim_drivers.bench.pty_port import LOOK_EVERY_S, PtyPort
 
 
 class Rig:

@@ -13,9 +13,9 @@ from daemon.config import Settings
 from daemon.records import Quality
 from daemon.stuck_lines import self_test_gaps
 from daemon.timeloop import VirtualTimeLoop
-from sim_drivers.in_memory import InMemoryMultiplexer, InMemoryVoltmeter
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 FACES_MV = {"east": 30.0, "south": 41.0, "west": 6.0, "zenith": 47.0}
 BEST = {"east": 0, "south": 1, "west": 2, "zenith": 7}

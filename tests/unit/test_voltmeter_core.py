@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_drivers.scpi import messages, spellings
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.positioners.pozsol.wire import SEPARATOR, Field
-from sim_drivers.positioner_setup import Actuator, Setup
+from sim_drivers.pozsol.setup import Actuator, Setup
 
 BOARD = "36A1"
 VERSION = "1.402 (B1.100)"

@@ -8,11 +8,11 @@ import math
 from typing import Literal
 
 from drivers.interfaces import Axis as AxisName
-from sim_drivers.positioner_modes import OwnModes
-from sim_drivers.positioner_motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
-from sim_drivers.positioner_screens import AxisReadout, Readout
-from sim_drivers.positioner_setup import Setup
-from sim_drivers.positioner_status import mode_text, status_word
+from sim_drivers.pozsol.modes import OwnModes
+from sim_drivers.pozsol.motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
+from sim_drivers.pozsol.screens import AxisReadout, Readout
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.pozsol.status import mode_text, status_word
 from solar.frames import Angles
 
 POLL_S = 0.02

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from sim_drivers.hosts.pty_port import PtyPort
+from sim_drivers.bench.pty_port import PtyPort
 
 
 class Instrument(Protocol):

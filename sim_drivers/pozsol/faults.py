@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from sim_drivers.positioner_motion import Axis
-from sim_drivers.positioner_unit import LOW_V, NOMINAL_V, Button, PositionerUnit
+from sim_drivers.pozsol.motion import Axis
+from sim_drivers.pozsol.unit import LOW_V, NOMINAL_V, Button, PositionerUnit
 
 SLIP_MM = 5.0
 """How much one slip falsifies the count: the axis is further out than the unit believes."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from sim_drivers.scpi import Parser, ScpiError, boolean, choice, integer, messages, number, spellings
 
 if TYPE_CHECKING:
-    from sim_drivers.voltmeter_core import VoltmeterCore
+    from sim_drivers.voltmeter.core import VoltmeterCore
 
 RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
 _HIGHEST_V = 1010.0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_drivers.voltmeter_commands import RANGES_V, Settings
+from sim_drivers.voltmeter.commands import RANGES_V, Settings
 
 OVERFLOW = "9.9E37"
 OVERRANGE, DOWNRANGE = 1.2, 0.1

@@ -6,7 +6,7 @@ Positions are in mm of actuator travel, times in seconds; outwards is positive.
 import math
 from dataclasses import dataclass, replace
 
-from sim_drivers.positioner_setup import Drive
+from sim_drivers.pozsol.setup import Drive
 
 _FAR_MM = 1e5
 _FIRST_EDGE_S = 0.05

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from sim_drivers.scpi import ScpiError, Status
-from sim_drivers.voltmeter_commands import PRESET, RANGES_V, Settings, Step, compile_line
-from sim_drivers.voltmeter_converter import Converter
+from sim_drivers.voltmeter.commands import PRESET, RANGES_V, Settings, Step, compile_line
+from sim_drivers.voltmeter.converter import Converter
 
 INPUT_LIMIT = 2048
 DEFAULT_IDENTITY = "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234567,A20  /A02"

@@ -4,8 +4,8 @@ Each speaks the bytes of its instrument with the instrument's core and waits as 
 event loop's time, whatever that is.
 """
 
-from sim_drivers.in_memory.cube import InMemoryMultiplexer, InMemoryVoltmeter
-from sim_drivers.in_memory.load import InMemoryLoad
-from sim_drivers.in_memory.positioner import InMemoryPositioner
+from sim_drivers.transports.cube import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.transports.load import InMemoryLoad
+from sim_drivers.transports.positioner import InMemoryPositioner
 
 __all__ = ["InMemoryLoad", "InMemoryMultiplexer", "InMemoryPositioner", "InMemoryVoltmeter"]

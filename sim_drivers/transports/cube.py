@@ -14,9 +14,9 @@ from drivers.errors import (
     ProtocolError,
     RefusedError,
 )
-from sim_drivers.in_memory.link import Cabled
-from sim_drivers.multiplexer_core import ENABLE_LINE, DaqWriteError, MultiplexerCore
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.multiplexer import ENABLE_LINE, DaqWriteError, MultiplexerCore
+from sim_drivers.transports.link import Cabled
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 _INPUTS = 8
 _READING = re.compile(rb"([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)(?:VDC)?\s*")

@@ -15,7 +15,7 @@ import grpc
 from nidaqmx._stubs import nidaqmx_pb2 as messages
 from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 
-from sim_drivers.multiplexer_core import ALL_HIGH, DaqWriteError, MultiplexerCore
+from sim_drivers.multiplexer import ALL_HIGH, DaqWriteError, MultiplexerCore
 
 DEVICE = "Dev1"
 PRODUCT = "USB-6008"

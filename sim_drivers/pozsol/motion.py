@@ -7,8 +7,8 @@ from it once its reference is lost. What the axis is told to do is the unit's bu
 import math
 from typing import Literal
 
-from sim_drivers.positioner_profile import Profile, coast, drive_on, drive_to
-from sim_drivers.positioner_setup import Actuator, Drive
+from sim_drivers.pozsol.profile import Profile, coast, drive_on, drive_to
+from sim_drivers.pozsol.setup import Actuator, Drive
 
 HARD_STOP_MM = 1.0
 """How far beyond an end switch the mechanics go if the switch does not act."""

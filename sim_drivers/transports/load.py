@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.interfaces import SweepPlan, SweptCurve
-from sim_drivers.in_memory.link import Cabled
-from sim_drivers.load_core import MEASURING_S, OVERFLOW, LoadCore
+from sim_drivers.load.core import MEASURING_S, OVERFLOW, LoadCore
+from sim_drivers.transports.link import Cabled
 
 
 class InMemoryLoad(Cabled):

@@ -11,16 +11,16 @@ import numpy as np
 
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field, TokenStream
-from sim_drivers.hosts.line_host import LineHost
-from sim_drivers.hosts.ni_server import NiServer
-from sim_drivers.hosts.positioner_host import PositionerHost
-from sim_drivers.hosts.voltmeter_host import VoltmeterHost
-from sim_drivers.load_core import LoadCore
-from sim_drivers.multiplexer_core import MultiplexerCore
-from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.bench.line_host import LineHost
+from sim_drivers.bench.ni_server import NiServer
+from sim_drivers.bench.positioner_host import PositionerHost
+from sim_drivers.bench.voltmeter_host import VoltmeterHost
+from sim_drivers.load.core import LoadCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pv_source import PvSource
 from sim_drivers.scene import Scene
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 _DISTURBANCE_SEED = 7
 # GPIB, which the load's port stands for, is limited by the instruments: some kilobytes a second.

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim_drivers.load_commands import DIALECTS, DialectName, Program, compile_line
+from sim_drivers.load.commands import DIALECTS, DialectName, Program, compile_line
 from sim_drivers.pv_source import Light
 from sim_drivers.scpi import ScpiError, Status
 from solar.frames import Array

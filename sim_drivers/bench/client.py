@@ -9,8 +9,8 @@ import socket
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sim_drivers.load_core import TRIPS
-from sim_drivers.positioner_core import FAULTS
+from sim_drivers.load.core import TRIPS
+from sim_drivers.pozsol.core import FAULTS
 
 SOCKET_NAME = "control"
 DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load")
@@ -53,7 +53,7 @@ VERBS = {
     "trip": Verb("PROTECTION", f"latch a protection of the load: {', '.join(TRIPS)}"),
     "identity": Verb("DEVICE TEXT", "let voltmeter, load or positioner say that it is something else"),
 }
-"""All commands; each is a method of `sim_drivers.bench_control.BenchControl`."""
+"""All commands; each is a method of `sim_drivers.bench.control.BenchControl`."""
 
 
 def request(directory: Path, verb: str, arguments: list[str]) -> Any:

@@ -7,9 +7,9 @@ from drivers.positioners.pozsol.link import Heard
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.wire import TokenStream, require_allowed
-from sim_drivers.in_memory.link import Cabled
-from sim_drivers.positioner_core import PositionerCore
-from sim_drivers.positioner_setup import Actuator
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Actuator
+from sim_drivers.transports.link import Cabled
 from solar.frames import Limits
 
 

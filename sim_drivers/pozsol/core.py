@@ -13,11 +13,10 @@ import struct
 from drivers.interfaces import Axis
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
-from sim_drivers import positioner_faults as faults
-from sim_drivers import positioner_screens as screens
-from sim_drivers.positioner_screens import Readout
-from sim_drivers.positioner_setup import Setup
-from sim_drivers.positioner_unit import POLL_S, PositionerUnit
+from sim_drivers.pozsol import faults, screens
+from sim_drivers.pozsol.screens import Readout
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.pozsol.unit import POLL_S, PositionerUnit
 from solar.frames import Angles
 
 DEAF = "deaf"

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 from drivers.interfaces import Axis as AxisName
 from drivers.positioners.pozsol import wire
-from sim_drivers.positioner_motion import Axis
+from sim_drivers.pozsol.motion import Axis
 
 if TYPE_CHECKING:
-    from sim_drivers.positioner_unit import PositionerUnit
+    from sim_drivers.pozsol.unit import PositionerUnit
 
 DESTINATION_BITS = {"a_destination": 28, "b_destination": 31}
 """Latched: the unit gave up a target."""

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.interfaces import Axis as AxisName
-from sim_drivers.positioner_setup import Setup
+from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.positioners.pozsol.wire import SEPARATOR
-from sim_drivers.hosts.pty_port import PtyPort
-from sim_drivers.positioner_core import PositionerCore
+from sim_drivers.bench.pty_port import PtyPort
+from sim_drivers.pozsol.core import PositionerCore
 
 SCREEN_EVERY_S = 0.02
 BANNER = b"\r\nPOZSOL36A1 ready\r\n"

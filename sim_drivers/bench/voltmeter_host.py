@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from sim_drivers.hosts.line_host import LineHost
-from sim_drivers.voltmeter_core import VoltmeterCore
+from sim_drivers.bench.line_host import LineHost
+from sim_drivers.voltmeter.core import VoltmeterCore
 
 BAUD_RATES = (300, 600, 1200, 2400, 4800, 9600, 19200)
 _BITS_PER_BYTE = 10

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sim_drivers.scpi import Message, Parser, ScpiError, boolean, choice, integer, messages, number, spellings
 
 if TYPE_CHECKING:
-    from sim_drivers.load_core import LoadCore
+    from sim_drivers.load.core import LoadCore
 
 DialectName = Literal["chroma63600", "agilent6063b"]
 Step = Callable[["LoadCore", float], str | None]

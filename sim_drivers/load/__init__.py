@@ -1,0 +1,1 @@
+"""The simulated electronic loads and the dialects they speak."""

@@ -1,0 +1,1 @@
+"""The simulated voltmeter: the converter, the instrument around it, and its commands."""
