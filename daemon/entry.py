@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.errors import UserError
+from daemon.base.errors import UserError
 
 _URGENT = ("stop", "stow")
 _OPTIONS = {"--config": "config", "-c": "config", "--api": "api", "--token-file": "token_file", "--why": "why"}
@@ -15,7 +15,7 @@ def main() -> None:
     command, *rest = sys.argv[1:] or [""]
     given = _plainly_given(rest) if command in _URGENT else None
     if given is None:
-        from daemon.cli import main as command_line  # noqa: PLC0415 - the large libraries
+        from daemon.commands.main import main as command_line  # noqa: PLC0415 - the large libraries
 
         command_line()
     else:

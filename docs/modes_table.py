@@ -1,4 +1,4 @@
-"""Writes docs/modes.md: which mode follows from which situation, asked of `daemon.modes.next_mode` itself.
+"""Writes docs/modes.md: which mode follows from which situation, asked of `daemon.tracker.modes.next_mode` itself.
 
 Run `python docs/modes_table.py` after a change; a test compares.
 """
@@ -8,8 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from daemon.modes import Data, Situation, next_mode
-from daemon.records import Mode
+from daemon.base.records import Mode
+from daemon.tracker.modes import Data, Situation, next_mode
 
 PAGE = Path(__file__).parent / "modes.md"
 

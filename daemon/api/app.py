@@ -14,15 +14,15 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from daemon.api.commands import CommandError, Operator
 from daemon.api.metrics import Metrics
-from daemon.api.recent import Recent
-from daemon.api.state import kind_of, number, record_json, state
-from daemon.mqtt.status import LinkStatus
-from daemon.operator_commands import LONGEST_BODY, NAMES, BodyError, parse
-from daemon.records import Record
-from daemon.service import Service
-from daemon.store import StoreStatus
+from daemon.base.records import Record
+from daemon.service.operator import CommandError, Operator
+from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, parse
+from daemon.service.recent import Recent
+from daemon.service.service import Service
+from daemon.service.state import kind_of, number, record_json, state
+from daemon.service.status import LinkStatus
+from daemon.store.store import StoreStatus
 
 # A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
 _LONGEST_READ = 64 << 20

@@ -9,15 +9,15 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from daemon.alarms import Alarms
-from daemon.api.recent import Recent
-from daemon.control import Control
-from daemon.iv_acquisition import IvAcquisition
-from daemon.motion import Motion
-from daemon.mqtt.status import LinkStatus
-from daemon.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
-from daemon.service import Service
-from daemon.store import StoreStatus
+from daemon.base.alarms import Alarms
+from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
+from daemon.motion.motion import Motion
+from daemon.service.recent import Recent
+from daemon.service.service import Service
+from daemon.service.status import LinkStatus
+from daemon.store.store import StoreStatus
+from daemon.tracker.control import Control
+from daemon.tracker.curves import IvAcquisition
 
 _REFUSALS = (
     "duplicate",

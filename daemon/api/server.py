@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator
 import uvicorn
 
 from daemon.api.app import Api
-from daemon.api.recent import Recent
-from daemon.bridge.addresses import parse_address
-from daemon.config import Api as ApiSettings
-from daemon.mqtt.status import LinkStatus
-from daemon.outage import Outage
-from daemon.records import Event
-from daemon.service import Service
-from daemon.store import StoreStatus
+from daemon.base.addresses import parse_address
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event
+from daemon.config.sections import Api as ApiSettings
+from daemon.service.recent import Recent
+from daemon.service.service import Service
+from daemon.service.status import LinkStatus
+from daemon.store.store import StoreStatus
 
 log = logging.getLogger("heliocube.api")
 

@@ -5,8 +5,8 @@ import os
 import re
 from pathlib import Path
 
-from daemon.errors import UserError
-from daemon.secret_file import read_secret, write_secret
+from daemon.base.errors import UserError
+from daemon.base.files import read_secret, write_secret
 
 _BYTES = 32
 _SHORTEST, _LONGEST = 32, 512

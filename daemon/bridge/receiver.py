@@ -8,15 +8,15 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
-from daemon.bridge.order import Follower
 from daemon.bridge.refusals import Refusal, RefusedError, Statistics, Tally
+from daemon.bridge.sequence import Follower
 
 if TYPE_CHECKING:
-    from daemon.clock import Clock
-    from daemon.config import Bridge
-    from daemon.records import Scan
+    from daemon.base.clock import Clock
+    from daemon.base.records import Scan
+    from daemon.config.sections import Bridge
 
 _log = logging.getLogger("heliocube.bridge")
 

@@ -5,14 +5,14 @@ import socket
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
+from daemon.base.reconnect import Outage
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
-from daemon.outage import Outage
 
 if TYPE_CHECKING:
-    from daemon.clock import Clock
-    from daemon.config import Bridge
-    from daemon.records import Scan
+    from daemon.base.clock import Clock
+    from daemon.base.records import Scan
+    from daemon.config.sections import Bridge
 
 _log = logging.getLogger("heliocube.bridge")
 

@@ -5,8 +5,8 @@ import math
 import re
 from typing import Any
 
+from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.bridge.refusals import Refusal, RefusedError
-from daemon.records import FACES, FaceReading, Quality, Scan
 
 UNIT = "W/m2"
 EARLIEST_UTC_S = 2.0**28  # RFC 8428, section 4.5.3: smaller times are relative ones

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import jwt
 
-from daemon.bridge.addresses import BridgeError
+from daemon.base.addresses import BridgeError
+from daemon.base.files import read_secret, write_secret
 from daemon.bridge.refusals import Refusal, RefusedError
-from daemon.secret_file import read_secret, write_secret
 
 KEY_BYTES = 32
 EXAMPLE_KEY = bytes(range(KEY_BYTES))  # printed in docs/bridge.md, hence no secret

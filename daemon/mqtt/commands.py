@@ -5,9 +5,9 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from daemon.api.commands import CommandError, Operator
 from daemon.mqtt.connection import Incoming
-from daemon.operator_commands import URGENT, Command, parse, refusal_json
+from daemon.service.operator import CommandError, Operator
+from daemon.service.operator_commands import URGENT, Command, parse, refusal_json
 
 log = logging.getLogger("heliocube.mqtt")
 

@@ -4,11 +4,11 @@ import ssl
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daemon.errors import UserError
-from daemon.secret_file import read_secret
+from daemon.base.errors import UserError
+from daemon.base.files import read_secret
 
 if TYPE_CHECKING:
-    from daemon.config import Mqtt
+    from daemon.config.sections import Mqtt
 
 _LONGEST = 4096
 

@@ -7,16 +7,16 @@ import math
 from collections.abc import Callable
 from random import Random
 
-from daemon.backoff import Backoff
-from daemon.clock import Clock
-from daemon.config import Mqtt
-from daemon.errors import UserError
+from daemon.base.backoff import Backoff
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Record
+from daemon.config.sections import Mqtt
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
 from daemon.mqtt.outbox import Message, Outbox
-from daemon.mqtt.status import LinkStatus
 from daemon.mqtt.topics import Topics
-from daemon.outage import Outage
-from daemon.records import Event, Record
+from daemon.service.status import LinkStatus
 
 log = logging.getLogger("heliocube.mqtt")
 

@@ -5,10 +5,10 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from daemon.config import SafeInput, WindInput
+from daemon.config.sections import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.json_path import find
-from daemon.stow import StowStatus, release_in_s
+from daemon.tracker.stow import StowStatus, release_in_s
 
 _LONGEST = 65536
 _M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
@@ -19,7 +19,7 @@ Trouble = Callable[[str, str | None], None]
 
 
 class WindReadings:
-    """Wind speeds from a topic, for `daemon.stow.WindStow`.
+    """Wind speeds from a topic, for `daemon.tracker.stow.WindStow`.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class WindReadings:
 
 
 class SafeStow:
-    """Stow while somebody else says that it is unsafe, or says nothing; a `daemon.stow.StowSource`.
+    """Stow while somebody else says that it is unsafe, or says nothing; a `daemon.tracker.stow.StowSource`.
 
     Parameters
     ----------

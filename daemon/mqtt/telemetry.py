@@ -5,12 +5,12 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from daemon.api.state import kind_of, number, record_json
+from daemon.base.records import Event, ModeChange, Record
+from daemon.base.waiting import wait_at_most
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
-from daemon.records import Event, ModeChange, Record
-from daemon.waiting import wait_at_most
+from daemon.service.state import kind_of, number, record_json
 
 # By the record's name: quality of service, and whether the broker keeps the last one.
 _MANNERS = {

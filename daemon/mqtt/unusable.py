@@ -8,7 +8,7 @@ from daemon.mqtt.topics import check_level, check_topic
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from daemon.config import Settings
+    from daemon.config.sections import Settings
 
 
 def unusable(settings: "Settings") -> dict[str, str]:

@@ -1,7 +1,7 @@
 """The pointing law `optimal`: the same object live, in replay and in the benchmark.
 
-At every reading the light is estimated from the faces (:mod:`solar.laws.light`) and remembered twice, over about one and
-about ten minutes. What is expected of the next minutes lies between the two: near the quick memory while the sky is
+At every reading the light is estimated from the faces (:mod:`solar.laws.light`) and remembered twice, over about one
+and about ten minutes. What is expected of the next minutes lies between the two: near the quick memory while the sky is
 steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects the
 expected light best is known in closed form, with the sun where it will be halfway through the rest that follows. The
 tracker moves there when the expected gain [W/m2] exceeds the price of the move, and not otherwise: many times an hour

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.cli_options import parse_site, site_values
-from daemon.clock import iso_utc
-from daemon.compare.pairs import frame_of, pair
-from daemon.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
-from daemon.composition import build_simulated_pair, measured_weather
-from daemon.config import Settings
-from daemon.config_file import override
+from daemon.base.clock import iso_utc
+from daemon.commands.options import parse_site, site_values
+from daemon.config.file import override
+from daemon.config.sections import Settings
+from daemon.rigs.simulated import build_simulated_pair, measured_weather
+from daemon.studies.compare.pairs import frame_of, pair
+from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
 from solar.compare import energy_wh, gain_pct
 from solar.ephemeris import DAY_S, sun_day
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.clock import SystemClock
-from daemon.records import CurveQuality, IvCurve
-from daemon.store import Origin, Store
-from daemon.store_schema import FILE_NAME
+from daemon.base.clock import SystemClock
+from daemon.base.records import CurveQuality, IvCurve
+from daemon.store.schema import FILE_NAME
+from daemon.store.store import Origin, Store
 
 CURVES, POINTS = 9000, 30
 

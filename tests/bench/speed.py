@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.clock import iso_utc
+from daemon.base.clock import iso_utc
 from solar.ephemeris import sun_direction
 from solar.sky import sky
 

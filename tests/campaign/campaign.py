@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import VirtualTimeLoop
 from tests.campaign.doors import DOORS
 from tests.campaign.faults import FAULTS, refuse_unknown
 from tests.campaign.person import WORKS, Person, known

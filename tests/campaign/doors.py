@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 from daemon.api.app import Api
-from daemon.api.commands import CommandError, Operator
-from daemon.api.recent import Recent
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
-from daemon.operator_commands import NAMES
+from daemon.service.operator import CommandError, Operator
+from daemon.service.operator_commands import NAMES
+from daemon.service.recent import Recent
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,8 @@
 import asyncio
 import math
 
-from daemon.api.commands import CommandError
-from daemon.records import Mode
+from daemon.base.records import Mode
+from daemon.service.operator import CommandError
 
 ARRIVED_DEG = 1.3
 COMMANDS = ("stop", "stow", "hold", "goto", "auto", "home", "clear", "snow", "maintenance", "bad")

@@ -6,9 +6,9 @@ import math
 import shutil
 from datetime import UTC, datetime
 
-from daemon.bus import Bus
-from daemon.config import Settings
-from daemon.service import Role
+from daemon.base.bus import Bus
+from daemon.config.sections import Settings
+from daemon.service.service import Role
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from solar.frames import Angles

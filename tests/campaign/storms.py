@@ -2,7 +2,7 @@
 
 import math
 
-from daemon.records import Mode
+from daemon.base.records import Mode
 
 STORM_S = 11.0
 """Two looks of control, and a little."""

@@ -2,7 +2,7 @@
 
 import math
 
-from daemon.records import Event
+from daemon.base.records import Event
 
 WORTH_TELLING_DEG = 0.5
 TOLD_WITHIN_S = 10.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.api.commands import CommandError
+from daemon.service.operator import CommandError
 from tests.campaign.campaign import run
 from tests.campaign.doors import DOORS, Reply
 from tests.campaign.schedule import Event, draw

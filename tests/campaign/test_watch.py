@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from daemon.config import Settings
-from daemon.records import Event, Mode
+from daemon.base.records import Event, Mode
+from daemon.config.sections import Settings
 from solar.frames import Angles
 from tests.campaign.watch import Watch
 

@@ -9,7 +9,7 @@ import contextlib
 import math
 from dataclasses import dataclass
 
-from daemon.records import Mode
+from daemon.base.records import Mode
 from drivers.positioners.pozsol.wire import Field, TokenStream
 from tests.campaign.explain import Explained
 from tests.campaign.storms import STORM_S, Storms

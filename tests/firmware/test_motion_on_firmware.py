@@ -6,11 +6,11 @@ from random import Random
 
 import pytest
 
-from daemon.alarms import Alarms
-from daemon.clock import LoopClock
-from daemon.config import Settings
-from daemon.motion import Motion
-from daemon.records import Event, Move, MoveOutcome, Target
+from daemon.base.alarms import Alarms
+from daemon.base.clock import LoopClock
+from daemon.base.records import Event, Move, MoveOutcome, Target
+from daemon.config.sections import Settings
+from daemon.motion.motion import Motion
 from tests.firmware.live import driver_on
 
 MOVES = (Target(-3.0, 88.0, "first"), Target(1.0, 86.0, "at once"), Target(-2.0, 88.5, "at once again"))

@@ -10,13 +10,13 @@ from random import Random
 import aiomqtt
 import pytest
 
-from daemon.api.recent import Recent
-from daemon.api.state import state
-from daemon.config import Settings
-from daemon.mqtt.parts import Mqtt
-from daemon.sd_notify import Notifier
-from daemon.service import Rig, Role, Service
-from daemon.timeloop import ScaledTimeLoop
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import ScaledTimeLoop
+from daemon.config.sections import Settings
+from daemon.mqtt.companion import Mqtt
+from daemon.service.recent import Recent
+from daemon.service.service import Rig, Role, Service
+from daemon.service.state import state
 from tests.mqtt.broker import LEFT_OUT, MOSQUITTO, Broker
 from tests.rig.conftest import KEY, Bench, HandWeather
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config_file import ConfigError, check_file, load_settings
-from daemon.records import Decision, Event, Mode
-from daemon.service import Role
+from daemon.base.records import Decision, Event, Mode
+from daemon.config.file import ConfigError, check_file, load_settings
+from daemon.service.service import Role
 from tests.mqtt.broker import CERTIFICATES
 from tests.mqtt.conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 

@@ -4,9 +4,9 @@ import asyncio
 
 import pytest
 
-from daemon.config_file import ConfigError, check_file
-from daemon.records import Mode, Quality, Scan
-from daemon.service import Role
+from daemon.base.records import Mode, Quality, Scan
+from daemon.config.file import ConfigError, check_file
+from daemon.service.service import Role
 from tests.mqtt.conftest import SPEED, MqttBench, observer, serving, settings_for, until
 
 TOPIC = "site/cube/bridge"

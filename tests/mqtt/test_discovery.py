@@ -6,9 +6,9 @@ import re
 
 import pytest
 
+from daemon.base.records import Mode
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
-from daemon.records import Mode
 from tests.mqtt import home_assistant
 from tests.mqtt.conftest import SPEED, MqttBench, observer, serving, settings_for
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from daemon.mqtt import telemetry
-from daemon.operator_commands import NAMES
-from daemon.tables import COLUMNS
+from daemon.service.operator_commands import NAMES
+from daemon.store.tables import COLUMNS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "mqtt.md").read_text(encoding="utf-8")
 ROWS = dict(re.findall(r"(?m)^\| `(\w+)` \| .* \| (\d \| \w+) \| [^|]* \|$", PAGE))

@@ -7,10 +7,10 @@ import re
 from rich.console import Console
 
 from daemon.api.metrics import Metrics
-from daemon.api.recent import Recent
-from daemon.api.state import state
-from daemon.records import Mode
-from daemon.status_view import render
+from daemon.base.records import Mode
+from daemon.commands.screen import render
+from daemon.service.recent import Recent
+from daemon.service.state import state
 from tests.mqtt.conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 

@@ -9,13 +9,13 @@ from random import Random
 
 import pytest
 
-from daemon.bus import Bus
-from daemon.clock import LoopClock
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.records import Decision
+from daemon.base.timeloop import VirtualTimeLoop
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
-from daemon.records import Decision
-from daemon.timeloop import VirtualTimeLoop
 from tests.mqtt.conftest import MqttBench, settings_for, until
 
 CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12

@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
-from daemon.config import SafeInput, Safety, WindInput
+from daemon.base.records import Mode
+from daemon.config.sections import SafeInput, Safety, WindInput
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
-from daemon.records import Mode
-from daemon.stow import WindStow
+from daemon.tracker.stow import WindStow
 from tests.mqtt.conftest import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 

@@ -4,9 +4,9 @@ import asyncio
 
 import pytest
 
-from daemon.api.commands import CommandError, Operator
+from daemon.base.records import Mode
 from daemon.mqtt.outbox import Message
-from daemon.records import Mode
+from daemon.service.operator import CommandError, Operator
 from tests.mqtt.broker import CERTIFICATES
 from tests.mqtt.conftest import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 

@@ -7,13 +7,13 @@ from random import Random
 import numpy as np
 import pytest
 
-from daemon.bus import Bus
-from daemon.clock import LoopClock
-from daemon.config import Settings
-from daemon.motion import OFTEN, Polling
-from daemon.sd_notify import Notifier
-from daemon.service import Rig, Role, Service
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.sections import Settings
+from daemon.motion.motion import OFTEN, Polling
+from daemon.service.service import Rig, Role, Service
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore

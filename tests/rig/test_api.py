@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.api.recent import Recent
 from daemon.api.server import ApiServer
-from daemon.records import Event, Mode
-from daemon.store import StoreStatus
+from daemon.base.records import Event, Mode
+from daemon.service.recent import Recent
+from daemon.store.store import StoreStatus
 from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 
 TOKEN = "t" * 43

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.records import Decision, Mode, Quality
+from daemon.base.records import Decision, Mode, Quality
 from tests.rig.conftest import HandWeather
 
 

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from daemon.cli import main
-from daemon.compare.paper import ceilings
+from daemon.commands.main import main
+from daemon.studies.compare.paper import ceilings
 from solar.ephemeris import Site
 from solar.frames import Limits
 

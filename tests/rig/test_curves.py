@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daemon.api.metrics import Metrics
-from daemon.api.recent import Recent
-from daemon.api.state import state
-from daemon.records import CurveQuality, Event, IvCurve, Mode, Move
+from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
+from daemon.service.recent import Recent
+from daemon.service.state import state
 from drivers.errors import LinkLostError
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.errors import UserError
-from daemon.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose, Target
+from daemon.base.errors import UserError
+from daemon.base.records import Decision, Event, Mode, ModeChange, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, DriverHungError, RefusedError
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg

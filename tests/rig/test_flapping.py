@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from daemon.records import Event
+from daemon.base.records import Event
 from tests.rig.test_faults import tracking
 from tests.rig.test_motion_outages import ORDINARY, SELDOM, now
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.records import Decision, Mode
+from daemon.base.records import Decision, Mode
 
 
 async def just_before_a_decision(bench, lead_s):

@@ -4,9 +4,9 @@ import asyncio
 import queue
 import subprocess
 
-from daemon.clock import SystemClock
-from daemon.records import Decision, Mode, Scan
-from daemon.store import Store
+from daemon.base.clock import SystemClock
+from daemon.base.records import Decision, Mode, Scan
+from daemon.store.store import Store
 from tests.rig.test_faults import tracking
 from tests.unit.test_store import ORIGIN, count, fill, small_disk
 

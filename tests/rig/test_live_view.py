@@ -5,8 +5,8 @@ import io
 
 from rich.console import Console
 
-from daemon.live_view import LiveView
-from daemon.records import Mode
+from daemon.base.records import Mode
+from daemon.commands.live_view import LiveView
 
 
 def shown(run_rig, *, terminal, faults=()):

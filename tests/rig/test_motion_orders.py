@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from daemon.records import Event, Mode, MoveOutcome, Target
+from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
 from sim_drivers.pozsol.setup import Drive, Setup
 from tests.rig.motion_tools import A_PACKET, B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, alarms, drive_b, lose, show

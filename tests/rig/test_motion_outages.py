@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from daemon.motion import Polling
+from daemon.motion.motion import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from tests.rig.motion_tools import A_PACKET, B_PACKET, drive, lose

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from daemon.motion import Polling
-from daemon.records import Event, Mode, Target
-from daemon.reference import RESET
+from daemon.base.records import Event, Mode, Target
+from daemon.motion.motion import Polling
+from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
 from tests.rig.motion_tools import STOP_PACKET, alarms, drive_b, lose, show
 from tests.rig.test_faults import at_rest, commands_sent, tracking

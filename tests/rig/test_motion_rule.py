@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.records import Event, Mode, Move, MoveOutcome, Pose, Target
+from daemon.base.records import Event, Mode, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
 from sim_drivers.pozsol.setup import Drive, Setup
 from tests.rig.motion_tools import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-from daemon.api.commands import CommandError, Operator
-from daemon.config import Settings
-from daemon.records import Event, Mode
-from daemon.service import Role
+from daemon.base.records import Event, Mode
+from daemon.config.sections import Settings
+from daemon.service.operator import CommandError, Operator
+from daemon.service.service import Role
 from tests.rig.conftest import Bench, HandWeather
 from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from daemon.records import Decision, Mode, Move, MoveOutcome, Quality, Scan
+from daemon.base.records import Decision, Mode, Move, MoveOutcome, Quality, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.rig.conftest import SITE, HandWeather

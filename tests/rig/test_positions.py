@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from daemon.api.commands import CommandError, Operator
-from daemon.budget import DayBudget
-from daemon.records import Decision, Event, Mode, Move, Scan
+from daemon.base.records import Decision, Event, Mode, Move, Scan
+from daemon.service.operator import CommandError, Operator
+from daemon.tracker.budget import DayBudget
 from solar.frames import Limits
 from tests.rig.conftest import HandWeather
 from tests.rig.test_api import serve

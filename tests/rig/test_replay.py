@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from daemon.cli import main
-from daemon.clock import SystemClock, iso_utc
-from daemon.records import FaceReading, Pose, Quality, Scan
-from daemon.replay import COLUMNS
-from daemon.store import Origin, Store
+from daemon.base.clock import SystemClock, iso_utc
+from daemon.base.records import FaceReading, Pose, Quality, Scan
+from daemon.commands.main import main
+from daemon.store.store import Origin, Store
+from daemon.studies.replay import COLUMNS
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from solar.sky import sky

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.api.commands import CommandError, Operator
-from daemon.motion import Polling
-from daemon.records import Event, Mode, Move
-from daemon.wishes import Wishes
+from daemon.base.records import Event, Mode, Move
+from daemon.motion.motion import Polling
+from daemon.service.operator import CommandError, Operator
+from daemon.tracker.wishes import Wishes
 from drivers.errors import DeviceError, RefusedError
 from tests.rig.test_api import serve
 from tests.rig.test_faults import at_rest, commands_sent, tracking, under_way

@@ -2,9 +2,9 @@
 
 import asyncio
 
-from daemon.api.recent import Recent
-from daemon.api.state import state
-from daemon.records import Decision, Mode
+from daemon.base.records import Decision, Mode
+from daemon.service.recent import Recent
+from daemon.service.state import state
 
 
 def wind_of(bench):

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from daemon.records import Decision, Mode, ModeChange, Move, MoveOutcome, Pose, Scan
+from daemon.base.records import Decision, Mode, ModeChange, Move, MoveOutcome, Pose, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.rig.conftest import SITE, HandWeather

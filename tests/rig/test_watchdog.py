@@ -6,9 +6,9 @@ import socket
 
 import pytest
 
-from daemon.records import Mode, Move, MoveOutcome
-from daemon.sd_notify import Notifier
-from daemon.watchdog import Watchdog
+from daemon.base.records import Mode, Move, MoveOutcome
+from daemon.base.sd_notify import Notifier
+from daemon.service.health import Watchdog
 from sim_drivers.pozsol.setup import Drive, Setup
 
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from daemon.records import Mode, Move
+from daemon.base.records import Mode, Move
 
 
 @pytest.mark.parametrize(

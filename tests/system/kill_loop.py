@@ -15,11 +15,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daemon.config import Settings
-from daemon.run import run_service
-from daemon.service import Role
-from daemon.store_schema import FILE_NAME, open_for_reading, open_for_writing
-from daemon.tables import COLUMNS
+from daemon.commands.run import run_service
+from daemon.config.sections import Settings
+from daemon.service.service import Role
+from daemon.store.schema import FILE_NAME, open_for_reading, open_for_writing
+from daemon.store.tables import COLUMNS
 
 SPEED = 200.0
 BATCH_S = 0.2

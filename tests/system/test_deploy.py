@@ -10,15 +10,15 @@ from random import Random
 
 import pytest
 
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.signing import generate_key, write_key
-from daemon.bus import Bus
-from daemon.clock import LoopClock
-from daemon.composition import DEFAULT_START, build_simulated_rig, build_weather
-from daemon.config import Settings
-from daemon.config_file import check_file, load_settings
-from daemon.sd_notify import Notifier
-from daemon.service import Role, Service
-from daemon.timeloop import VirtualTimeLoop
+from daemon.config.file import check_file, load_settings
+from daemon.config.sections import Settings
+from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather
+from daemon.service.service import Role, Service
 from tests.system.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"

@@ -20,7 +20,11 @@ ROOT = Path(daemon.__file__).parents[1]
 
 def heliocube(*arguments, **options):
     return subprocess.run(
-        [sys.executable, "-m", "daemon.cli", *arguments], capture_output=True, text=True, timeout=60, **options
+        [sys.executable, "-m", "daemon.commands.main", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        **options,
     )
 
 
@@ -35,7 +39,7 @@ def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_motion_and_ends_with_0(number):
     process = subprocess.Popen(
-        [sys.executable, "-m", "daemon.cli", "run", "--speed", "30"],
+        [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "30"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -87,7 +91,7 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         manager.settimeout(20)
         environment = {**os.environ, "NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000000"}
         process = subprocess.Popen(
-            [sys.executable, "-m", "daemon.cli", "run", "--speed", "1", "--start", "2022-10-12T10:00Z"],
+            [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "1", "--start", "2022-10-12T10:00Z"],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

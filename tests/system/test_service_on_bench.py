@@ -7,8 +7,8 @@ import time
 import pytest
 import serial
 
+from daemon.base.records import FACES, Quality
 from daemon.bridge import senml
-from daemon.records import FACES, Quality
 from tests.system.processes import wait_until
 from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
 

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from daemon.cli import app
-from daemon.config import Settings
-from daemon.errors import UserError
-from daemon.simulate import simulate
+from daemon.base.errors import UserError
+from daemon.commands.main import app
+from daemon.config.sections import Settings
+from daemon.studies.simulate import simulate
 from solar.ephemeris import sun_direction
 from solar.frames import direction_from_azimuth, normal_from_angles, separation_deg
 

@@ -46,7 +46,7 @@ class Process:
         command = [
             sys.executable,
             "-m",
-            "daemon.cli",
+            "daemon.commands.main",
             "run",
             "--role",
             role,

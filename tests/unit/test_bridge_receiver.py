@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daemon.base.addresses import BridgeError, parse_address
+from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import BridgeError, parse_address
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender
-from daemon.config import Bridge
-from daemon.records import FaceReading, Quality, Scan
+from daemon.config.sections import Bridge
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0

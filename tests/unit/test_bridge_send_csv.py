@@ -8,12 +8,12 @@ from random import Random
 
 import pytest
 
-from daemon.bridge.addresses import BridgeError
+from daemon.base.addresses import BridgeError
+from daemon.base.clock import LoopClock
+from daemon.base.records import Quality
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.bridge.send_csv import read_csv, send_csv
-from daemon.clock import LoopClock
-from daemon.config import Bridge
-from daemon.records import Quality
+from daemon.config.sections import Bridge
+from daemon.studies.send_csv import read_csv, send_csv
 
 KEY = bytes(range(1, 33))
 START = "2022-10-14T10:20:00Z"

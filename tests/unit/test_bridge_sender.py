@@ -7,11 +7,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from daemon.base.addresses import Address, BridgeError, parse_address
+from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
-from daemon.bridge.addresses import Address, BridgeError, parse_address
 from daemon.bridge.sender import BridgeSender
-from daemon.config import Bridge
-from daemon.records import FaceReading, Quality, Scan
+from daemon.config.sections import Bridge
 
 KEY = bytes(range(1, 33))
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.refusals import Refusal, RefusedError
-from daemon.records import FACES, FaceReading, Quality, Scan
 
 UTC_S = 1665742815.125
 STEADY_S = 86403.25

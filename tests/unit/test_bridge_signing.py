@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daemon.base.records import Quality
 from daemon.bridge import senml, signing
 from daemon.bridge.refusals import Refusal, RefusedError
 from daemon.bridge.signing import KeyFileError
-from daemon.records import Quality
 
 KEY = bytes(range(1, 33))
 PAYLOAD = b'[{"bn":"cube/"}]'

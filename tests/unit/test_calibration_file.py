@@ -8,22 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daemon.base.errors import UserError
+from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge.refusals import RefusedError
 from daemon.bridge.senml import decode, encode
-from daemon.calibrate.readings import read_store
-from daemon.calibration_file import (
-    ExpiryWatch,
-    calibrated_cube,
-    new_calibration,
-    read_calibration,
-    write_calibration,
-)
-from daemon.config import Cube
-from daemon.config_file import ConfigError, check_file, load_settings
-from daemon.errors import UserError
-from daemon.export import export
-from daemon.records import FaceReading, Quality, Scan
-from daemon.store_schema import FILE_NAME, VERSION, Rows, open_for_writing
+from daemon.config.file import ConfigError, check_file, load_settings
+from daemon.config.sections import Cube
+from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibration, read_calibration, write_calibration
+from daemon.store.export import export
+from daemon.store.schema import FILE_NAME, VERSION, Rows, open_for_writing
+from daemon.studies.calibrate.readings import read_store
 
 MADE = datetime(2022, 3, 20, 15, 0, tzinfo=UTC)
 EXPIRES = datetime(2024, 3, 20, 15, 0, tzinfo=UTC)

@@ -5,10 +5,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from daemon.calibration_file import read_calibration
-from daemon.cli import main
-from daemon.records import FACES, FaceReading, Quality, Scan
-from daemon.store_schema import FILE_NAME, Rows, open_for_writing
+from daemon.base.records import FACES, FaceReading, Quality, Scan
+from daemon.commands.main import main
+from daemon.cube.calibration import read_calibration
+from daemon.store.schema import FILE_NAME, Rows, open_for_writing
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel
 from sim_drivers.weather import GeneratedWeather
 from solar.calibration.attitude import attitude, face_orientations

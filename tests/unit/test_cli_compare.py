@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from daemon.cli import main
-from daemon.store_schema import open_for_writing
+from daemon.commands.main import main
+from daemon.store.schema import open_for_writing
 
 SITE = "48.7176,2.2090,156"
 NOON = datetime(2022, 10, 12, 10, tzinfo=UTC).timestamp()

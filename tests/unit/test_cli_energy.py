@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from daemon.cli import main
+from daemon.commands.main import main
 
 SITE = "55.79,12.53,50"
 

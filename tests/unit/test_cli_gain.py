@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from daemon.cli import main
+from daemon.commands.main import main
 from solar import gain
 from solar.gain import printed
 

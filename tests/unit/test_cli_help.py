@@ -4,7 +4,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from daemon.cli import app
+from daemon.commands.main import app
 
 
 def commands(command, path=()):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from daemon.alarms import Alarms
-from daemon.clockwatch import ClockWatch
+from daemon.base.alarms import Alarms
+from daemon.base.clock_watch import ClockWatch
 
 
 class SetClock:

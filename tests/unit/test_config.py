@@ -7,10 +7,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from daemon.config import Bridge, LimitSettings, Safety, Section, Settings
-from daemon.config_file import ConfigError, check_file, load_settings, override
-from daemon.config_keys import tables
-from daemon.config_template import example, reference
+from daemon.config.file import ConfigError, check_file, load_settings, override
+from daemon.config.keys import tables
+from daemon.config.sections import Bridge, LimitSettings, Safety, Section, Settings
+from daemon.config.template import example, reference
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from daemon.calibration import DarkOffsets, calibrated
-from daemon.config import Face
+from daemon.config.sections import Face
+from daemon.cube.volts import DarkOffsets, calibrated
 
 
 def test_irradiance_is_the_gain_times_voltage_less_offset():

@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
+from daemon.base.records import Mode, MoveOutcome, Quality
 from daemon.bridge.refusals import Refusal
-from daemon.cli import app
-from daemon.records import Mode, MoveOutcome, Quality
+from daemon.commands.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "operate.md").read_text(encoding="utf-8")

@@ -2,10 +2,10 @@
 
 import math
 
-from daemon.config import Motion
-from daemon.config_instruments import PositionerSettings
-from daemon.follow import Follow, Progress
-from daemon.records import Pose, Target
+from daemon.base.records import Pose, Target
+from daemon.config.instruments import PositionerSettings
+from daemon.config.sections import Motion
+from daemon.motion.move_watch import Follow, Progress
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
 

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import VirtualTimeLoop
 from drivers.errors import (
     ConnectError,
     DeadlineError,

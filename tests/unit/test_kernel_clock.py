@@ -4,7 +4,7 @@ import ctypes
 
 import pytest
 
-from daemon import kernel_clock
+from daemon.base import kernel_clock
 
 
 class Libc:

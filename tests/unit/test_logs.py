@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from daemon import logs
+from daemon.base import process as logs
 
 
 @pytest.fixture

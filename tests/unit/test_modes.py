@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.modes import Data, Situation, next_mode
-from daemon.records import Mode
+from daemon.base.records import Mode
+from daemon.tracker.modes import Data, Situation, next_mode
 
 GOOD = Situation(
     connected=True,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.modes import Data, Situation, next_mode
-from daemon.records import Mode
+from daemon.base.records import Mode
+from daemon.tracker.modes import Data, Situation, next_mode
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOVING = {Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.STOW, Mode.SNOW}

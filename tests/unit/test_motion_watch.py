@@ -1,6 +1,6 @@
 """What telemetry says about motion that no order explains."""
 
-from daemon.motion_watch import Watch
+from daemon.motion.watch import Watch
 from drivers.interfaces import Telemetry
 
 

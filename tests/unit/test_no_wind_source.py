@@ -6,14 +6,14 @@ from random import Random
 
 import pytest
 
-from daemon.bus import Bus
-from daemon.clock import LoopClock
-from daemon.composition import build_simulated_rig, build_weather
-from daemon.config import Settings
-from daemon.sd_notify import Notifier
-from daemon.service import Rig, Role, Service
-from daemon.stow import WindStow
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.sections import Settings
+from daemon.rigs.simulated import build_simulated_rig, build_weather
+from daemon.service.service import Rig, Role, Service
+from daemon.tracker.stow import WindStow
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.transports import InMemoryPositioner
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.api.commands import Operator
-from daemon.operator_commands import MODES, NAMES, URGENT, BodyError, parse
+from daemon.service.operator import Operator
+from daemon.service.operator_commands import MODES, NAMES, URGENT, BodyError, parse
 
 ROOT = Path(__file__).resolve().parents[2]
 

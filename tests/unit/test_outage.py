@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.outage import Outage
+from daemon.base.reconnect import Outage
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from daemon.config import Law, Site
-from daemon.pointing import Pointing
-from daemon.records import Irradiances
+from daemon.base.records import Irradiances
+from daemon.config.sections import Law, Site
+from daemon.tracker.pointing import Pointing
 from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.paper import sun_vector
 

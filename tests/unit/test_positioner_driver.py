@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import VirtualTimeLoop
 from drivers.errors import LinkLostError, RefusedError, StillMovingError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import Heard

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from daemon.config import Settings
-from daemon.modes import Data
-from daemon.readings import Readings
-from daemon.records import FaceReading, Quality, Scan
+from daemon.base.records import FaceReading, Quality, Scan
+from daemon.config.sections import Settings
+from daemon.tracker.modes import Data
+from daemon.tracker.readings import Readings
 
 
 class SetClock:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from daemon.clock import SystemClock
-from daemon.composition import build_real_rig, is_real
-from daemon.config_file import ConfigError, load_settings
-from daemon.errors import UserError
-from daemon.service import Role
+from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
+from daemon.config.file import ConfigError, load_settings
+from daemon.rigs.simulated import build_real_rig, is_real
+from daemon.service.service import Role
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 REAL = """

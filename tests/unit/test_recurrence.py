@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.recurrence import Recurrence, Said
+from daemon.base.recurrence import Recurrence, Said
 
 HOUR_S = 3600.0
 PLAINLY, OFTEN, QUIETLY = Said.PLAINLY, Said.OFTEN, Said.QUIETLY

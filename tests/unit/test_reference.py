@@ -1,6 +1,6 @@
 """What is in doubt about the reference, in words."""
 
-from daemon.reference import RESET, Doubts
+from daemon.motion.reference import RESET, Doubts
 
 
 def test_what_two_doubts_say_is_said_once():

@@ -1,6 +1,6 @@
 """Automatic reference runs are few, whatever the unit does."""
 
-from daemon.rehoming import Rehoming
+from daemon.motion.rehoming import Rehoming
 
 DOUBT = "the positioner has restarted"
 GOOD = [(0.0, DOUBT), (70.0, DOUBT)]

@@ -3,8 +3,8 @@ import socket
 
 import pytest
 
-from daemon import sd_notify
-from daemon.sd_notify import Notifier
+from daemon.base import sd_notify
+from daemon.base.sd_notify import Notifier
 
 
 @pytest.fixture

@@ -4,15 +4,15 @@ from random import Random
 import pytest
 from rich.console import Console
 
-from daemon.api.recent import Recent
-from daemon.api.state import state
-from daemon.bus import Bus
-from daemon.clock import LoopClock
-from daemon.composition import build_simulated_rig, build_weather
-from daemon.config import Settings
-from daemon.sd_notify import Notifier
-from daemon.service import Role, Service
-from daemon.status_view import render
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.sd_notify import Notifier
+from daemon.commands.screen import render
+from daemon.config.sections import Settings
+from daemon.rigs.simulated import build_simulated_rig, build_weather
+from daemon.service.recent import Recent
+from daemon.service.service import Role, Service
+from daemon.service.state import state
 from tests.unit.test_calibration_file import calibration
 
 

@@ -19,14 +19,14 @@ import pandas as pd
 import pvlib
 import pytest
 
-from daemon.cli import main
-from daemon.clock import SystemClock
-from daemon.errors import UserError
-from daemon.export import export
-from daemon.records import Estimate, Event, Pose
-from daemon.store import Origin, Store
-from daemon.store_schema import FILE_NAME, VERSION, open_for_reading, schema
-from daemon.tables import TableWriter
+from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
+from daemon.base.records import Estimate, Event, Pose
+from daemon.commands.main import main
+from daemon.store.export import export
+from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, schema
+from daemon.store.store import Origin, Store
+from daemon.store.tables import TableWriter
 from solar.frames import angles_from_direction, direction_from_azimuth
 from tests.unit.test_tables import ALL, CURVE, T0, decision, scan
 

@@ -2,8 +2,8 @@
 
 import math
 
-from daemon.config import Safety
-from daemon.stow import OperatorStow, WindStow
+from daemon.config.sections import Safety
+from daemon.tracker.stow import OperatorStow, WindStow
 
 SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
 

@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from daemon.config import Safety
-from daemon.stow import WindStow
-from daemon.stow_watch import SafetyFile, StowWatch
+from daemon.config.sections import Safety
+from daemon.tracker.stow import WindStow
+from daemon.tracker.stow_watch import SafetyFile, StowWatch
 
 SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
 

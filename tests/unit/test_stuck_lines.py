@@ -7,12 +7,12 @@ from random import Random
 import numpy as np
 import pytest
 
-from daemon.acquisition import Acquisition
-from daemon.clock import LoopClock
-from daemon.config import Settings
-from daemon.records import Quality
-from daemon.stuck_lines import self_test_gaps
-from daemon.timeloop import VirtualTimeLoop
+from daemon.base.clock import LoopClock
+from daemon.base.records import Quality
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.sections import Settings
+from daemon.config.stuck_lines import self_test_gaps
+from daemon.cube.acquisition import Acquisition
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from sim_drivers.voltmeter.core import VoltmeterCore

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daemon.records import (
+from daemon.base.records import (
     CurveQuality,
     Decision,
     Event,
@@ -24,7 +24,7 @@ from daemon.records import (
     Scan,
     Target,
 )
-from daemon.tables import COLUMNS, TableError, TableWriter
+from daemon.store.tables import COLUMNS, TableError, TableWriter
 
 T0 = datetime(2022, 10, 14, 6, 0, tzinfo=UTC).timestamp()
 KINDS = ["curves", "decisions", "events", "modes", "moves", "poses", "scans"]

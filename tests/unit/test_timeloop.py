@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from daemon.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every
 
 
 def test_a_virtual_day_of_timers_passes_at_once_and_in_order():
@@ -68,7 +68,7 @@ def test_virtual_time_stands_still_while_a_thread_works():
 
 
 def test_a_program_that_waits_for_nothing_is_told_so(monkeypatch):
-    monkeypatch.setattr("daemon.timeloop._DEADLOCK_AFTER_S", 0.05)
+    monkeypatch.setattr("daemon.base.timeloop._DEADLOCK_AFTER_S", 0.05)
 
     async def hang():
         await asyncio.Event().wait()

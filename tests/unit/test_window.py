@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.records import FaceReading, Quality, Scan
-from daemon.window import Window
+from daemon.base.records import FaceReading, Quality, Scan
+from daemon.tracker.window import Window
 
 
 def scan(now_s, value, quality=Quality.OK, number=0):

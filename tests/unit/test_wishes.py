@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.wishes import Wish, Wishes, WishFile
+from daemon.tracker.wishes import Wish, Wishes, WishFile
 
 
 def loaded(tmp_path, text):

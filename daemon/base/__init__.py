@@ -1,0 +1,1 @@
+"""What every room stands on: records, clocks, errors, alarms, files, and how an outage is told."""

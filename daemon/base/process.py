@@ -1,0 +1,93 @@
+"""One line per log record: a sentence, then ``key=value`` fields; for the journal or for a file or terminal."""
+
+import logging
+import re
+from typing import TextIO
+
+from daemon.base.clock import iso_utc
+
+# sd-daemon(3): syslog's priorities, in front of each line of standard error.
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+_DEBUG_PRIORITY = 7
+_PLAIN_VALUE = re.compile(r'[^\s="\\]+')
+_ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
+
+def configure(stream: TextIO, journal: bool, level: int = logging.INFO) -> None:
+    """Send every record of the process to `stream`, warnings of the interpreter included.
+
+    Parameters
+    ----------
+    stream
+        Usually standard error.
+    journal
+        True under systemd: lines begin with their priority, such as ``<4>``, and bear no time, which the journal adds.
+        False: UTC and level stand in front.
+    level
+        The least level that is written.
+    """
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(LineFormatter(journal))
+    logging.basicConfig(handlers=[handler], level=level, force=True)
+    logging.captureWarnings(True)
+
+
+class LineFormatter(logging.Formatter):
+    """Writes a record as its sentence and the fields of ``extra={"fields": {...}}``.
+
+    The traceback of an exception follows in lines of its own (each with the priority, in the journal), because an
+    exception that reaches the log was not expected; what is expected is logged as a sentence.
+
+    Parameters
+    ----------
+    journal
+        As for `configure`.
+    """
+
+    def __init__(self, journal: bool) -> None:
+        super().__init__()
+        self._journal = journal
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line, and the traceback's lines if there is one."""
+        line = " ".join([_escape(record.getMessage().strip()), *_fields(record)])
+        lines = [line, *self._traceback(record)]
+        if self._journal:
+            return "\n".join(f"<{_priority(record.levelno)}>{line}" for line in lines)
+        lines[0] = f"{iso_utc(record.created)} {record.levelname:<7} {line}"
+        return "\n".join(lines)
+
+    def _traceback(self, record: logging.LogRecord) -> list[str]:
+        if record.exc_info and not record.exc_text:
+            record.exc_text = self.formatException(record.exc_info)
+        parts = [part for part in (record.exc_text, record.stack_info) if part]
+        return [line for part in parts for line in part.splitlines() if line.strip()]
+
+
+def _fields(record: logging.LogRecord) -> list[str]:
+    fields: dict[str, object] = getattr(record, "fields", {})
+    return [f"{key}={_value(value)}" for key, value in fields.items()]
+
+
+def _value(value: object) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    if text.isprintable() and _PLAIN_VALUE.fullmatch(text):
+        return text
+    return '"' + _escape(text, quote=True) + '"'
+
+
+def _escape(text: str, quote: bool = False) -> str:
+    """Keep a record on its line, whatever a device sent: control characters are written out."""
+    shown = []
+    for character in text:
+        if quote and character in _ESCAPES:
+            shown.append(_ESCAPES[character])
+        elif character.isprintable():
+            shown.append(character)
+        else:
+            shown.append(_ESCAPES.get(character, f"\\x{ord(character):02x}"))
+    return "".join(shown)
+
+
+def _priority(level: int) -> int:
+    return next((priority for least, priority in _PRIORITIES if level >= least), _DEBUG_PRIORITY)

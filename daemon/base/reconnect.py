@@ -1,0 +1,122 @@
+"""The one policy of telling an outage: once when it begins, seldom while it lasts, once with its length at its end.
+
+What comes and goes is told as that: the first few times each for itself, then by number (`daemon.base.recurrence`).
+"""
+
+import logging
+import math
+
+from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Said
+
+# Persons plug in and out some times in a row.
+_FEW = 6
+# A true outage in the middle of coming and going.
+_LONG_S = 3600.0
+
+
+class Outage:
+    """Whether one thing works, and since when it does not.
+
+    Parameters
+    ----------
+    logger
+        Where the lines go.
+    subject
+        What works or not, as a sentence begins: ``the positioner``.
+    """
+
+    def __init__(self, logger: logging.Logger, subject: str) -> None:
+        self._logger = logger
+        self._subject = subject
+        self._remind_s = 0.0
+        self._reminders = 0
+        self._recurrence = Recurrence(_FEW)
+        self._told_plainly = False
+        self._up_s = -math.inf
+        self.since: float | None = None
+        self.reason = ""
+        self.repeats = 0
+
+    @property
+    def is_down(self) -> bool:
+        """Whether the outage lasts."""
+        return self.since is not None
+
+    def down(self, now_s: float, reason: str) -> str:
+        """Take note of one failure at a monotonic time [s]; return the sentence of a warning, empty without one.
+
+        The first failure is worth one, and so is a reminder after 10 min, 1 h, 6 h and every 6 h from then on. All
+        others are debug lines. What has come and gone more than six times within twelve hours is told by its number, at
+        the same pauses; an outage in the middle of that is told by itself once it has lasted for an hour.
+        """
+        self.reason = reason
+        if self.since is None:
+            return self._begin(now_s)
+        self.repeats += 1
+        text = f"{self._subject} is still down: {self.reason}"
+        if now_s < self._remind_s:
+            self._logger.debug("%s", text, extra=self._fields(now_s))
+            return ""
+        self._reminders += 1
+        self._remind_s = self._next_reminder(now_s)
+        return self._warn(text, now_s)
+
+    def up(self, now_s: float, how: str = "") -> str:
+        """Take note that it works at a monotonic time [s]; return the sentence that ends an outage, empty without one.
+
+        To be called as long as it works, and not only when it works again: after coming and going, it is said only once
+        it has worked for half an hour.
+
+        Parameters
+        ----------
+        how
+            What is to be known of it when it is back.
+        """
+        if self.since is None:
+            return self._steady(now_s)
+        back = f"{self._subject} is back{': ' if how else ''}{how}"
+        level = logging.INFO if self._told_plainly else logging.DEBUG
+        self._logger.log(level, "%s", back, extra=self._fields(now_s))
+        self.since = None
+        self.reason = ""
+        self._up_s = now_s
+        return back if self._told_plainly else ""
+
+    def _begin(self, now_s: float) -> str:
+        self.since = now_s
+        self.repeats = 0
+        said = self._recurrence.note(now_s)
+        self._told_plainly = said is Said.PLAINLY
+        # The second reminder of an outage comes after as long as a true one has to last in the middle of others.
+        self._reminders = 0 if self._told_plainly else REMIND_AFTER_S.index(_LONG_S)
+        self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
+        if said is Said.PLAINLY:
+            return self._warn(f"{self._subject} is down: {self.reason}", now_s)
+        often = f"{self._subject} comes and goes: {self._recurrence.how_often(now_s)}: {self.reason}"
+        if said is Said.OFTEN:
+            return self._warn(often, now_s)
+        self._logger.debug("%s", often)
+        return ""
+
+    def _steady(self, now_s: float) -> str:
+        count = self._recurrence.over(now_s, self._up_s)
+        if not count:
+            return ""
+        worked_min = round((now_s - self._up_s) / 60.0)
+        text = f"{self._subject} is steady again: it has worked for {worked_min} min, after {count} outages"
+        self._logger.info("%s", text)
+        return text
+
+    def _warn(self, text: str, now_s: float) -> str:
+        self._logger.warning("%s", text, extra=self._fields(now_s) if self.repeats else None)
+        return text
+
+    def _next_reminder(self, now_s: float) -> float:
+        longest_s = REMIND_AFTER_S[-1]
+        if self.since is not None and self._reminders < len(REMIND_AFTER_S):
+            return max(self.since + REMIND_AFTER_S[self._reminders], now_s + REMIND_AFTER_S[0])
+        return now_s + longest_s
+
+    def _fields(self, now_s: float) -> dict[str, dict[str, float]]:
+        length_s = 0.0 if self.since is None else now_s - self.since
+        return {"fields": {"down_s": round(length_s, 1), "repeats": self.repeats}}

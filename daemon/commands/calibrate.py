@@ -1,0 +1,154 @@
+"""`heliocube calibrate`: gains of the cube, beside a reference or in place."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daemon.commands.options import instant
+
+app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
+
+
+class SkyChoice(StrEnum):
+    """Sky models as the command line names them."""
+
+    perez1990 = "perez1990"
+    haydavies = "haydavies"
+    isotropic = "isotropic"
+
+
+SiteOption = Annotated[
+    str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, degrees east, metres.")
+]
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", help="Configuration under which the readings were made: site and old gains."),
+]
+StoreOption = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Take the readings from the store in this folder.")
+]
+FromOption = Annotated[str | None, typer.Option("--from", metavar="UTC", help="First instant to take from the store.")]
+ToOption = Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")]
+OutOption = Annotated[Path, typer.Option(help="Calibration file to write; never overwritten.")]
+SerialOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=NUMBER", help="Serial number of east, south, west, zenith or reference; repeat it."),
+]
+
+
+@app.command()
+def cube(
+    reference: Annotated[Path, typer.Argument(help="CSV of the reference: time, ghi [W/m2].")],
+    sensors: Annotated[
+        Path | None, typer.Argument(help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2.")
+    ] = None,
+    store: StoreOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+    lag: Annotated[
+        float | None,
+        typer.Option(
+            min=-3600,
+            max=3600,
+            metavar="S",
+            help="Seconds that the sensors' clock is ahead; without it found from them.",
+        ),
+    ] = None,
+    reference_uncertainty: Annotated[
+        float, typer.Option(min=0, max=20, metavar="PERCENT", help="Of the reference's own calibration, k = 2.")
+    ] = 1.5,
+    serial: SerialOption = None,
+    valid_days: Annotated[
+        float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
+    ] = 730,
+    plot: Annotated[Path | None, typer.Option(help="Draw scatter and residuals too: .png, .svg or .pdf.")] = None,
+    out: OutOption = Path("calibration.toml"),
+) -> None:
+    """Calibrate the four sensors, lying horizontally beside a reference pyranometer, in the manner of ISO 9847."""
+    from daemon.cube.calibration import write_calibration
+    from daemon.studies.calibrate import report, request
+    from daemon.studies.calibrate.beside import compare
+    from daemon.studies.calibrate.readings import read_reference
+
+    request.check_outputs(out, plot)
+    serials = request.serials(serial or [])
+    made_on = request.rig(config, site)
+    first = None if start is None else instant(start, "--from")
+    last = None if end is None else instant(end, "--to")
+    readings = request.readings(sensors, store, first, last, made_on)
+    found = compare(
+        read_reference(reference),
+        readings,
+        made_on.site,
+        made_on.cube,
+        lag=lag,
+        reference_uncertainty_percent=reference_uncertainty,
+    )
+    lines = report.comparison_lines(found)
+    calibration = report.comparison_calibration(found, made_on.cube.name, serials, valid_days)
+    if plot is not None:
+        from daemon.studies.calibrate.plots import draw_comparison
+
+        draw_comparison(found, plot)
+    write_calibration(calibration, out, lines)
+    _tell(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
+
+
+@app.command()
+def field(
+    sensors: Annotated[
+        Path | None, typer.Argument(help="CSV of the cube: time, east_mv .. zenith_mv, or east_w_m2 .. zenith_w_m2.")
+    ] = None,
+    store: StoreOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+    sky: Annotated[
+        SkyChoice,
+        typer.Option(metavar="MODEL", help="How diffuse light is taken to spread: perez1990, haydavies or isotropic."),
+    ] = SkyChoice.perez1990,
+    water: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=8, metavar="CM", help="Precipitable water of those days; 1 cm more lowers GHI by 2 %."
+        ),
+    ] = 1.5,
+    cosine_error: Annotated[
+        float,
+        typer.Option(
+            min=0, max=0.2, metavar="SHARE", help="Share of the beam that the sensors miss at 80 deg of incidence."
+        ),
+    ] = 0.008,
+    serial: SerialOption = None,
+    valid_days: Annotated[
+        float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
+    ] = 365,
+    out: OutOption = Path("calibration.toml"),
+) -> None:
+    """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
+    from daemon.cube.calibration import write_calibration
+    from daemon.studies.calibrate import report, request
+    from daemon.studies.calibrate.in_field import calibrate_field
+
+    request.check_outputs(out, None)
+    serials = request.serials(serial or [])
+    made_on = request.rig(config, site)
+    first = None if start is None else instant(start, "--from")
+    last = None if end is None else instant(end, "--to")
+    readings = request.readings(sensors, store, first, last, made_on)
+    found = calibrate_field(readings, made_on, model=sky.value, water_cm=water, cosine_error=cosine_error)
+    lines = report.field_lines(found, made_on, sky.value)
+    calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
+    write_calibration(calibration, out, lines)
+    _tell(lines, calibration.identifier, out)
+
+
+def _tell(lines: list[str], identifier: str, out: Path) -> None:
+    for line in lines:
+        typer.echo(line)
+    typer.echo(f"\ncalibration {identifier} written to {out}; set cube.calibration_file to use it")

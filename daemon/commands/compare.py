@@ -1,0 +1,278 @@
+"""`heliocube compare`: two trackers side by side, as in the paper's experiment."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+from rich.console import Console
+
+from daemon.base.errors import UserError
+from daemon.commands.options import instant, parse_site, site_values, weather_choice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from daemon.base.records import Record
+    from daemon.studies.compare.pairs import Pairs
+    from solar.ephemeris import Site
+
+Name = TypeVar("Name", bound=str)
+
+app = typer.Typer(help="Hold two trackers against each other: T-Cube and T-Chrono.", no_args_is_help=True)
+
+
+class FormatChoice(StrEnum):
+    """Kinds of tables."""
+
+    csv = "csv"
+    parquet = "parquet"
+
+
+DataArgument = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[POWERS]...", help="CSV (or .gz) or Parquet: time, tracker, pmpp_w and more."),
+]
+StoreOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="[NAME=]DIR", help="Folder of a store, of tracker NAME if all of it is; may be repeated."),
+]
+CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker in question.")]
+ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is held against.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")]
+LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube and T-Chrono.")]
+
+
+@app.command()
+def simulate(
+    start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-12.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for powers.csv, computed from the true poses; made if missing.")
+    ] = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of a store for all records, with I-V curves by simulated loads."),
+    ] = None,
+    days: Annotated[float, typer.Option(min=0.01, max=366, help="How many days.")] = 1.0,
+    weather: Annotated[
+        str | None, typer.Option(metavar="SKY", help="clear, overcast, variable, broken, or a measured file.")
+    ] = None,
+    laws: LawsOption = "mu-prime,chronometric",
+    config: ConfigOption = None,
+    site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
+    table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of table.")] = FormatChoice.csv,
+) -> None:
+    """Run both trackers on one simulated cube, and measure both modules every 5 s."""
+    from contextlib import ExitStack
+
+    from daemon.commands.simulate import progress_bar
+    from daemon.config.file import load_settings, override
+    from daemon.config.sections import Settings
+    from daemon.rigs.simulated import build_simulated_pair, build_weather
+    from daemon.studies.compare.measurements import writer
+    from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+    from daemon.studies.compare.stored import keeping
+    from solar.ephemeris import DAY_S
+
+    if out is None and store is None:
+        raise UserError("compare simulate needs --out DIR for a table, --store DIR for a store, or both")
+    names = _laws(laws)
+    changes: dict[str, dict[str, Any]] = {"simulation": {}, "load": {"driver": "none"}}
+    if store is not None:
+        changes["load"] = {"driver": "simulated", "keep_curves": True}
+    if weather is not None:
+        changes["simulation"]["weather"] = weather_choice(weather)
+    if seed is not None:
+        changes["simulation"]["seed"] = seed
+    if site is not None:
+        changes["site"] = site_values(site)
+    settings = override(Settings() if config is None else load_settings(config), changes)
+    begin_s = instant(start, "--start").timestamp()
+    sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S)
+    console = Console(stderr=True)
+    if warning:
+        console.print(f"heliocube: warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+    with ExitStack() as stack:
+        tables = None if out is None else stack.enter_context(writer(out, table_format.value))
+        keep: Callable[[str, Record], None] = _forget
+        if store is not None:
+            keep = stack.enter_context(keeping(settings, (T_CUBE, T_CHRONO), store, begin_s))
+        with progress_bar(console) as progress:
+            measured = side_by_side(
+                settings,
+                two_trackers(*names),
+                lambda clock: build_simulated_pair(settings, clock, sky, MODULES),
+                begin_s,
+                days,
+                keep,
+                progress,
+            )
+        if not measured:
+            raise UserError("there was no light in the simulated time: choose another --start or more --days")
+        if tables is not None:
+            for one in measured:
+                tables.write(one)
+    place = settings.site
+    typer.echo(
+        f"SIMULATED {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), T-Cube {names[0]}, T-Chrono"
+        f" {names[1]}, weather {settings.simulation.weather}, sky {settings.simulation.sky}, seed"
+        f" {settings.simulation.seed}"
+    )
+    if out is not None:
+        typer.echo(f"{len(measured)} powers in {out / f'powers.{table_format.value}'}")
+    if store is not None:
+        typer.echo(f"all records of both trackers in the store {store}")
+
+
+@app.command()
+def fit(
+    out: Annotated[Path, typer.Option(help="JSON file for the bias; figures of the same name beside it.")],
+    data: DataArgument = None,
+    store: StoreOption = None,
+    start: Annotated[str | None, typer.Option("--from", metavar="UTC", help="Both lay flat from here on.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="To here, itself not included.")] = None,
+    cube: CubeOption = "T-Cube",
+    chrono: ChronoOption = "T-Chrono",
+) -> None:
+    """Find the bias between the two measuring chains from a time in which both trackers lay flat."""
+    from daemon.studies.compare import figures
+    from daemon.studies.compare.fit import as_text, flat_pairs, write
+    from daemon.studies.compare.fit import fit as fit_bias
+
+    pairs, _ = _pairs(data, store, cube, chrono)
+    flat = flat_pairs(
+        pairs,
+        None if start is None else instant(start, "--from"),
+        None if end is None else instant(end, "--to"),
+    )
+    found = fit_bias(flat)
+    write(found, out)
+    figures.save(figures.bias_figure(flat, found), out.parent, out.stem)
+    typer.echo(as_text(found), nl=False)
+    typer.echo(f"written to {out}")
+
+
+@app.command()
+def report(
+    out: Annotated[Path, typer.Option(help="Folder for report.html, gains.csv and the figures.")],
+    data: DataArgument = None,
+    store: StoreOption = None,
+    site: Annotated[
+        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where the trackers stand; a store knows it.")
+    ] = None,
+    bias: Annotated[Path | None, typer.Option(help="File of 'heliocube compare fit'.")] = None,
+    period: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FROM/TO", help="A period by the clock, in place of those by the sky; repeat it."),
+    ] = None,
+    cube: CubeOption = "T-Cube",
+    chrono: ChronoOption = "T-Chrono",
+) -> None:
+    """Tell what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
+    from daemon.studies.compare.fit import flat_pairs, read
+    from daemon.studies.compare.gains import as_text, parse_span
+    from daemon.studies.compare.report import write_report
+    from daemon.studies.compare.stored import kept_curve, parse_store
+    from solar.ephemeris import Site
+
+    place = None if site is None else Site(*parse_site(site))
+    spans = [parse_span(text) for text in period or []]
+    pairs, stored_site = _pairs(data, store, cube, chrono)
+    place = place or stored_site
+    if place is None:
+        raise UserError("report needs --site LAT,LON[,ALT]: tables do not tell where the trackers stand")
+    found = None if bias is None else read(bias)
+    if found is not None and found.names != (cube, chrono):
+        raise UserError(
+            f"--bias: {bias} corrects {found.names[0]} to {found.names[1]}, not {cube} to {chrono}: fit it anew"
+        )
+    try:
+        flat = flat_pairs(pairs)
+    except UserError:
+        # The days of the fit need not be among those of the report.
+        flat = None
+    curve = kept_curve([parse_store(text) for text in store or []], cube)
+    rows = write_report(pairs, found, flat, place, spans, curve, out)
+    typer.echo(as_text(rows, pairs.names), nl=False)
+    if found is None:
+        typer.echo(f"{cube}'s power is not corrected: name the file of 'heliocube compare fit' with --bias")
+    typer.echo(f"figures and page: {out / 'report.html'}")
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option(help="Folder for paper.html, paper.txt, paper.csv and the figures.")],
+    skies: Annotated[
+        str, typer.Option(metavar="SKY,SKY", help="Models of diffuse light: haydavies, perez1990, isotropic.")
+    ] = "haydavies,perez1990",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="How many weathers for each of them.")] = 9,
+    afternoon: Annotated[
+        str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
+    ] = "broken",
+    law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = "mu-prime",
+) -> None:
+    """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
+    from typing import get_args
+
+    from daemon.commands.simulate import progress_bar
+    from daemon.config.sections import LawName, Settings, WeatherName
+    from daemon.rigs.simulated import site_of
+    from daemon.studies.compare.paper import as_text, notes, run_paper, verdicts, write_paper
+    from solar.sky import SKY_MODELS, SkyModel
+
+    chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
+    if not chosen:
+        raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
+    names: tuple[WeatherName, ...] = get_args(WeatherName)
+    laws: tuple[LawName, ...] = get_args(LawName)
+    weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, laws, "--law")
+    settings = Settings()
+    with progress_bar(Console(stderr=True), "repeating") as progress:
+        runs = list(run_paper(settings, chosen, seeds, weather, cube_law, progress))
+    found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
+    write_paper(runs, found, paragraphs, site_of(settings), out)
+    typer.echo(as_text(found))
+    typer.echo("\n\n".join(paragraphs))
+    typer.echo(f"\nfigures and page: {out / 'paper.html'}")
+
+
+def _forget(_name: str, _record: object) -> None:
+    """Take a record that nobody wants."""
+
+
+def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> "tuple[Pairs, Site | None]":
+    """Return the measurements of tables or of stores, laid side by side, and the site that a store knows."""
+    from daemon.studies.compare.pairs import pair, read_tables
+    from daemon.studies.compare.stored import parse_store, read_stores
+
+    if cube == chrono:
+        raise UserError(f"--cube and --chrono both name '{cube}': two trackers are needed")
+    if bool(data) is bool(stores):
+        raise UserError("measurements come either from tables, POWERS..., or from --store DIR: name one of them")
+    if data:
+        return pair(read_tables(data), (cube, chrono)), None
+    frame, site = read_stores([parse_store(text) for text in stores or []])
+    return pair(frame, (cube, chrono)), site
+
+
+def _words(text: str) -> list[str]:
+    return list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+
+
+def _one_of(text: str, known: tuple[Name, ...], option: str) -> Name:
+    for name in known:
+        if name == text:
+            return name
+    raise UserError(f"{option}: there is no '{text}'; choose one of {', '.join(known)}")
+
+
+def _laws(text: str) -> Any:
+    from typing import get_args
+
+    from daemon.config.sections import LawName
+
+    names = [word.strip() for word in text.split(",")]
+    if len(names) != 2:
+        raise UserError(f"--laws: '{text}' is not two laws, T-Cube's and T-Chrono's, such as mu-prime,chronometric")
+    return tuple(_one_of(name, get_args(LawName), "--laws") for name in names)

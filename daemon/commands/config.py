@@ -1,0 +1,102 @@
+"""`heliocube config`: check a configuration file, write a commented one."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from daemon.base.records import FACES
+from daemon.config.sections import Mqtt, Settings
+
+app = typer.Typer(
+    help="Check a configuration file, or write a commented one.", no_args_is_help=True, rich_markup_mode="rich"
+)
+
+
+class RoleChoice(StrEnum):
+    """The roles as the command line names them."""
+
+    both = "both"
+    cube = "cube"
+    tracker = "tracker"
+
+
+@app.command()
+def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
+    """Check FILE and print what it sets up, or everything that is wrong with it."""
+    from daemon.config.file import check_file
+    from daemon.config.stuck_lines import self_test_gaps
+
+    settings = check_file(file)
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
+    for subject, text in _summary(settings).items():
+        console.print(Text.assemble((f"  {subject:<12} ", "dim"), text))
+    if settings.instruments.kind == "real":
+        for sentence in self_test_gaps(settings):
+            console.print(Text.assemble(("  warning      ", "bold yellow"), sentence))
+
+
+@app.command()
+def init(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder, made if it is not there.", show_default=False)
+    ],
+    role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
+) -> None:
+    """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
+    from daemon.config.template import write_example
+
+    *first, last = write_example(directory, role.value)
+    console = Console(highlight=False, soft_wrap=True)
+    names = Text(", ").join(Text(str(path), "bold") for path in first)
+    console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
+    console.print(_NEXT[role], markup=False)
+
+
+_NEXT = {
+    RoleChoice.both: "Next: set [site] and [cube] to your rig.",
+    RoleChoice.cube: "Next: set [cube] to your rig and bridge.send_to to the address of the tracker's machine;"
+    " bridge.key must be the same file on both machines.",
+    RoleChoice.tracker: "Next: set [site] to your rig; bridge.key must be the same file as on the cube's machine.",
+}
+
+
+def _summary(settings: Settings) -> dict[str, str]:
+    site, cube, bridge, safety = settings.site, settings.cube, settings.bridge, settings.safety
+    channels = ", ".join(f"{name} {getattr(cube, name).channel}" for name in FACES)
+    targets = [*bridge.send_to, *([bridge.multicast_group] if bridge.multicast_group else [])]
+    if bridge.insecure:
+        signed = "NOT SIGNED"
+    elif bridge.key_file is None:
+        signed = "signed with a new key at each start (one process only)"
+    else:
+        signed = f"signed with {bridge.key_file}"
+    file = settings.api.token_file
+    token = "with a new token at each start" if file is None else f"with the token in {file}"
+    return {
+        "site": f"{site.name}: {site.latitude_deg:g} N, {site.longitude_deg:g} E, {site.altitude_m:g} m",
+        "cube": f"{cube.name}: a scan every {cube.scan_every_s:g} s; inputs {channels}",
+        "instruments": settings.instruments.kind.upper(),
+        "law": f"{settings.law.name}: mean of {settings.windows.mean_s:g} s, decided every"
+        f" {settings.windows.decide_every_s:g} s",
+        "limits": str(settings.limits.limits()),
+        "safety": f"wind from {safety.stow_wind_m_s:g} m/s stows at A {safety.stow_a_deg:g} deg,"
+        f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
+        "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
+        "interface": f"on {settings.api.listen}, " + token if settings.api.enabled else "off",
+        "mqtt": _broker(settings.mqtt) if settings.mqtt.enabled else "off",
+        "store": "none" if settings.store.directory is None else str(settings.store.directory),
+    }
+
+
+def _broker(mqtt: Mqtt) -> str:
+    known = f"as the user in {mqtt.credentials_file}" if mqtt.credentials_file else "without a user"
+    inputs = ", ".join(part.topic for part in (mqtt.wind, mqtt.safe) if part.topic) or "none"
+    return (
+        f"{mqtt.host}:{mqtt.port}{' with TLS' if mqtt.tls else ''}, {known}; topics {mqtt.prefix}/...;"
+        f" commands {'on' if mqtt.commands else 'off'}; safety inputs {inputs}"
+    )

@@ -1,0 +1,77 @@
+"""`heliocube export`: records of the store as tables."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daemon.base.errors import UserError
+from daemon.commands.options import FILES, instant
+
+app = typer.Typer()
+
+
+class KindChoice(StrEnum):
+    """Kinds of records as the command line names them."""
+
+    scans = "scans"
+    decisions = "decisions"
+    moves = "moves"
+    poses = "poses"
+    modes = "modes"
+    events = "events"
+    curves = "curves"
+
+
+class FormatChoice(StrEnum):
+    """Kinds of tables."""
+
+    csv = "csv"
+    parquet = "parquet"
+
+
+@app.command(rich_help_panel=FILES)
+def export(
+    out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="UTC", help="First instant, such as 2022-10-14.")
+    ] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")] = None,
+    table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of tables.")] = FormatChoice.csv,
+    kind: Annotated[
+        list[KindChoice] | None,
+        typer.Option(
+            metavar="KIND", help="Only scans, decisions, moves, poses, modes, events or curves. May be repeated."
+        ),
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the store, without a configuration.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
+    ] = None,
+) -> None:
+    """Write records of the store as tables, even while the service runs."""
+    from daemon.store.export import export as write_tables
+
+    first = None if start is None else instant(start, "--from")
+    last = None if end is None else instant(end, "--to")
+    rows = write_tables(
+        _directory(store, config), out, table_format.value, first, last, [one.value for one in kind or []]
+    )
+    told = ", ".join(f"{count} {name}" for name, count in rows.items())
+    typer.echo(f"written to {out}: {told}")
+
+
+def _directory(store: Path | None, config: Path | None) -> Path:
+    if store is not None and config is None:
+        return store
+    if store is not None or config is None:
+        raise UserError("export needs either --store DIR or --config FILE to find the store")
+    from daemon.config.file import load_settings
+
+    directory = load_settings(config).store.directory
+    if directory is None:
+        raise UserError(f"{config} sets no store.directory: its service keeps no records")
+    return directory

@@ -1,0 +1,136 @@
+"""`heliocube gain`: what a tracker can gain, by latitude, tilt and day."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from daemon.base.errors import UserError
+from daemon.studies.gain.choices import Device, PlotKind, TableFormat
+
+if TYPE_CHECKING:
+    from daemon.studies.gain.request import Request
+    from daemon.studies.gain.weather import SkySource
+
+
+_VALUES = "A number, a list A,B,C or a range FROM:TO:STEP"
+
+
+def gain(
+    lat: Annotated[float | None, typer.Option(help="Latitude in degrees, north positive.")] = None,
+    lat_range: Annotated[str | None, typer.Option(metavar="FROM:TO:STEP", help="Several latitudes in degrees.")] = None,
+    tilt: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEG",
+            help="Tilt of every device; positive tilts south, negative north, the vertical axis takes the size. "
+            f"{_VALUES}. Without it each device has its own best tilt for the year.",
+        ),
+    ] = None,
+    azimuth: Annotated[str, typer.Option(metavar="DEG", help=f"Deviation from south towards east. {_VALUES}.")] = "0",
+    day: Annotated[str | None, typer.Option(metavar="N", help=f"Day of the year, 1..365. {_VALUES}.")] = None,
+    year: Annotated[bool, typer.Option("--year", help="Ratios of yearly sums; so it is without --day.")] = False,
+    against: Annotated[str, typer.Option(metavar="DEVICES", help="What the dual axis is held against.")] = ",".join(
+        Device
+    ),
+    weather: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|clear",
+            help="The same ratios under a real sky: a weather file (CSV, BSRN, SURFRAD, MIDC, TMY3) or a clear sky.",
+        ),
+    ] = None,
+    lon: Annotated[float | None, typer.Option(min=-180, max=180, help="Longitude of the weather.")] = None,
+    altitude: Annotated[
+        float | None,
+        typer.Option(min=-430, max=9000, help="Altitude of the weather, m."),
+    ] = None,
+    printed: Annotated[
+        bool, typer.Option("--printed", help="Add what the paper's own formulas and scripts give.")
+    ] = False,
+    points: Annotated[
+        Path | None, typer.Option(help="CSV with phi_deg, beta_deg, n, lambda_deg: answer row by row instead.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw a figure too: .png, .svg or .pdf.")] = None,
+    plot_kind: Annotated[
+        PlotKind | None,
+        typer.Option(help="Kind of figure."),
+    ] = None,
+    table_format: Annotated[
+        TableFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="File for CSV or Parquet instead of standard output.")] = None,
+) -> None:
+    """Tell how much more a dual-axis tracker receives than a static panel and single axes.
+
+    K is the ratio of energies in a day or a year: exact for a constant beam without an atmosphere, and with --weather
+    under a real sky beside it.
+    """
+    from daemon.studies.gain import output, request
+    from daemon.studies.gain.evaluate import evaluate, evaluate_points
+
+    errors, console = Console(stderr=True), Console()
+    if points is not None:
+        given = {
+            "--lat": lat, "--lat-range": lat_range, "--tilt": tilt, "--day": day, "--weather": weather, "--plot": plot,
+        }  # fmt: skip
+        clash = next((name for name, value in given.items() if value is not None), None)
+        if clash is not None:
+            raise UserError(f"--points answers its own rows; leave out {clash}")
+        rows = evaluate_points(request.read_points(points), with_printed=printed)
+        output.write(rows, table_format or TableFormat.CSV, out, console, None)
+        return
+
+    if day is not None and year:
+        raise UserError("--day and --year exclude each other; give one of them")
+    asked = request.Request(
+        latitudes_deg=request.latitudes(lat, lat_range),
+        tilts_deg=None if tilt is None else request.numbers(tilt, "--tilt", -90.0, 90.0),
+        azimuths_deg=request.numbers(azimuth, "--azimuth", -180.0, 180.0),
+        days=None if day is None else request.days(day),
+        against=request.devices(against),
+        printed=printed,
+    )
+    if plot is not None:
+        from daemon.studies.gain import plots
+
+        plots.check_path(plot)
+    elif plot_kind is not None:
+        raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
+    sky = _sky(weather, asked, lon, altitude)
+    if sky is not None and sky.warning:
+        errors.print(f"heliocube: warning: {sky.warning}", markup=False, highlight=False, soft_wrap=True)
+    along = asked.latitudes_deg.tolist()
+    if sky is not None and len(along) > 1:
+        along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)
+    columns = evaluate(asked, sky, along)
+    if plot is not None:
+        kind = plot_kind or _fitting(asked)
+        plots.draw(kind, asked, columns, sky, plot)
+        errors.print(f"figure in {plot}", markup=False, highlight=False, soft_wrap=True)
+    output.write(columns, table_format or TableFormat.TABLE, out, console, sky.label if sky else None)
+
+
+def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: float | None) -> "SkySource | None":
+    if weather is None:
+        if lon is not None or altitude is not None:
+            raise UserError("--lon and --altitude say where the weather was measured; add --weather")
+        return None
+    from daemon.studies.gain.weather import clear_sky_source, file_sky_source
+
+    if weather == "clear":
+        return clear_sky_source(lon or 0.0, altitude or 0.0)
+    if asked.latitudes_deg.size > 1:
+        raise UserError("a weather file belongs to one site; give its latitude with --lat, or --weather clear")
+    return file_sky_source(Path(weather), float(asked.latitudes_deg[0]), lon, altitude, asked.days)
+
+
+def _fitting(asked: "Request") -> PlotKind:
+    """Return the figure that shows most of a request."""
+    if asked.printed:
+        return PlotKind.PRINTED
+    if asked.latitudes_deg.size == 1:
+        return PlotKind.DAILY
+    return PlotKind.BEST_TILT if asked.tilts_deg is None else PlotKind.MAP

@@ -1,0 +1,225 @@
+"""The command line: `heliocube`."""
+
+import sys
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from daemon.base.errors import UserError
+from daemon.commands import bench as cli_bench
+from daemon.commands import calibrate as cli_calibrate
+from daemon.commands import compare as cli_compare
+from daemon.commands import config as cli_config
+from daemon.commands import energy as cli_energy
+from daemon.commands import export as cli_export
+from daemon.commands import gain as cli_gain
+from daemon.commands import operate as cli_operate
+from daemon.commands import probe as cli_probe
+from daemon.commands import replay as cli_replay
+from daemon.commands import tools as cli_bridge
+from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values, weather_choice
+from daemon.config.sections import Settings
+
+app = typer.Typer(
+    help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
+    "To see it work: heliocube run. To install it on a rig: docs/install.md.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(cli_operate.app)
+app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
+app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
+app.add_typer(cli_calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
+app.add_typer(cli_compare.app, name="compare", rich_help_panel=SCIENCE)
+app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
+app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
+app.add_typer(cli_export.app)
+
+
+class RoleChoice(StrEnum):
+    """The roles as the command line names them."""
+
+    both = "both"
+    cube = "cube"
+    tracker = "tracker"
+
+
+class LawChoice(StrEnum):
+    """The laws as the command line names them."""
+
+    mu_prime = "mu-prime"
+    sun_vector = "sun-vector"
+    optimal = "optimal"
+    chronometric = "chronometric"
+    flat = "flat"
+
+
+class TableFormat(StrEnum):
+    """Kinds of tables."""
+
+    csv = "csv"
+    parquet = "parquet"
+
+
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", "-c", help="Configuration file. Without one: the simulated rig.")
+]
+WeatherOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SKY",
+        help="Simulated sky: clear, overcast, variable, broken, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).",
+    ),
+]
+LawOption = Annotated[
+    LawChoice | None,
+    typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, optimal, chronometric or flat."),
+]
+SiteOption = Annotated[
+    str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="NUMBER", help="Seed of the simulated weather and noise.")
+]
+
+
+@app.callback(invoke_without_command=True)
+def _top(show_version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
+    if show_version:
+        typer.echo(f"heliocube {version('heliocube')}")
+        raise typer.Exit
+
+
+@app.command(rich_help_panel=SERVICE)
+def run(
+    config: ConfigOption = None,
+    role: Annotated[RoleChoice, typer.Option(help="What this process does.")] = RoleChoice.both,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Simulated rig: how many times real speed, 60 unless configured."),
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Simulated rig: where its clock starts.")] = None,
+    weather: WeatherOption = None,
+    law: LawOption = None,
+    site: SiteOption = None,
+    seed: SeedOption = None,
+    for_s: Annotated[
+        float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
+    ] = None,
+) -> None:
+    """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
+    from daemon.commands.run import run_service
+    from daemon.config.file import on_a_port_of_its_own
+    from daemon.service.service import Role
+
+    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
+    if config is None and role is RoleChoice.both:
+        settings = on_a_port_of_its_own(settings)
+    if settings.instruments.kind == "real":
+        _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
+    run_service(settings, Role(role), for_s, Console())
+
+
+@app.command(rich_help_panel=SERVICE)
+def simulate(
+    out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
+    start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],
+    days: Annotated[float, typer.Option(min=0.01, max=366, metavar="DAYS", help="How many days.")] = 1.0,
+    weather: WeatherOption = None,
+    law: LawOption = None,
+    config: ConfigOption = None,
+    site: SiteOption = None,
+    seed: SeedOption = None,
+    table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
+) -> None:
+    """Run the service on the simulated rig for days in seconds, and write tables."""
+    from daemon.commands.simulate import progress_bar, report
+    from daemon.studies.simulate import simulate as run_simulation
+
+    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None)
+    console = Console(stderr=True)
+    with progress_bar(console) as progress:
+        summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
+    report(summary, settings, out, console, Console())
+
+
+app.command(rich_help_panel=SERVICE)(cli_replay.replay)
+app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
+app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
+
+
+@app.command(rich_help_panel=BENCH)
+def bench(
+    directory: Annotated[
+        Path, typer.Option("--dir", help="Folder for the ports, the control socket and heliocube.toml.")
+    ],
+    weather: WeatherOption = None,
+    start: Annotated[str | None, typer.Option(metavar="UTC", help="Start of the simulated clock.")] = None,
+    seed: SeedOption = None,
+    site: SiteOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
+
+    The configuration that is given is the basis of the one that is written.
+    """
+    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
+    cli_bench.serve(settings, directory)
+
+
+def _settings(
+    config: Path | None,
+    *,
+    weather: str | None,
+    law: LawChoice | None,
+    site: str | None,
+    seed: int | None,
+    speed: float | None,
+    start: str | None,
+) -> Settings:
+    """Read the file, if any, and lay the command line's choices over it."""
+    from daemon.config.file import load_settings, override
+
+    settings = load_settings(config) if config is not None else Settings()
+    changes: dict[str, dict[str, Any]] = {"simulation": {}, "law": {}, "site": {}}
+    if weather is not None:
+        changes["simulation"]["weather"] = weather_choice(weather)
+    if law is not None:
+        changes["law"]["name"] = law.value
+    if site is not None:
+        changes["site"] = site_values(site)
+    if seed is not None:
+        changes["simulation"]["seed"] = seed
+    if speed is not None:
+        changes["simulation"]["speed"] = speed
+    if start is not None:
+        changes["simulation"]["start_utc"] = instant(start, "--start")
+    return override(settings, changes)
+
+
+def _refuse_simulation(options: dict[str, object]) -> None:
+    """Refuse what only a simulated rig can do."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise UserError(
+            f"{', '.join(given)}: this configuration has real instruments (instruments.kind), whose time and sky are"
+            " real; leave the option out, or try it on a simulated rig"
+        )
+
+
+def main() -> None:
+    """Entry point: a person's mistake is one sentence and exit code 2, never a traceback."""
+    try:
+        app()
+    except UserError as error:
+        Console(stderr=True).print(f"heliocube: {error}", markup=False, highlight=False, soft_wrap=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

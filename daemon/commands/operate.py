@@ -1,0 +1,141 @@
+"""`heliocube status`, and the operator's commands to the running service."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daemon.commands.options import OPERATION
+
+app = typer.Typer()
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration, for its section api."),
+]
+ApiOption = Annotated[
+    str | None,
+    typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, without a configuration."),
+]
+TokenOption = Annotated[
+    Path | None,
+    typer.Option("--token-file", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."),
+]
+WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
+_AN_OPERATOR = "an operator asked"
+
+
+@app.command(rich_help_panel=OPERATION)
+def status(
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON.")] = False,
+) -> None:
+    """Show what the service does, where the tracker stands and what the cube reads."""
+    import json
+
+    from rich.console import Console
+
+    from daemon.api.client import find_unarmed
+    from daemon.commands.screen import render
+
+    state = find_unarmed(config, api).state()
+    if as_json:
+        typer.echo(json.dumps(state, indent=2))
+    else:
+        Console(highlight=False).print(render(state))
+
+
+@app.command(rich_help_panel=OPERATION)
+def stow(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Go to the stow position now and stay there until 'auto'."""
+    _command("stow", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def hold(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Stay where the tracker is until 'auto'."""
+    _command("hold", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def auto(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Track again: end what stop, maintenance, stow, snow, hold or goto asked for."""
+    _command("auto", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def stop(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Stop the axes at once; nothing moves them until 'auto'."""
+    _command("stop", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def snow(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Go to the steep position that sheds snow and hail and stay there until 'auto'."""
+    _command("snow", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def maintenance(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Let nothing move and no alarm sound until 'auto'."""
+    _command("maintenance", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
+def goto(
+    a_deg: Annotated[float, typer.Argument(metavar="A", help="Angle A in degrees, negative towards the east.")],
+    b_deg: Annotated[float, typer.Argument(metavar="B", help="Angle B in degrees, 90 is flat.")],
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+) -> None:
+    """Go to a position inside the limits and stay there until 'auto'."""
+    _command("goto", config, api, token_file, why, a_deg=a_deg, b_deg=b_deg)
+
+
+@app.command(rich_help_panel=OPERATION)
+def home(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Clear faults and start a reference run of both axes."""
+    _command("home", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def clear(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Clear the faults and doubts that are shown, without a reference run."""
+    _command("clear", config, api, token_file, why)
+
+
+@app.command(rich_help_panel=OPERATION)
+def relearn(
+    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+) -> None:
+    """Forget the albedo and the gains that the law 'optimal' has learned."""
+    _command("relearn", config, api, token_file, why)
+
+
+def _command(
+    name: str, config: Path | None, api: str | None, token_file: Path | None, why: str, **arguments: float
+) -> None:
+    from daemon.api.client import find
+
+    reply = find(config, api, token_file).command(name, why=why, **arguments)
+    typer.echo(reply.text)
+    raise typer.Exit(reply.exit_code)

@@ -1,0 +1,160 @@
+"""`heliocube probe`: look at one real instrument, without changing anything unless asked to."""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from daemon.base.errors import UserError
+
+if TYPE_CHECKING:
+    from daemon.config.sections import Settings
+    from drivers.transcript import Direction, Tap
+
+app = typer.Typer(
+    help="Look at one real instrument and report; nothing is changed unless asked for.",
+    no_args_is_help=True,
+)
+
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", "-c", help="Configuration file that says where the instrument is.")
+]
+RecordOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write all bytes sent and received to this file.")
+]
+WriteOption = Annotated[bool, typer.Option("--write", help="Also do what changes the instrument's state.")]
+
+
+@app.command()
+def positioner(
+    port: Annotated[str | None, typer.Option(help="Its port, instead of the configuration's.")] = None,
+    config: ConfigOption = None,
+    seconds: Annotated[float, typer.Option(min=1, max=3600, help="How long to listen.")] = 10.0,
+    move_deg: Annotated[
+        float | None, typer.Option(min=1, max=20, help="MOVES both axes, one by one, by this much and back.")
+    ] = None,
+    record: RecordOption = None,
+) -> None:
+    """Identify the positioner by listening, and report its stream, settings and geometry."""
+    from daemon.base.clock import SystemClock
+    from daemon.rigs.probe_positioner import probe_positioner
+
+    settings = _settings(config, "positioner", {"port": port})
+    with _tap(record) as tap:
+        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, _say()))
+
+
+@app.command()
+def voltmeter(
+    resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
+    config: ConfigOption = None,
+    write: WriteOption = False,
+    record: RecordOption = None,
+) -> None:
+    """Ask the voltmeter who it is and how it is set; with --write, configure it and take ten readings."""
+    from daemon.base.clock import SystemClock
+    from daemon.rigs.probe_cube import probe_voltmeter
+
+    settings = _settings(config, "voltmeter", {"resource": resource})
+    with _tap(record) as tap:
+        _run(probe_voltmeter(settings, SystemClock().monotonic, tap, _say(), write=write))
+
+
+@app.command()
+def multiplexer(
+    server: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="NI gRPC Device Server.")] = None,
+    config: ConfigOption = None,
+    write: WriteOption = False,
+    record: RecordOption = None,
+) -> None:
+    """Reserve the multiplexer's lines; with --write, select each input and measure it."""
+    from daemon.rigs.probe_cube import probe_multiplexer
+
+    settings = _settings(config, "multiplexer", {"server": server})
+    with _tap(record) as tap:
+        _run(probe_multiplexer(settings, tap, _say(), write=write))
+
+
+class LoadChoice(StrEnum):
+    """Makes of electronic loads."""
+
+    chroma63600 = "chroma63600"
+    agilent6063b = "agilent6063b"
+
+
+@app.command()
+def load(
+    resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
+    driver: Annotated[LoadChoice | None, typer.Option(help="Its make, instead of the configuration's.")] = None,
+    config: ConfigOption = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Also trace one curve; the module is in open circuit afterwards.")
+    ] = False,
+    record: RecordOption = None,
+) -> None:
+    """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
+    from daemon.base.clock import SystemClock
+    from daemon.config.file import load_settings, override
+    from daemon.config.sections import Settings
+    from daemon.rigs.probe_load import probe_load
+
+    settings = load_settings(config) if config is not None else Settings()
+    given = {"resource": resource, "driver": None if driver is None else driver.value}
+    settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
+    with _tap(record) as tap:
+        _run(probe_load(settings, SystemClock().monotonic, tap, _say(), write=write))
+
+
+def _settings(config: Path | None, instrument: str, given: dict[str, str | None]) -> "Settings":
+    from daemon.config.file import load_settings, override
+    from daemon.config.sections import Settings
+
+    settings = load_settings(config) if config is not None else Settings()
+    changes = settings.instruments.model_dump()
+    changes[instrument] |= {name: value for name, value in given.items() if value is not None}
+    return override(settings, {"instruments": changes})
+
+
+def _say() -> Callable[[str], object]:
+    console = Console(highlight=False, soft_wrap=True)
+    return lambda text: console.print(text, markup=False)
+
+
+def _run(work: Coroutine[Any, Any, None]) -> None:
+    """Run to the end; what goes wrong with the instrument is one sentence and exit code 2."""
+    from drivers.errors import DeviceError
+
+    try:
+        asyncio.run(work)
+    except DeviceError as error:
+        raise UserError(str(error)) from error
+
+
+@contextmanager
+def _tap(record: Path | None) -> "Iterator[Tap]":
+    from daemon.base.clock import SystemClock, iso_utc
+    from drivers.transcript import Piece, line_of, no_tap
+
+    if record is None:
+        yield no_tap
+        return
+    clock = SystemClock()
+    start_s = clock.monotonic()
+    try:
+        stream = record.open("x", encoding="utf-8", newline="\n")
+    except FileExistsError:
+        raise UserError(f"{record} is there already and is not overwritten") from None
+    except OSError as error:
+        raise UserError(f"{record} cannot be written: {error.strerror}") from None
+    with stream:
+        stream.write(f"# heliocube probe, {iso_utc(clock.utc())}\n")
+
+        def tap(direction: "Direction", data: bytes) -> None:
+            stream.write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
+
+        yield tap

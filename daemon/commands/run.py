@@ -1,0 +1,226 @@
+"""Starting the service for real: loop, clock, signals, log, display."""
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from datetime import UTC
+from importlib.metadata import version
+from random import SystemRandom
+
+from rich.console import Console
+
+from daemon.api.server import ApiServer
+from daemon.api.token import generate_token, load_token
+from daemon.base import process as logs
+from daemon.base.bus import Bus
+from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
+from daemon.base.errors import UserError
+from daemon.base.records import Event
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import new_loop
+from daemon.bridge.signing import generate_key, load_key
+from daemon.commands.live_view import LiveView
+from daemon.config.sections import Settings
+from daemon.cube.calibration import calibration_in_force
+from daemon.mqtt.companion import Mqtt
+from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
+from daemon.service.recent import Recent
+from daemon.service.service import Rig, Role, Service
+from daemon.service.state import state
+from daemon.store.store import Origin, Store
+
+log = logging.getLogger("heliocube")
+
+
+def run_service(settings: Settings, role: Role, for_s: float | None, console: Console) -> None:
+    """Run one role of the service until SIGINT, SIGTERM or the end of `for_s` seconds of wall time.
+
+    Raises
+    ------
+    UserError
+        Something in the settings cannot work here: a weather file, a key, an address.
+    """
+    key = bridge_key(settings, role)
+    calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
+    journal = "JOURNAL_STREAM" in os.environ
+    logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
+    # Real instruments have real time; what the simulation's table says is not for them.
+    speed = 1.0 if is_real(settings) else settings.simulation.speed
+    with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
+        loop = runner.get_loop()
+        clock = _clock(settings, loop)
+        rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
+        bus = Bus()
+        recent = Recent()
+        bus.subscribe(recent.note)
+        mqtt = Mqtt(settings, role, clock, SystemRandom(), bus.publish, speed) if settings.mqtt.enabled else None
+        service = Service(
+            settings,
+            role,
+            rig,
+            clock,
+            SystemRandom(),
+            bus,
+            key,
+            Notifier(os.environ, os.getpid()),
+            speed,
+            calibration,
+            stow_sources=mqtt.stow_sources() if mqtt else (),
+            send_beyond=mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
+        )
+        if rig.simulated:
+            fields = {"role": role, "speed": speed}
+            log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
+        else:
+            log.info("real instruments", extra={"fields": {"role": role}})
+            if not isinstance(clock, SystemClock):
+                log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
+        with _store(service, role, loop) as store:
+            if mqtt is not None:
+                mqtt.attach(
+                    service, lambda: state(service, recent, speed, store.status if store else None, mqtt.status)
+                )
+            api = _api(service, recent, speed, store, mqtt, console, journal=journal)
+            # In a journal the log says it all; status lines would only fill it.
+            view = None if journal else LiveView(service, console, speed)
+            runner.run(_run(service, for_s, speed, view, api, mqtt))
+    console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
+
+
+def bridge_key(settings: Settings, role: Role) -> bytes | None:
+    """Return the key that signs scans; within one process a fresh one serves when no file is named.
+
+    Raises
+    ------
+    UserError
+        The file is missing, unsafe or no key, or two processes would have to share a key that is not there.
+    """
+    bridge = settings.bridge
+    if bridge.key_file is not None:
+        return load_key(bridge.key_file)
+    if bridge.insecure:
+        return None
+    if role is Role.BOTH:
+        return generate_key()
+    raise UserError(
+        f"bridge.key_file: the role '{role}' needs the key that cube and tracker share; "
+        "make one with 'heliocube config init DIR', or set bridge.insecure = true for a closed lab network"
+    )
+
+
+def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
+    if is_real(settings):
+        return build_real_rig(settings, role, clock)
+    weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s)
+    if warning:
+        log.warning(warning)
+    return build_simulated_rig(settings, role, clock, weather)
+
+
+def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
+    simulation = settings.simulation
+    system = SystemClock()
+    if is_real(settings) and (simulation.start_utc is None or simulation.anchor_utc is None):
+        return system
+    if simulation.start_utc is None and simulation.speed == 1.0:
+        return system
+    speed = 1.0 if is_real(settings) else simulation.speed
+    start = simulation.start_utc or DEFAULT_START
+    start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
+    if simulation.anchor_utc is not None:
+        anchor = simulation.anchor_utc
+        anchor_utc_s = anchor.replace(tzinfo=anchor.tzinfo or UTC).timestamp()
+        start_utc_s += (system.utc() - anchor_utc_s) * speed
+    return LoopClock(loop.time, start_utc_s)
+
+
+@contextlib.contextmanager
+def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Iterator[Store | None]:
+    """Keep every record of the service, if the settings say where; what waits is written at the end."""
+    settings, site = service.settings.store, service.settings.site
+    if settings.directory is None:
+        yield None
+        return
+
+    def publish(event: Event) -> None:
+        # What the store has to tell when the loop has ended stands in the log.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(service.bus.publish, event)
+
+    origin = Origin(
+        service.clock.utc(),
+        role.value,
+        version("heliocube"),
+        service.rig.simulated,
+        site.name,
+        site.latitude_deg,
+        site.longitude_deg,
+        site.altitude_m,
+        service.settings.mqtt.name or role.value,
+    )
+    store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
+    service.bus.subscribe(store.keep)
+    try:
+        yield store
+    finally:
+        store.close()
+
+
+def _api(
+    service: Service,
+    recent: Recent,
+    speed: float,
+    store: Store | None,
+    mqtt: Mqtt | None,
+    console: Console,
+    *,
+    journal: bool,
+) -> ApiServer | None:
+    """Return the local interface, bound to its port, and tell where it is; None where there is to be none."""
+    settings = service.settings.api
+    if not settings.enabled:
+        return None
+    token = generate_token() if settings.token_file is None else load_token(settings.token_file)
+    server = ApiServer(
+        settings,
+        service,
+        recent,
+        token,
+        speed,
+        lambda: store.status if store else None,
+        lambda: mqtt.status if mqtt else None,
+    )
+    if server.url is not None:
+        where = f"the token of commands is in {settings.token_file}"
+        if settings.token_file is None:
+            # A journal is read by more people than a terminal.
+            where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
+        console.print(f"local interface at {server.url}; {where}", highlight=False, soft_wrap=True)
+    return server
+
+
+async def _run(
+    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None, mqtt: Mqtt | None
+) -> None:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    if for_s is not None:
+        loop.call_later(for_s * speed, stop.set)
+    with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+        await service.run(stop, *(companion.run() for companion in (view, api, mqtt) if companion is not None))
+
+
+@contextlib.contextmanager
+def on_signals(stop: Callable[[], object]) -> Iterator[None]:
+    """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,61 @@
+"""`heliocube bridge`: tools for whoever writes or tests a sender."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no_args_is_help=True)
+
+
+@app.command("send-csv")
+def send_csv(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="CSV with time,east,south,west,zenith (UTC, W/m2), plain or .gz.")
+    ],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration, for the targets and key of its section bridge."),
+    ] = None,
+    to: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT", help="Target instead. May be repeated.")] = None,
+    key: Annotated[Path | None, typer.Option(help="Key file instead of the configuration's.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Send unsigned.")] = False,
+    speed: Annotated[
+        float, typer.Option(min=0.001, metavar="FACTOR", help="How many times the pace of the file.")
+    ] = 1.0,
+    keep_times: Annotated[bool, typer.Option("--keep-times", help="Send the file's times instead of now.")] = False,
+) -> None:
+    """Send recorded irradiances as a cube would: the reference sender of docs/bridge.md."""
+    import asyncio
+    from random import SystemRandom
+
+    from daemon.base.clock import SystemClock
+    from daemon.bridge.signing import load_key
+    from daemon.commands.simulate import progress_bar
+    from daemon.config.file import load_settings, override
+    from daemon.config.sections import Settings
+    from daemon.studies.send_csv import send_csv as send
+
+    settings = load_settings(config) if config is not None else Settings()
+    changes: dict[str, object] = {}
+    if to:
+        changes["send_to"] = tuple(to)
+    if key is not None or insecure:
+        changes.update(key_file=key, insecure=insecure)
+    bridge = override(settings, {"bridge": changes}).bridge
+    secret = load_key(bridge.key_file) if bridge.key_file is not None else None
+    with progress_bar(Console(stderr=True)) as progress:
+        sent = asyncio.run(
+            send(
+                file,
+                bridge,
+                secret,
+                SystemClock(),
+                SystemRandom(),
+                speed=speed,
+                keep_times=keep_times,
+                on_progress=lambda done, total: progress(done / total),
+            )
+        )
+    Console().print(f"{sent} scans sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)

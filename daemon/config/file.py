@@ -1,0 +1,336 @@
+"""From a TOML file to settings, or to one list of everything that is wrong with it."""
+
+import difflib
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import ValidationError
+
+from daemon.api.token import TokenError, load_token
+from daemon.base.errors import UserError
+from daemon.bridge.signing import KeyFileError, load_key
+from daemon.config import keys as config_keys
+from daemon.config import rules as config_rules
+from daemon.config.sections import Settings
+from daemon.cube.calibration import calibration_in_force
+from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
+from daemon.mqtt.unusable import unusable
+
+if TYPE_CHECKING:
+    from daemon.config.section import Section
+
+_LONGEST_VALUE = 60
+# Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
+_PATHS = (
+    ("bridge", "key_file"),
+    ("store", "directory"),
+    ("cube", "calibration_file"),
+    ("api", "token_file"),
+    ("mqtt", "ca_file"),
+    ("mqtt", "certificate_file"),
+    ("mqtt", "certificate_key_file"),
+    ("mqtt", "credentials_file"),
+    ("simulation", "weather"),
+)
+_SLASHES = "write paths in 'single quotes' or with forward slashes"
+_HINTS = (
+    ("Unescaped", _SLASHES),
+    ("Invalid hex", _SLASHES),
+    ("Invalid value", "text stands in quotes; true and false are lower case; a decimal sign is a point"),
+    ("Expected newline", "one key to a line; text stands in quotes; a decimal sign is a point"),
+    ("Expected '='", "a line is: key = value"),
+    ("Cannot overwrite", "this key stands above already"),
+    ("Cannot declare", "this section stands above already"),
+)
+
+
+class ConfigError(UserError):
+    """The configuration cannot be used; the message lists every problem, one to a line.
+
+    Parameters
+    ----------
+    source
+        What was read: the file, or where else the values came from.
+    problems
+        One line each: key, value, reason, remedy.
+    """
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        super().__init__("\n  ".join([f"{source} has {count}:", *problems]))
+        self.problems = tuple(problems)
+
+
+class _Problem(NamedTuple):
+    """One line of the list, and the known key that an unknown one was probably meant to be."""
+
+    key: str
+    reason: str
+    meant: str | None = None
+
+
+def load_settings(path: Path) -> Settings:
+    """Read the settings from a TOML file; relative paths in it are meant from the file's folder.
+
+    Topics and JSON paths may be such that they cannot be used: see `daemon.mqtt.unusable`.
+
+    Raises
+    ------
+    ConfigError
+        With all problems of the file.
+    """
+    return _resolved(_settings(_read(path), str(path)), path.parent)
+
+
+def check_file(path: Path) -> Settings:
+    """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
+    settings = _resolved(_settings(_read(path), str(path), topics=True), path.parent)
+    problems = []
+    try:
+        calibration_in_force(settings.cube)
+    except UserError as error:
+        problems.append(f"cube.calibration_file: {error}")
+    if settings.bridge.key_file is not None:
+        try:
+            load_key(settings.bridge.key_file)
+        except KeyFileError as error:
+            problems.append(f"bridge.key_file: {error}")
+    if settings.api.token_file is not None:
+        try:
+            load_token(settings.api.token_file)
+        except TokenError as error:
+            problems.append(f"api.token_file: {error}")
+    mqtt = settings.mqtt
+    try:
+        if mqtt.credentials_file is not None:
+            load_user(mqtt.credentials_file)
+        if mqtt.tls:
+            tls_context(mqtt)
+    except CredentialsError as error:
+        problems.append(str(error))
+    weather = settings.simulation.weather
+    if isinstance(weather, Path) and not weather.is_file():
+        problems.append(f"simulation.weather: there is no file {weather}")
+    if problems:
+        raise ConfigError(str(path), problems)
+    return settings
+
+
+def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Settings:
+    """Return the settings with some keys changed, as the command line does; raises `ConfigError`.
+
+    Parameters
+    ----------
+    changes
+        New values by section and key: ``{"law": {"name": "flat"}}``.
+    """
+    raw = settings.model_dump()
+    for section, values in changes.items():
+        raw[section] |= values
+    return _settings(raw, "the command line")
+
+
+def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
+    """Return the settings with the bridge inside one process, on whatever loopback port is free.
+
+    Parameters
+    ----------
+    settings
+        Taken as they are but for the bridge.
+    insecure
+        Leave scans unsigned: for a process that lives some seconds and moves nothing.
+    """
+    changes = {"listen": "127.0.0.1:0", "send_to": (), "multicast_group": None, "insecure": insecure}
+    if insecure:
+        changes["key_file"] = None
+    inside = settings.bridge.model_copy(update=changes)
+    return settings.model_copy(update={"bridge": inside})
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        # Some editors of Windows put a byte order mark in front, which TOML does not know.
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(
+            str(path), ["there is no such file; 'heliocube config init DIR' writes a commented one"]
+        ) from None
+    except OSError as error:
+        raise ConfigError(str(path), [f"the file cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [f"byte {error.start} is not UTF-8; save the file as UTF-8 text"]) from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(path), [_syntax_problem(str(error), text)]) from None
+
+
+def _syntax_problem(message: str, text: str) -> str:
+    hint = next((f" ({hint})" for start, hint in _HINTS if message.startswith(start)), "")
+    reason, _, place = message.partition(" (at ")
+    reason = reason[0].lower() + re.sub(r"\('(.+?)',?\)", lambda names: names[1].replace("', '", "."), reason[1:])
+    lines = text.split("\n")
+    found = re.match(r"line (\d+), column (\d+)", place)
+    line, column = (int(found[1]), int(found[2])) if found else (len(lines), len(lines[-1]) + 1)
+    return f"line {line}, column {column}: {reason} in: {_shortened(_printable(lines[line - 1].strip()))}{hint}"
+
+
+def _settings(raw: dict[str, Any], source: str, *, topics: bool = False) -> Settings:
+    problems = [_unknown("", name, value) for name, value in raw.items() if name not in Settings.model_fields]
+    sections: dict[str, Any] = {}
+    for name, field in Settings.model_fields.items():
+        kind: type[Section] = type(field.default)
+        given = raw.get(name, {})
+        try:
+            sections[name] = kind.model_validate(given)
+        except ValidationError as error:
+            found = {problem.key: problem for problem in _problems(error, name)}
+            problems += found.values()
+            # The rules between keys are still worth checking for all that is right.
+            sections[name] = kind.model_validate(_without(given, name, found.keys()))
+    settings = Settings.model_construct(**sections)
+    if topics:
+        problems += [_Problem(key, _wrong(key, _value_of(settings, key))) for key in unusable(settings)]
+    wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
+    for conflict in config_rules.conflicts(settings):
+        if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
+            shown = _shown(_value_of(settings, conflict.key))
+            default = "" if _is_given(raw, conflict.key) else " (default)"
+            problems.append(_Problem(conflict.key, f" = {shown}{default}: {conflict.reason}"))
+    if problems:
+        order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
+        problems.sort(key=lambda problem: order.get(problem.key.partition("[")[0], len(order)))
+        raise ConfigError(source, [problem.key + problem.reason for problem in problems])
+    return settings
+
+
+def _problems(error: ValidationError, section: str) -> Iterator[_Problem]:
+    for item in error.errors(include_url=False, include_context=False):
+        loc = (section, *item["loc"])
+        if item["type"] == "extra_forbidden":
+            yield _unknown(_path(loc[:-1]), str(loc[-1]), item["input"])
+        else:
+            path = _path(loc)
+            yield _Problem(path, _wrong(path, item["input"]))
+
+
+def _path(loc: tuple[int | str, ...]) -> str:
+    """Return the key's path; what pydantic adds behind it to name the part of a union is dropped."""
+    path, known = str(loc[0]), config_keys.keys()
+    for part in loc[1:]:
+        if path in known:
+            return f"{path}[{part}]" if isinstance(part, int) else path
+        path = f"{path}.{part}"
+    return path
+
+
+def _wrong(path: str, value: Any) -> str:
+    key = config_keys.keys().get(path.partition("[")[0])
+    if key is None:
+        return f" = {_shown(value)}: must be a section of its own, [{path}]"
+    if "[" in path:
+        return f" = {_shown(value)}: must be {key.expected_item}"
+    return f" = {_shown(value)}: must be {key.expected}{_hint(key, value)}"
+
+
+def _hint(key: config_keys.Key, value: Any) -> str:
+    if not isinstance(value, str):
+        return ""
+    names = difflib.get_close_matches(value.lower(), key.names, 1)
+    if names:
+        return f'; did you mean "{names[0]}"?'
+    if key.takes & {"number", "integer"}:
+        number = config_keys.number_with_unit(value, key)
+        return "" if number is None else f"; did you mean {number:g}, without quotes?"
+    if key.takes == {"boolean"} and value.lower() in ("true", "false"):
+        return f"; did you mean {value.lower()}, without quotes?"
+    if key.takes == {"array"}:
+        return f"; did you mean {config_keys.toml_value([value])}?"
+    return ""
+
+
+def _joined(section: str, name: str) -> str:
+    written = config_keys.toml_name(name)
+    return f"{section}.{written}" if section else written
+
+
+def _unknown(section: str, name: str, value: Any) -> _Problem:
+    what = "there is no such section" if isinstance(value, dict) else "there is no such key"
+    meant = config_keys.resembling(section, name)
+    if meant is None:
+        kind = "sections" if isinstance(value, dict) or not section else "keys"
+        known = config_keys.inside(section)[kind]
+        where = f"the {kind} of [{section}] are" if section else f"the {kind} are"
+        remedy = f"{where} {', '.join(known)}" if known else f"[{section}] has no {kind}"
+    else:
+        wanted, unit = config_keys.split_unit(meant)[1], config_keys.split_unit(name)[1]
+        number = config_keys.converted(value, unit, wanted) if unit != wanted else None
+        remedy = f"did you mean {meant}{'' if number is None else f' = {number:g}'}?"
+    shown = "" if isinstance(value, dict) else f" = {_shown(value)}"
+    return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
+
+
+def _without(given: Any, section: str, wrong: Collection[str]) -> dict[str, Any]:
+    """Return what is right in a section of the file."""
+    if not isinstance(given, dict) or section in wrong:
+        return {}
+    kept = {}
+    for name, value in given.items():
+        path = _joined(section, name)
+        if isinstance(value, dict) and path in config_keys.tables():
+            kept[name] = _without(value, path, wrong)
+        elif not any(_covers(path, key) for key in wrong):
+            kept[name] = value
+    return kept
+
+
+def _covers(outer: str, inner: str) -> bool:
+    """Tell whether `inner` is the key `outer` or lies inside it."""
+    return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))
+
+
+def _value_of(settings: Settings, path: str) -> Any:
+    value: Any = settings
+    key, _, index = path.partition("[")
+    for name in key.split("."):
+        value = getattr(value, name)
+    return value[int(index[:-1])] if index else value
+
+
+def _is_given(raw: dict[str, Any], path: str) -> bool:
+    return path.partition("[")[0] in _paths_in(raw, "")
+
+
+def _paths_in(raw: dict[str, Any], section: str) -> list[str]:
+    paths = []
+    for name, value in raw.items():
+        path = _joined(section, name)
+        paths.append(path)
+        if isinstance(value, dict):
+            paths += _paths_in(value, path)
+    return paths
+
+
+def _resolved(settings: Settings, folder: Path) -> Settings:
+    changed: dict[str, Section] = {}
+    for section, name in _PATHS:
+        path = getattr(getattr(settings, section), name)
+        if isinstance(path, Path):
+            values = {name: (folder / path.expanduser()).resolve()}
+            changed[section] = changed.get(section, getattr(settings, section)).model_copy(update=values)
+    return settings.model_copy(update=changed)
+
+
+def _shown(value: Any) -> str:
+    return _shortened(config_keys.toml_value(value))
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -1,0 +1,278 @@
+"""Rules between keys. Each is a function of the settings whose docstring is its sentence in the reference."""
+
+import ipaddress
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from daemon.base.addresses import parse_address
+from daemon.base.records import FACES
+
+if TYPE_CHECKING:
+    from daemon.config.sections import Settings
+
+# The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
+_OVER_RANGE = 1.2
+_AUTOZERO = 2
+_BRIGHT_SUN_W_M2 = 1000.0
+# What an electronic load takes for one exchange, and a sweep for its beginning and end.
+_LOAD_EXCHANGE_S = 0.02
+_SWEEP_ENDS_S = 0.2
+SELF_TESTS = ("self_test_channel", "second_self_test_channel")
+
+
+class Conflict(NamedTuple):
+    """Keys that do not go together: the one to blame first, and what is wrong with it."""
+
+    key: str
+    reason: str
+    others: tuple[str, ...] = ()
+
+
+def conflicts(settings: "Settings") -> list[Conflict]:
+    """Return every breach of a rule; empty when the settings are consistent."""
+    return [conflict for rule in RULES for conflict in rule(settings)]
+
+
+def limits_are_ordered(settings: "Settings") -> Iterator[Conflict]:
+    """`limits.a_min_deg` is below `limits.a_max_deg`, and `limits.b_min_deg` below `limits.b_max_deg`."""
+    for axis in "ab":
+        low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
+        if not low < high:
+            other = f"limits.{axis}_max_deg"
+            yield Conflict(f"limits.{axis}_min_deg", f"must be below {other} ({high:g} deg)", (other,))
+
+
+def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
+    """Night, stow and snow positions lie inside `limits`; only the default of the last one is cut to them."""
+    for position in ("night", "stow", "snow"):
+        for axis in "ab":
+            ends = (f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+            low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
+            name = f"{position}_{axis}_deg"
+            angle_deg = getattr(settings.safety, name)
+            cut = position == "snow" and angle_deg == type(settings.safety).model_fields[name].default
+            if low < high and not cut and not low <= angle_deg <= high:
+                reason = f"lies outside {ends[0]} and {ends[1]} ({low:g} to {high:g} deg)"
+                yield Conflict(f"safety.{position}_{axis}_deg", reason, ends)
+
+
+def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
+    """Each face has a multiplexer input of its own, and the self-tests have two others."""
+    owner: dict[int, str] = {}
+    for name in FACES:
+        key, channel = f"cube.{name}.channel", getattr(settings.cube, name).channel
+        if channel in owner:
+            reason = f"is the input of {owner[channel]} already; each face needs one of its own"
+            yield Conflict(key, reason, (owner[channel],))
+        owner.setdefault(channel, key)
+    for name in SELF_TESTS:
+        key, test = f"cube.{name}", getattr(settings.cube, name)
+        if test is None:
+            continue
+        if test in owner:
+            reason = f"is the input of {owner[test]}; the self-test needs a short-circuited input of its own"
+            yield Conflict(key, reason, (owner[test],))
+        owner.setdefault(test, key)
+
+
+def each_channel_has_an_address(settings: "Settings") -> Iterator[Conflict]:
+    """Every input that is read is one that `instruments.multiplexer.addresses` knows."""
+    count = len(settings.instruments.multiplexer.addresses)
+    channels = {f"cube.{name}.channel": getattr(settings.cube, name).channel for name in FACES}
+    channels |= {f"cube.{name}": getattr(settings.cube, name) for name in SELF_TESTS}
+    for key, channel in channels.items():
+        if channel is not None and channel >= count:
+            other = "instruments.multiplexer.addresses"
+            yield Conflict(key, f"is not among the inputs 0 to {count - 1} that {other} selects", (other,))
+
+
+def the_enable_line_is_free(settings: "Settings") -> Iterator[Conflict]:
+    """`instruments.multiplexer.enable_line` is no line that an address uses."""
+    multiplexer = settings.instruments.multiplexer
+    line = multiplexer.enable_line
+    if line is not None and any(address >> line & 1 for address in multiplexer.addresses):
+        other = "instruments.multiplexer.addresses"
+        yield Conflict("instruments.multiplexer.enable_line", f"is used by {other} as well", (other,))
+
+
+def the_triangle_holds(settings: "Settings") -> Iterator[Conflict]:
+    """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limit."""
+    positioner = settings.instruments.positioner
+    if positioner.position_unit != "mm":
+        return
+    for axis in "ab":
+        geometry, high = getattr(positioner, f"{axis}_axis"), getattr(settings.limits, f"{axis}_max_deg")
+        low = min(geometry.low_deg, getattr(settings.limits, f"{axis}_min_deg"))
+        if not (geometry.apex_deg + low > 0 and geometry.apex_deg + high < 180):
+            path = f"instruments.positioner.{axis}_axis"
+            others = (f"{path}.low_deg", f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
+            reason = f"makes no triangle at some angle from {low:g} to {high:g} deg"
+            yield Conflict(f"{path}.apex_deg", reason, others)
+
+
+def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+    """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
+    settle_s = settings.instruments.multiplexer.settle_s
+    meter = settings.instruments.voltmeter
+    readings = len(FACES) + sum(getattr(settings.cube, name) is not None for name in SELF_TESTS)
+    conversion_s = _AUTOZERO * meter.nplc / meter.line_frequency_hz
+    needed_s = readings * (settle_s + conversion_s)
+    if needed_s > settings.cube.scan_every_s:
+        yield Conflict(
+            "cube.scan_every_s",
+            f"is too short for {readings} readings of {settle_s:g} s to settle and {conversion_s:.3g} s to convert:"
+            f" they take {needed_s:.3g} s",
+            (
+                "cube.self_test_channel",
+                "cube.second_self_test_channel",
+                "instruments.multiplexer.settle_s",
+                "instruments.voltmeter.nplc",
+                "instruments.voltmeter.line_frequency_hz",
+            ),
+        )
+
+
+def the_range_reaches_bright_sun(settings: "Settings") -> Iterator[Conflict]:
+    """With its gain, each face stays within 1.2 times `instruments.voltmeter.range_v` up to 1000 W/m2."""
+    largest_mv = _OVER_RANGE * settings.instruments.voltmeter.range_v * 1e3
+    for name in FACES:
+        face, key = getattr(settings.cube, name), f"cube.{name}.gain_w_m2_per_mv"
+        reach_w_m2 = face.gain_w_m2_per_mv * (largest_mv - face.offset_mv)
+        if reach_w_m2 < _BRIGHT_SUN_W_M2:
+            others = (f"cube.{name}.offset_mv", "instruments.voltmeter.range_v")
+            reason = (
+                f"lets instruments.voltmeter.range_v ({settings.instruments.voltmeter.range_v:g} V) end at"
+                f" {reach_w_m2:.3g} W/m2, below bright sun; is this the sensor's mV per W/m2 instead of its inverse?"
+            )
+            yield Conflict(key, reason, others)
+
+
+def windows_hold_scans(settings: "Settings") -> Iterator[Conflict]:
+    """`windows.mean_s` is at least `cube.scan_every_s` and at most `windows.decide_every_s`."""
+    mean_s, scan_s, decide_s = (
+        settings.windows.mean_s,
+        settings.cube.scan_every_s,
+        settings.windows.decide_every_s,
+    )
+    if mean_s > decide_s:
+        other = "windows.decide_every_s"
+        yield Conflict("windows.mean_s", f"must not be longer than {other} ({decide_s:g} s)", (other,))
+    if mean_s < scan_s:
+        other = "cube.scan_every_s"
+        yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
+
+
+def staleness_spans_two_scans(settings: "Settings") -> Iterator[Conflict]:
+    """`safety.scan_stale_s` is at least twice `cube.scan_every_s`, so that one lost scan is no alarm."""
+    scan_s = settings.cube.scan_every_s
+    if settings.safety.scan_stale_s < 2 * scan_s:
+        reason = f"must be at least two scans, {2 * scan_s:g} s (cube.scan_every_s is {scan_s:g} s)"
+        yield Conflict("safety.scan_stale_s", reason, ("cube.scan_every_s",))
+
+
+def thresholds_have_hysteresis(settings: "Settings") -> Iterator[Conflict]:
+    """`safety.night_above_w_m2` is not below `safety.night_below_w_m2`; `release_wind_m_s` is below `stow_wind_m_s`."""
+    safety = settings.safety
+    if safety.night_above_w_m2 < safety.night_below_w_m2:
+        other = "safety.night_below_w_m2"
+        reason = f"must not be below {other} ({safety.night_below_w_m2:g} W/m2)"
+        yield Conflict("safety.night_above_w_m2", reason, (other,))
+    if not safety.release_wind_m_s < safety.stow_wind_m_s:
+        other = "safety.stow_wind_m_s"
+        reason = f"must be below {other} ({safety.stow_wind_m_s:g} m/s)"
+        yield Conflict("safety.release_wind_m_s", reason, (other,))
+
+
+def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.insecure` stands without `bridge.key_file`; beyond this machine one of the two is set."""
+    bridge = settings.bridge
+    if bridge.insecure and bridge.key_file is not None:
+        reason = "contradicts bridge.key_file, which asks for signed scans; remove one of the two"
+        yield Conflict("bridge.insecure", reason, ("bridge.key_file",))
+    if bridge.insecure or bridge.key_file is not None:
+        return
+    if bridge.transport == "mqtt":
+        reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
+        yield Conflict("bridge.transport", reason, ("bridge.key_file", "bridge.insecure"))
+    addresses = {"bridge.listen": bridge.listen}
+    addresses |= {f"bridge.send_to[{index}]": text for index, text in enumerate(bridge.send_to)}
+    if bridge.multicast_group is not None:
+        addresses["bridge.multicast_group"] = bridge.multicast_group
+    for key, text in addresses.items():
+        if not ipaddress.ip_address(parse_address(text).host).is_loopback:
+            reason = "reaches beyond this machine, so bridge.key_file must name a key (or bridge.insecure be true)"
+            yield Conflict(key, reason, ("bridge.key_file", "bridge.insecure"))
+            return
+
+
+def an_interface_has_a_group(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.multicast_interface` stands only with `bridge.multicast_group`."""
+    if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
+        reason = "has no effect without bridge.multicast_group"
+        yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
+
+
+def what_needs_a_broker_has_one(settings: "Settings") -> Iterator[Conflict]:
+    """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
+    if settings.mqtt.enabled:
+        return
+    if settings.bridge.transport == "mqtt":
+        yield Conflict("bridge.transport", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
+    for name in ("wind", "safe"):
+        if getattr(settings.mqtt, name).topic is not None:
+            reason = "protects nothing without mqtt.enabled = true"
+            yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
+
+
+def the_broker_is_known_as_asked(settings: "Settings") -> Iterator[Conflict]:
+    """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
+    mqtt = settings.mqtt
+    for name in ("ca_file", "certificate_file", "certificate_key_file"):
+        if getattr(mqtt, name) is not None and not mqtt.tls:
+            yield Conflict(f"mqtt.{name}", "has no effect without mqtt.tls = true", ("mqtt.tls",))
+    if mqtt.certificate_file is None and mqtt.certificate_key_file is not None:
+        yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
+
+
+def the_two_words_differ(settings: "Settings") -> Iterator[Conflict]:
+    """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
+    if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
+        yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
+
+
+def a_curve_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+    """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
+    load = settings.load
+    needed_s = load.points * (load.settle_s + _LOAD_EXCHANGE_S) + _SWEEP_ENDS_S
+    if load.driver != "none" and needed_s > load.period_s:
+        reason = f"is too short for {load.points} points of {load.settle_s:g} s to settle: they take {needed_s:.3g} s"
+        yield Conflict("load.period_s", reason, ("load.points", "load.settle_s"))
+
+
+def a_real_rig_has_no_simulated_load(settings: "Settings") -> Iterator[Conflict]:
+    """`load.driver = "simulated"` stands only with simulated instruments."""
+    if settings.load.driver == "simulated" and settings.instruments.kind == "real":
+        reason = 'cannot be on a real rig; name the load, or set "none"'
+        yield Conflict("load.driver", reason, ("instruments.kind",))
+
+
+RULES = (
+    each_face_has_its_channel,
+    each_channel_has_an_address,
+    the_enable_line_is_free,
+    a_scan_fits_its_period,
+    the_range_reaches_bright_sun,
+    windows_hold_scans,
+    limits_are_ordered,
+    positions_are_inside_limits,
+    staleness_spans_two_scans,
+    thresholds_have_hysteresis,
+    the_bridge_is_signed_or_not,
+    an_interface_has_a_group,
+    the_triangle_holds,
+    what_needs_a_broker_has_one,
+    the_broker_is_known_as_asked,
+    the_two_words_differ,
+    a_curve_fits_its_period,
+    a_real_rig_has_no_simulated_load,
+)

@@ -1,0 +1,171 @@
+"""The commented configuration file and the reference document, both made from the models."""
+
+import contextlib
+import textwrap
+from collections.abc import Iterator, Mapping
+from inspect import cleandoc
+from pathlib import Path
+from typing import Any, Literal
+
+from daemon.api.token import generate_token, write_token
+from daemon.base.errors import UserError
+from daemon.bridge.signing import generate_key, write_key
+from daemon.config import keys as config_keys
+from daemon.config import rules as config_rules
+from daemon.config.keys import Key, Table
+
+Role = Literal["both", "cube", "tracker"]
+
+FILE_NAME = "heliocube.toml"
+KEY_NAME = "bridge.key"
+TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
+
+_WIDTH = 100
+_NOT_READ = {
+    "both": (),
+    "cube": (
+        "instruments.positioner",
+        "instruments.positioner.a_axis",
+        "instruments.positioner.b_axis",
+        "load",
+        "law",
+        "windows",
+        "limits",
+        "motion",
+        "safety",
+        "mqtt.wind",
+        "mqtt.safe",
+    ),
+    "tracker": ("instruments.multiplexer", "instruments.voltmeter"),
+}
+_HEADINGS = {
+    "both": "cube and tracker in one process",
+    "cube": "the machine of the cube",
+    "tracker": "the machine of the tracker",
+}
+_INTRODUCTION = """\
+# Configuration
+
+The service reads one TOML file. `heliocube config init DIR` writes one in which every key is explained, with a new
+bridge key and a new token of the local interface beside it; `heliocube config check FILE` lists everything that is
+wrong with a file at once. So does `heliocube run`, and does not start; only wrong topics and JSON paths do not keep it
+from starting ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
+keeps the tracker stowed.
+
+Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
+`_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry
+their UTC offset and stand without quotes: `2022-10-14T06:00:00Z`.
+
+This page is made from the models in `daemon/config/sections.py`; write it anew with `python -m daemon.config_template`.
+"""
+
+
+def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
+    """Return a commented TOML file with every key that a role reads, at its default.
+
+    Parameters
+    ----------
+    role
+        ``both``, ``cube`` or ``tracker``.
+    values
+        Values in place of defaults, by the key's path.
+    """
+    tables = [table for table in config_keys.tables().values() if table.path and table.path not in _NOT_READ[role]]
+    blocks = [_heading(role), *[_block(table, values or {}) for table in tables]]
+    return "\n\n".join(blocks) + "\n"
+
+
+def reference() -> str:
+    """Return docs/configuration.md."""
+    parts = [_INTRODUCTION]
+    for table in config_keys.tables().values():
+        if table.path:
+            rows = [_row(key) for key in table.keys]
+            head = ["| Key | Default | Takes | Meaning |", "|---|---|---|---|"]
+            parts.append("\n".join([f"## [{table.path}]\n\n{table.about}\n", *head, *rows]) + "\n")
+    rules = [f"- {' '.join(cleandoc(rule.__doc__ or '').split())}" for rule in config_rules.RULES]
+    parts.append("\n".join(["## Rules between keys\n", *rules]) + "\n")
+    return "\n".join(parts)
+
+
+def write_example(directory: Path, role: Role) -> tuple[Path, Path, Path]:
+    """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
+
+    Raises
+    ------
+    UserError
+        One of the files is there already, or cannot be written. Nothing has been written then.
+    """
+    file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
+    values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
+    if role == "tracker":
+        values["bridge.listen"] = "0.0.0.0:20571"
+    written: list[Path] = []
+    made: list[Path] = []
+    try:
+        _refuse_taken(file, key, token)
+        made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
+        directory.mkdir(parents=True, exist_ok=True)
+        with file.open("x", encoding="utf-8", newline="\n") as stream:
+            written.append(file)
+            stream.write(example(role, values))
+        write_key(key, generate_key())
+        written.append(key)
+        write_token(token, generate_token())
+    except (OSError, UserError) as error:
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{directory} cannot take the files: {error.strerror}") from None
+    return file, key, token
+
+
+def _refuse_taken(*paths: Path) -> None:
+    for path in paths:
+        if path.exists():
+            raise UserError(f"{path} is there already and is not overwritten; name another folder or move it away")
+
+
+def _heading(role: Role) -> str:
+    text = f"heliocube: {_HEADINGS[role]}."
+    if _NOT_READ[role]:
+        text += f" Sections that this role does not read are left out: {', '.join(_NOT_READ[role])}."
+    lines = [
+        text,
+        "Every key stands here with its default. A key that is left out, or stands behind a #, has that default.",
+        "Units are in the names. Relative paths are meant from the folder of this file.",
+        f"After a change: heliocube config check {FILE_NAME}",
+    ]
+    return "\n".join(_comment(line) for line in lines)
+
+
+def _block(table: Table, values: Mapping[str, Any]) -> str:
+    rule = "# " + "-" * (_WIDTH - 2)
+    lines = [] if "." in table.path else [rule]
+    lines += [_comment(table.about), f"[{table.path}]"]
+    for key in table.keys:
+        lines += ["", *_entry(key, values.get(key.path, key.default))]
+    return "\n".join(lines)
+
+
+def _entry(key: Key, value: Any) -> Iterator[str]:
+    yield _comment(f"{key.description} Takes {key.expected}.")
+    yield f"#{key.name} = {key.example}" if value is None else f"{key.name} = {config_keys.toml_value(value)}"
+
+
+def _comment(text: str) -> str:
+    lines = textwrap.wrap(" ".join(text.split()), _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(f"# {line}" for line in lines)
+
+
+def _row(key: Key) -> str:
+    default = "none" if key.default is None else f"`{config_keys.toml_value(key.default)}`"
+    return f"| `{key.name}` | {default} | {key.expected} | {key.description} |"
+
+
+if __name__ == "__main__":
+    (Path(__file__).resolve().parents[1] / "docs" / "configuration.md").write_text(reference(), encoding="utf-8")

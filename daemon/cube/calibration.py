@@ -1,0 +1,186 @@
+"""The calibration file: gains, offsets, dates, serials and uncertainties of one cube, written once and never edited."""
+
+import hashlib
+import json
+import logging
+import tomllib
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import AwareDatetime, Field, ValidationError
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.base.records import FACES, Event
+from daemon.config.section import Positive, Section
+from daemon.config.sections import Cube, NotNegative
+
+log = logging.getLogger("heliocube.calibration")
+
+WARN_BEFORE = timedelta(days=30)
+Validity = Literal["valid", "expires soon", "expired"]
+Serial = Field("unknown", max_length=64)
+
+
+class FaceCalibration(Section):
+    """One sensor: irradiance = gain x (voltage - offset). Uncertainties are expanded, k = 2."""
+
+    serial: str = Serial
+    gain_w_m2_per_mv: Positive = Field(le=1000)
+    gain_uncertainty_percent: NotNegative
+    offset_mv: float = Field(ge=-100, le=100)
+    offset_uncertainty_mv: NotNegative
+
+
+class Standing(Section):
+    """How the cube stands and what the ground reflects, where the cube was calibrated in place."""
+
+    yaw_deg: float
+    yaw_uncertainty_deg: NotNegative
+    tilt_deg: NotNegative
+    tilt_azimuth_deg: float = Field(ge=0, le=360)
+    tilt_uncertainty_deg: NotNegative
+    albedo: float = Field(ge=0, le=1)
+    albedo_uncertainty: NotNegative
+
+
+class CubeCalibration(Section):
+    """A calibration of all four sensors of a cube."""
+
+    identifier: str = Field(pattern=r"^[0-9]{8}-[0-9a-f]{8}$")
+    method: Literal["beside a reference", "in place"]
+    calibrated_utc: AwareDatetime
+    expires_utc: AwareDatetime
+    cube: str = Serial
+    reference: str = Serial
+    east: FaceCalibration
+    south: FaceCalibration
+    west: FaceCalibration
+    zenith: FaceCalibration
+    standing: Standing | None = None
+
+    def validity(self, utc_s: float) -> Validity:
+        """Tell whether the calibration still holds at `utc_s`; it expires soon in its last 30 days."""
+        left_s = self.expires_utc.timestamp() - utc_s
+        if not left_s > 0.0:
+            return "expired"
+        return "expires soon" if left_s <= WARN_BEFORE.total_seconds() else "valid"
+
+
+def new_calibration(values: dict[str, Any]) -> CubeCalibration:
+    """Return a calibration with an identifier made of its day and its contents."""
+    blank = CubeCalibration(identifier="00000000-00000000", **values)
+    return blank.model_copy(update={"identifier": _identifier(blank)})
+
+
+def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]) -> None:
+    """Write a calibration to a file that must not be there yet, `notes` as comments above; raises `UserError`."""
+    lines = [*[f"# {line}".rstrip() for note in notes for line in note.split("\n")], ""]
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in calibration.model_dump(exclude_none=True).items():
+        if isinstance(value, dict):
+            tables[name] = value
+        else:
+            lines.append(f"{name} = {_toml(value)}")
+    for name, table in tables.items():
+        lines += ["", f"[{name}]", *[f"{key} = {_toml(value)}" for key, value in table.items()]]
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write("\n".join(lines) + "\n")
+    except FileExistsError:
+        raise UserError(f"{path} is there already; a calibration is not overwritten, name another file") from None
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def read_calibration(path: Path) -> CubeCalibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    UserError
+        There is none, it is damaged, or its contents are not those that its identifier was made of.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        calibration = CubeCalibration.model_validate(values)
+    except FileNotFoundError:
+        raise UserError(f"there is no calibration file at {path}; make one with 'heliocube calibrate'") from None
+    except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
+        raise UserError(f"calibration file {path} cannot be read: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate anew") from None
+    if calibration.identifier != _identifier(calibration):
+        raise UserError(
+            f"calibration file {path} has been edited: its contents are not those of {calibration.identifier}, which"
+            " scans are recorded under; calibrate anew, or set the faces' gains in the configuration"
+        )
+    return calibration
+
+
+def calibration_in_force(cube: Cube) -> CubeCalibration | None:
+    """Return the calibration that the settings name, or None; raises `UserError` as `read_calibration` does."""
+    return None if cube.calibration_file is None else read_calibration(cube.calibration_file)
+
+
+def calibrated_cube(cube: Cube, calibration: CubeCalibration) -> Cube:
+    """Return the cube's settings with the gains and offsets of a calibration."""
+    faces = {
+        name: getattr(cube, name).model_copy(
+            update={
+                "gain_w_m2_per_mv": getattr(calibration, name).gain_w_m2_per_mv,
+                "offset_mv": getattr(calibration, name).offset_mv,
+            }
+        )
+        for name in FACES
+    }
+    return cube.model_copy(update=faces)
+
+
+class ExpiryWatch:
+    """Tells once that a calibration expires soon and once that it has, in the log and as events.
+
+    Parameters
+    ----------
+    calibration
+        What is in force; None never expires.
+    publish
+        Takes the events.
+    """
+
+    def __init__(self, calibration: CubeCalibration | None, publish: Callable[[Event], None]) -> None:
+        self._calibration = calibration
+        self._publish = publish
+        self._told: Validity = "valid"
+
+    def look(self, utc_s: float, monotonic_s: float) -> None:
+        """Compare the calibration with the time."""
+        if self._calibration is None:
+            return
+        now = self._calibration.validity(utc_s)
+        if now == self._told:
+            return
+        self._told = now
+        if now == "valid":
+            return
+        day = f"{self._calibration.expires_utc.astimezone(UTC):%Y-%m-%d}"
+        verb = "expired on" if now == "expired" else "expires on"
+        text = f"the calibration {self._calibration.identifier} {verb} {day}; calibrate the cube anew"
+        log.warning(text)
+        self._publish(Event(utc_s, monotonic_s, "calibration", text))
+
+
+def _identifier(calibration: CubeCalibration) -> str:
+    contents = json.dumps(calibration.model_dump(mode="json", exclude={"identifier"}), sort_keys=True)
+    day = f"{calibration.calibrated_utc.astimezone(UTC):%Y%m%d}"
+    return f"{day}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, datetime):
+        return f"{iso_utc(value.timestamp())[:19]}Z"
+    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -1,0 +1,129 @@
+"""Finding faces of the cube that cannot be true, without a self-test: against each other, the sun and a clear sky."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from daemon.base.alarms import Alarms
+from daemon.base.clock import Clock
+from daemon.base.clock_watch import ClockWatch
+from daemon.base.records import FACES
+from daemon.config.sections import Cube, Site
+from daemon.tracker.pointing import SunDirection
+from solar.frames import Array
+from solar.plausible import LOWEST_SINE, Doubt, doubts, lit
+from solar.sky import normal_from_tilt
+
+_BLOCK_S = 60.0
+BLOCKS = 5
+"""Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
+BAD_LOOKS = 3
+_GOOD_LOOKS = 10
+
+_WHY = {
+    Doubt.DEAD: "next to nothing while other faces are lit: see its sensor, its cable and its multiplexer input",
+    Doubt.DARK: "nothing in daylight: see the multiplexer's supply and its address lines",
+    Doubt.SAME: "the same as another, two by two: an address line of the multiplexer is stuck, or its port is dead",
+    Doubt.OVER: "more than sun and sky can give there: see its gain, and whether faces are interchanged",
+}
+
+
+def face_normals(cube: Cube, latitude_deg: float) -> Array:
+    """Return the unit normals of east, south, west and zenith, shape (4, 3); the south face looks to the equator."""
+    named = (90.0, 180.0 if latitude_deg >= 0 else 0.0, 270.0, 180.0)
+    faces = [getattr(cube, name) for name in FACES]
+    azimuths = [
+        azimuth if face.azimuth_deg is None else face.azimuth_deg for face, azimuth in zip(faces, named, strict=True)
+    ]
+    return normal_from_tilt(np.array([face.tilt_deg for face in faces]), np.array(azimuths), latitude_deg)
+
+
+class FaceWatch:
+    """Judges the faces every minute of daylight, on the mean of the last five.
+
+    A face in doubt three times, one after another, is not believed until it has been lit and without doubts ten times.
+    The night, and a clock in doubt, change nothing.
+
+    Parameters
+    ----------
+    site, cube
+        Where the cube stands and where its faces look.
+    clock
+        The service's time.
+    alarms
+        Told which face is not believed, and why.
+    """
+
+    def __init__(self, site: Site, cube: Cube, clock: Clock, alarms: Alarms) -> None:
+        self._sun_direction = SunDirection(site)
+        self._normals = face_normals(cube, site.latitude_deg)
+        self._clock = clock
+        self._clock_watch = ClockWatch(clock)
+        self._alarms = alarms
+        self._bad = [0] * len(FACES)
+        self._good = [0] * len(FACES)
+        self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
+        self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
+        self._begin()
+
+    def implausible(self, face: int) -> bool:
+        """Tell whether a face, 0 to 3, is not believed."""
+        return self._whys[face] is not Doubt.NONE
+
+    def note(self, faces_w_m2: list[float], voltages_mv: list[float]) -> None:
+        """Take in one scan, NaN for a face that was not read."""
+        for face, (w_m2, mv) in enumerate(zip(faces_w_m2, voltages_mv, strict=True)):
+            if not math.isnan(w_m2):
+                self._w_m2[face] += w_m2
+                self._mv[face] += mv
+                self._counts[face] += 1
+        elapsed_s = self._clock.monotonic() - self._begun_s
+        if elapsed_s < _BLOCK_S:
+            return
+        if elapsed_s > 2 * _BLOCK_S:
+            # Nothing was read for a while: a mean over the gap would mix two suns.
+            self._blocks.clear()
+        else:
+            self._blocks.append((np.array([self._w_m2, self._mv]), np.array(self._counts)))
+        self._begin()
+        self._clock_watch.step_s()
+        if len(self._blocks) == BLOCKS and self._clock_watch.trusted:
+            self._judge()
+
+    def _begin(self) -> None:
+        self._w_m2, self._mv, self._counts = [0.0] * 4, [0.0] * 4, [0] * 4
+        self._begun_s = self._clock.monotonic()
+
+    def _judge(self) -> None:
+        sun = self._sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2)
+        if sun[2] < LOWEST_SINE:
+            return
+        sums, counts = (np.sum(part, axis=0) for part in zip(*self._blocks, strict=True))
+        with np.errstate(invalid="ignore"):
+            faces, voltages = sums / counts
+        found = doubts(faces, voltages, sun, self._normals)[0]
+        light = bool(lit(faces, sun)[0])
+        for face, doubt in enumerate(found.tolist()):
+            self._count(face, Doubt(doubt), sound=light and not np.isnan(faces[face]))
+        self._tell()
+
+    def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
+        if doubt is not Doubt.NONE:
+            self._bad[face] += 1
+            self._good[face] = 0
+            if self._bad[face] >= BAD_LOOKS:
+                self._whys[face] = doubt
+        elif sound:
+            self._bad[face] = 0
+            self._good[face] += 1
+            if self._good[face] >= _GOOD_LOOKS:
+                self._whys[face] = Doubt.NONE
+
+    def _tell(self) -> None:
+        parts = []
+        for doubt in dict.fromkeys(why for why in self._whys if why is not Doubt.NONE):
+            names = [name for name, why in zip(FACES, self._whys, strict=True) if why is doubt]
+            many = "faces read" if len(names) > 1 else "face reads"
+            parts.append(f"the {', '.join(names)} {many} {_WHY[doubt]}; not used until it agrees with the others again")
+        self._alarms.set("cube-face", "; ".join(parts) or None)

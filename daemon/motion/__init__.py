@@ -1,0 +1,1 @@
+"""Moving the positioner: one move at a time, judged by telemetry, and stopped when in doubt."""

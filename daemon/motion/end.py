@@ -1,0 +1,50 @@
+"""The end of the service: nothing is said to stand that telemetry has not shown."""
+
+import asyncio
+
+from daemon.base.clock import Clock
+from daemon.motion.motion import Motion
+from drivers.errors import DeviceError
+
+_LOOK_EVERY_S = 0.05
+
+
+async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
+    """Stop for good; return None once telemetry has shown both axes standing, else what is known, in a sentence.
+
+    Parameters
+    ----------
+    motion
+        Its `run` has to go on meanwhile: it repeats the stop.
+    clock
+        The service's time.
+    within_s
+        How long to wait for the standstill.
+    """
+    start_s = clock.monotonic()
+    motion.freeze("the service ends")
+    try:
+        async with asyncio.timeout(within_s):
+            await motion.stop()
+            while not _stands(motion, start_s):  # noqa: ASYNC110 - telemetry is polled, and nobody tells of it
+                await asyncio.sleep(_LOOK_EVERY_S)
+    except TimeoutError:
+        return _last_known(motion, clock, "stop was sent, and no telemetry has shown the axes standing since")
+    except DeviceError as error:
+        return _last_known(motion, clock, f"stop could not be sent ({error})")
+    return None
+
+
+def _stands(motion: Motion, start_s: float) -> bool:
+    telemetry = motion.telemetry
+    if telemetry is None or telemetry.time_monotonic_s < start_s or not motion.resting:
+        return False
+    return motion.stands_since_s is not None
+
+
+def _last_known(motion: Motion, clock: Clock, text: str) -> str:
+    pose = motion.pose
+    if pose is None:
+        return f"{text}; whether anything moves is not known: look at the tracker"
+    age_s = clock.monotonic() - pose.time_monotonic_s
+    return f"{text}; last seen {age_s:.0f} s ago at A {pose.a_deg:+.1f}, B {pose.b_deg:.1f} deg: look at the tracker"

@@ -1,0 +1,310 @@
+"""The one rule of motion, in its one place.
+
+What moves without an order of ours, or against a stop, is stopped until it stands, is told, and blocks every further
+move until a person has looked. Every look at the positioner goes through here and is judged here.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from daemon.base.alarms import Alarms
+from daemon.base.clock import Clock
+from daemon.base.records import Event, Pose, Record
+from daemon.config.instruments import PositionerSettings
+from daemon.motion.alarms import Currents, show
+from daemon.motion.reference import Doubts
+from daemon.motion.watch import Stray, Watch, aims_home
+from drivers.errors import DeviceError, StillMovingError
+from drivers.interfaces import Positioner, PositionerIdentity, Telemetry
+
+log = logging.getLogger("heliocube.motion")
+
+T = TypeVar("T")
+
+LOOK_MOVING_S = 0.5
+# Pauses between the tries to stop a unit that does not listen; they never end while it moves.
+_DEAF_AFTER_S = 5.0
+_DEAF_LOOKS = 2
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
+# A turn of the slow screens, in which the unit tells of buttons and restarts, and a little.
+_STATUS_WITHIN_S = 4.0
+_STATUS_LATE_S = 1.0
+_POSE_EVERY_S = 5.0
+_POSE_CHANGED_DEG = 0.05
+_TELL_BUTTONS_EVERY_S = 600.0
+_CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
+
+
+class Guard:
+    """Looks at the positioner, and stops it.
+
+    Parameters
+    ----------
+    positioner
+        The instrument.
+    expected
+        What may be expected of the drive.
+    doubts
+        What a person has to look at, kept.
+    clock, publish, alarms
+        The service's time; where poses and events go; where alarms are raised.
+    looked
+        Called after every look.
+
+    Attributes
+    ----------
+    telemetry, pose
+        The newest; telemetry is None while the link is down.
+    rested
+        Where it stood when it was seen last with nothing ordered; None while something is.
+    identity
+        Of the unit that is or was connected last.
+    frozen
+        Why nothing may move at present, or None.
+    halt_wanted
+        Somebody wants both axes to be stopped, and they have not been seen to stand since.
+    homing, clearing
+        A reference run of ours is on; the unit's marks are being cleared by us.
+    stray
+        Motion that nothing explains, not yet dealt with by `quell`.
+    """
+
+    def __init__(
+        self,
+        positioner: Positioner,
+        expected: PositionerSettings,
+        doubts: Doubts,
+        clock: Clock,
+        publish: Callable[[Record], None],
+        alarms: Alarms,
+        looked: Callable[[], None],
+    ) -> None:
+        self._positioner = positioner
+        self.doubts = doubts
+        self._clock = clock
+        self._publish = publish
+        self._alarms = alarms
+        self._looked = looked
+        self.watch = Watch(expected.position_unit)
+        self._currents = Currents(expected.current_alarm_a)
+        self._own_moves: tuple[str, ...] = ()
+        self._told_pose: Pose | None = None
+        self._pressed_s = float("-inf")
+        self._told_buttons_s = float("-inf")
+        self._judged_s = float("-inf")
+        self._strayed_at: Telemetry | None = None
+        self._reset_before = False
+        self._under_inquiry: str | None = None
+        self._halted_for: tuple[str, ...] = ()
+        self._deaf_looks = 0
+        self.telemetry: Telemetry | None = None
+        self.pose: Pose | None = None
+        self.rested: Pose | None = None
+        self.identity: PositionerIdentity | None = None
+        self.frozen: str | None = None
+        self.halt_wanted = False
+        self.homing = False
+        self.clearing = False
+        self.stray: Stray | None = None
+
+    @property
+    def unexplained(self) -> str | None:
+        """What moved without an order or did not stop, or None."""
+        return self.doubts.incident or self._under_inquiry
+
+    @property
+    def must_halt(self) -> bool:
+        """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
+        faults = self.telemetry.faults if self.telemetry else ()
+        return self.halt_wanted or bool(set(faults) - set(self._halted_for))
+
+    @property
+    def stands_since_s(self) -> float | None:
+        """Monotonic time since which both axes have been seen unmoved; None while a stop is on its way."""
+        return None if self.halt_wanted else self.watch.stands_since_s
+
+    def lost(self) -> None:
+        """Know nothing until the link is back."""
+        self.telemetry = None
+        self.homing = self.clearing = False
+        self.stray = None
+        self._halted_for = ()
+        self.watch.forget()
+
+    def forget(self) -> None:
+        """Forget what was told: a person has looked."""
+        self._currents.forget()
+
+    async def look(self, *, moving: bool) -> Telemetry:
+        """Read and judge telemetry; `moving` says whether something was ordered to move."""
+        before, telemetry = self.telemetry, await self._positioner.read_telemetry()
+        self.telemetry = telemetry
+        self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
+        self._note_own_moves(telemetry)
+        if telemetry.button_pressed:
+            self._pressed_s = telemetry.status_monotonic_s
+        self.doubts.see(telemetry, clearing=self.clearing)
+        self._judge(before, telemetry)
+        self._currents.look(telemetry, None if moving else self.watch.stands_since_s)
+        show(self._alarms, self.doubts, self.identity, telemetry, self._currents)
+        self._note_pose(telemetry, moving=moving)
+        self._looked()
+        return telemetry
+
+    async def expect_move(self) -> None:
+        """Let motion towards the destinations pass from now on: the unit has just confirmed a target."""
+        self.watch.expect(await self._positioner.read_telemetry())
+
+    async def halt(self) -> None:
+        """Stop both axes until telemetry shows them standing; does not give up while the link is there."""
+        self.halt_wanted = True
+        start_s, pause_s = self._clock.monotonic(), _FIRST_PAUSE_S
+        while True:
+            try:
+                await self._beside(self._positioner.halt(), lambda: self._look_at_halt(start_s))
+                break
+            except StillMovingError:
+                await self._look_at_halt(start_s)
+                await asyncio.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+        self.halt_wanted = False
+        # What this look shows may have been before the stop.
+        self._judged_s = self._clock.monotonic()
+        telemetry = await self.look(moving=False)
+        self.watch.rest(telemetry)
+        self._halted_for = telemetry.faults
+
+    async def quell(self) -> bool:
+        """Stop what strays until it stands, and find out what it was; return whether a person or a restart explains it.
+
+        What nothing explains is told and blocks every move.
+        """
+        stray, seen = self.stray, self._strayed_at
+        if stray is None or seen is None:
+            return True
+        how = f"against a stop ({self.frozen})" if self.frozen else "without an order"
+        text = f"{stray.text} {how}: {_CLEAR}"
+        if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
+            self._under_inquiry = text
+        explained = False
+        try:
+            await self.halt()
+            self.stray = None
+            explained = await self._explained(stray, seen)
+        finally:
+            self._under_inquiry = None
+            if not explained:
+                self.doubts.note("motion", text)
+        await self.look(moving=False)
+        return explained
+
+    async def _look_at_halt(self, start_s: float) -> None:
+        before, telemetry = self.telemetry, await self.look(moving=True)
+        # Whoever presses a button moves the axis against any stop.
+        from_s = max(start_s, self._pressed_s) + _DEAF_AFTER_S
+        late = before is not None and before.time_monotonic_s > from_s and not telemetry.button_pressed
+        moved = before is not None and not self.watch.same_place(before, telemetry)
+        # A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
+        self._deaf_looks = self._deaf_looks + 1 if late and moved else 0
+        if self._deaf_looks >= _DEAF_LOOKS:
+            text = "the positioner does not obey stop: switch off the supply of its motors"
+            self.doubts.note("deaf", f"{text}; {_CLEAR}")
+
+    async def attended(self, call: Coroutine[Any, Any, T]) -> T:
+        """Return what a call of the driver returns; look while it takes its time, and stop what strays."""
+
+        async def look() -> None:
+            await self.look(moving=self.homing)
+            await self.quell()
+
+        return await self._beside(call, look)
+
+    async def _beside(self, call: Coroutine[Any, Any, T], look: Callable[[], Coroutine[Any, Any, None]]) -> T:
+        task = asyncio.ensure_future(call)
+        try:
+            while True:
+                await asyncio.wait((task,), timeout=LOOK_MOVING_S)
+                if task.done():
+                    return task.result()
+                await look()
+        finally:
+            if not task.done():
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError, DeviceError):
+                    await task
+
+    def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
+        stray = self.watch.look(telemetry)
+        told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
+        # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
+        own_run = told and not self.watch.on_its_way
+        if not self.homing and (own_run or (stray is not None and (told or aims_home(telemetry)))):
+            text = "the positioner made a reference run of its own"
+            self.doubts.doubt("own run", f"{text}, its count may have changed: home it")
+            stray = stray or Stray(text, telemetry.time_monotonic_s)
+        if stray is None:
+            return
+        if stray.jump:
+            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: home it")
+        elif self.stray is None:
+            self.stray = stray
+            self._strayed_at = telemetry
+            self._reset_before = before is not None and before.was_reset
+
+    async def _explained(self, stray: Stray, seen: Telemetry) -> bool:
+        """Wait for a status that is younger than the motion; tell whether a person or a restart explains it."""
+        deadline_s = self._clock.monotonic() + _STATUS_WITHIN_S
+        while True:
+            telemetry = await self.look(moving=False)
+            if self.stray is not None:
+                await self.halt()
+                self.stray = None
+            if self._pressed_s > stray.seen_s - _STATUS_WITHIN_S:
+                self._tell_of_buttons(stray)
+                return True
+            restarted = telemetry.was_reset and not (self._reset_before or telemetry.autonomous)
+            if restarted and self.watch.same_place(seen, telemetry):
+                # The count has changed with the restart, and nothing has moved since: that is a doubt.
+                return True
+            late = self._clock.monotonic() >= deadline_s
+            if late or telemetry.status_monotonic_s > stray.seen_s + _STATUS_LATE_S:
+                return False
+            await asyncio.sleep(LOOK_MOVING_S)
+
+    def _note_own_moves(self, telemetry: Telemetry) -> None:
+        # Slow screens: it is known only some seconds after the connection.
+        if telemetry.own_moves and telemetry.own_moves != self._own_moves:
+            self._own_moves = telemetry.own_moves
+            text = f"the positioner may move by itself: {', '.join(telemetry.own_moves)}"
+            log.warning(text)
+            self._publish(self._event(text))
+
+    def _note_pose(self, telemetry: Telemetry, *, moving: bool) -> None:
+        now_s, told = self._clock.monotonic(), self._told_pose
+        pose = Pose(self._clock.utc(), now_s, telemetry.a_deg, telemetry.b_deg, moving)
+        self.pose = pose
+        self.rested = pose if self.watch.settled and not moving else None
+        if (
+            told is None
+            or moving
+            or telemetry.button_pressed
+            or told.moving
+            or now_s - told.time_monotonic_s >= _POSE_EVERY_S
+            or not (abs(pose.a_deg - told.a_deg) <= _POSE_CHANGED_DEG)
+            or not (abs(pose.b_deg - told.b_deg) <= _POSE_CHANGED_DEG)
+        ):
+            self._told_pose = pose
+            self._publish(pose)
+
+    def _tell_of_buttons(self, stray: Stray) -> None:
+        if stray.seen_s - self._told_buttons_s > _TELL_BUTTONS_EVERY_S:
+            self._told_buttons_s = stray.seen_s
+            text = f"{stray.text}: a button is pressed at the unit"
+            log.info(text)
+            self._publish(self._event(text))
+
+    def _event(self, text: str) -> Event:
+        return Event(self._clock.utc(), self._clock.monotonic(), "positioner", text)

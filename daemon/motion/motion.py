@@ -1,0 +1,356 @@
+"""The one owner of the positioner: connects, watches, moves, stops and homes it.
+
+One task talks to the positioner, so one target is in flight by construction; only `stop` goes past it. After every
+(re)connection nothing moves before the unit has been identified, halted, freed of its own tracking, found referenced,
+and given a new target by control: what was wanted before the loss is forgotten. What moves by itself is the business
+of `daemon.motion.guard`.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+from daemon.base.alarms import Alarms
+from daemon.base.backoff import Backoff
+from daemon.base.clock import Clock
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Pose, Record, Target
+from daemon.base.waiting import wait_at_most
+from daemon.config.instruments import PositionerSettings
+from daemon.config.sections import Motion as MotionSettings
+from daemon.motion.guard import Guard
+from daemon.motion.reference import Doubts
+from daemon.motion.rehoming import Rehoming
+from daemon.motion.retry import Retries
+from daemon.motion.runs import Runs
+from daemon.motion.state import MotionState
+from drivers.errors import DeviceError, DriverHungError, RefusedError
+from drivers.interfaces import Positioner
+from solar.frames import Limits
+
+log = logging.getLogger("heliocube.motion")
+
+_HALT_AT_END_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Polling:
+    """How often the positioner is looked at, at rest and on its way."""
+
+    idle_s: float = 0.5
+    moving_s: float = 0.5
+
+
+OFTEN = Polling()
+SIMULATED = Polling(idle_s=5.0)
+"""For simulated days, where nothing moves by itself."""
+
+
+class Motion(MotionState):
+    """Moves the tracker and knows where it stands.
+
+    Parameters
+    ----------
+    positioner
+        The instrument, owned from here on.
+    limits
+        No target outside them gets past `order`.
+    settings, expected
+        Tolerances and attempts; what may be expected of the drive.
+    clock, random
+        The service's time; jitter of reconnection.
+    publish
+        Called with moves, poses and events.
+    changed
+        Called when readiness changes, a move or homing run begins or ends, or a button is pressed at the unit, so that
+        control looks again at once.
+    alarms
+        Where the alarms about the positioner are raised.
+    polling
+        How often to look at the positioner.
+    directory
+        Where doubts are kept over a restart, or None.
+    """
+
+    def __init__(
+        self,
+        positioner: Positioner,
+        limits: Limits,
+        settings: MotionSettings,
+        expected: PositionerSettings,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        changed: Callable[[], None],
+        alarms: Alarms,
+        polling: Polling = OFTEN,
+        directory: Path | None = None,
+    ) -> None:
+        self._positioner = positioner
+        self._limits = limits
+        self._settings = settings
+        self._publish = publish
+        self._changed = changed
+        self._polling = polling
+        self._backoff = Backoff(random)
+        guard = Guard(positioner, expected, Doubts(directory), clock, publish, alarms, self._note_readiness)
+        retries = Retries(settings.retry_after_s, alarms)
+        self._rehoming = Rehoming(enabled=settings.rehome == "automatic")
+        self._wake = wake = asyncio.Event()
+        every_s = polling.moving_s
+        runs = Runs(positioner, guard, limits, settings, expected, retries, clock, publish, changed, wake, every_s)
+        super().__init__(guard, runs, retries, Outage(log, "the positioner"), clock)
+        self._wanted: Target | None = None
+        self._stowing = False
+        self._home_wanted = False
+        self._clear_wanted: tuple[str, ...] | None = None
+        self._was_connected = False
+        self._was_ready = (False, False)
+        self.may_rehome = False
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves and nothing that was asked for waits to be taken up."""
+        asked = self._wanted or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
+        return not (self.moving or asked) and self.connected
+
+    def order(self, target: Target, *, stow: bool = False) -> None:
+        """Ask for a move; whatever moves is stopped first. The one door for every move in the service.
+
+        Parameters
+        ----------
+        target
+            Where to.
+        stow
+            A stow goes ahead although the reference is in doubt or the last move failed, B first, and it ends a homing
+            run. After stows that failed it waits for its pause to end.
+
+        Raises
+        ------
+        ValueError
+            The target is outside the limits, or not a number.
+        RefusedError
+            Nothing may move, or the positioner is not ready.
+        """
+        if not self._limits.contain(target.a_deg, target.b_deg):
+            raise ValueError(
+                f"target A {target.a_deg:.2f}, B {target.b_deg:.2f} deg is outside the limits ({self._limits})"
+            )
+        self._refuse_frozen()
+        obstacle = self.blocked or (None if stow else self.doubt)
+        if not self.connected or obstacle:
+            raise RefusedError("positioner", f"cannot move: {obstacle or 'no telemetry yet'}")
+        if self.homing and not stow:
+            raise RefusedError("positioner", "cannot move while homing")
+        self._home_wanted = False
+        self._wanted, self._stowing = target, stow
+        self._runs.interrupt()
+        self._wake.set()
+
+    def home(self) -> None:
+        """Ask for a reference run of both axes; the reset mark and latched faults are cleared by it.
+
+        Raises `RefusedError` when nothing may move, after unexplained motion, and without telemetry.
+        """
+        self._refuse_frozen()
+        conflicts = self.identity.setup_conflicts if self.identity else ()
+        obstacle = self.unexplained or "; ".join(conflicts) or (None if self.connected else "no telemetry")
+        if obstacle:
+            raise RefusedError("positioner", f"cannot be homed: {obstacle}")
+        self._home_wanted = True
+        self._wanted = None
+        self._runs.interrupt()
+        self._wake.set()
+
+    def clear_faults(self, shown: tuple[str, ...] | None = None) -> None:
+        """Ask the unit to clear its marks without a reference run, and forgive what a person was shown.
+
+        Parameters
+        ----------
+        shown
+            The `concerns` that the person has seen; None for those of this moment.
+
+        Raises
+        ------
+        RefusedError
+            There is no telemetry.
+        """
+        if not self.connected:
+            raise RefusedError("positioner", "cannot be cleared: no telemetry")
+        self._clear_wanted = self.concerns if shown is None else shown
+        self._wake.set()
+
+    def rest(self) -> None:
+        """Ask for whatever moves to be stopped, by the task that moves it."""
+        self._wanted = None
+        self._home_wanted = False
+        self._runs.interrupt()
+        self._wake.set()
+
+    def freeze(self, why: str | None) -> None:
+        """Let nothing move while there is a reason, and stop what moves until it stands; None lets go."""
+        if why is not None and self._guard.frozen is None:
+            self.rest()
+            self._guard.halt_wanted = True
+        self._guard.frozen = why
+
+    async def stop(self) -> None:
+        """Send stop at once, whatever is going on, and forget every target; it is repeated until both axes stand.
+
+        Raises `DeviceError` when the positioner cannot be reached; the stop is then sent again on reconnection.
+        """
+        self.rest()
+        self._guard.halt_wanted = True
+        await self._positioner.stop()
+
+    async def run(self) -> None:
+        """Keep the positioner connected and carry out what is asked, until cancelled.
+
+        Raises `DriverHungError` when only a new process can connect it.
+        """
+        try:
+            while True:
+                try:
+                    await self._connect()
+                    await self._serve()
+                except DriverHungError:
+                    raise
+                except DeviceError as error:
+                    await self._lost(error)
+                    await asyncio.sleep(self._backoff.next_s())
+        finally:
+            await self._leave()
+
+    async def _leave(self) -> None:
+        """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""
+        try:
+            if self.connected and (self.moving or self.stands_since_s is None):
+                with contextlib.suppress(DeviceError, TimeoutError):
+                    async with asyncio.timeout(_HALT_AT_END_S):
+                        await self._positioner.halt()
+        finally:
+            await self._positioner.close()
+
+    async def _connect(self) -> None:
+        guard = self._guard
+        guard.identity = identity = await self._positioner.open()
+        before = guard.rested
+        # A move ordered before the loss, by us or by a program before us, may still be on.
+        await guard.halt()
+        pose = guard.pose
+        assert pose is not None  # noqa: S101 - narrowing for the type checker; halt has just looked
+        name = f"{identity.board}, firmware {identity.firmware}, serial {identity.serial}"
+        told = self._note_link(name)
+        if before is not None and self._jumped(before, pose):
+            text = (
+                f"positioner stands at A {pose.a_deg:.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "
+                f"A {before.a_deg:.1f}, B {before.b_deg:.1f} deg"
+            )
+            if told:
+                self._tell(text)
+            self._guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
+        self._backoff.reset()
+        self._note_readiness()
+
+    def _note_link(self, name: str = "") -> bool:
+        """Take note that the unit answers; return whether there was anything to tell of it."""
+        if name and not self._was_connected:
+            self._was_connected = True
+            if not self.outage.is_down:
+                log.info("the positioner is connected: %s", name)
+                return True
+        text = self.outage.up(self._clock.monotonic(), name)
+        if text:
+            self._publish_event(text)
+        return bool(text)
+
+    def _jumped(self, before: Pose, after: Pose) -> bool:
+        tolerance = self._settings.tolerance_deg
+        return not (abs(before.a_deg - after.a_deg) <= tolerance and abs(before.b_deg - after.b_deg) <= tolerance)
+
+    async def _lost(self, error: DeviceError) -> None:
+        self._guard.lost()
+        self._wanted = None
+        self._home_wanted = False
+        if self._clear_wanted is not None:
+            self._clear_wanted = None
+            self._tell("nothing was cleared: the positioner was lost first")
+        first = not self.outage.is_down
+        text = self.outage.down(self._clock.monotonic(), str(error))
+        if first and text:
+            self._publish_event(text)
+        self._note_readiness()
+        await self._positioner.close()
+
+    async def _serve(self) -> None:
+        while True:
+            await self._guard.look(moving=False)
+            self._note_link()
+            if await self._do_what_is_asked():
+                continue
+            await wait_at_most(self._wake, self._polling.idle_s)
+
+    async def _do_what_is_asked(self) -> bool:
+        """Do the most urgent thing; return False if there is nothing to do."""
+        guard = self._guard
+        telemetry = guard.telemetry
+        assert telemetry is not None  # noqa: S101 - narrowing for the type checker; there was a look just now
+        if guard.stray is not None:
+            await guard.quell()
+            self._changed()
+        elif guard.must_halt:
+            await guard.halt()
+        elif self._clear_wanted is not None:
+            shown, self._clear_wanted = self._clear_wanted, None
+            await self._runs.clear(shown)
+        elif telemetry.autonomous:
+            await self._runs.free()
+        elif self._home_wanted:
+            self._home_wanted = False
+            await self._runs.home()
+        elif self._wanted is not None and self._retries.due_s(stow=self._stowing) <= self._clock.monotonic():
+            target, self._wanted = self._wanted, None
+            await self._take_up(target)
+        elif self._must_rehome():
+            await self._runs.home()
+            self._rehoming.ended(good=self._guard.doubts.reference is None)
+        else:
+            return False
+        return True
+
+    async def _take_up(self, target: Target) -> None:
+        obstacle = self._guard.frozen or self.blocked or (None if self._stowing else self._guard.doubts.reference)
+        if obstacle is None:
+            await self._runs.move(target, stow=self._stowing)
+        else:
+            # It came up after the order was taken.
+            self._tell(f"no move: {obstacle}")
+
+    def _must_rehome(self) -> bool:
+        doubt = self._guard.doubts.reference
+        if doubt is not None and (self._guard.frozen or self.blocked or not self.may_rehome):
+            return False
+        return self._rehoming.due(doubt, self._clock.monotonic())
+
+    def _refuse_frozen(self) -> None:
+        if self._guard.frozen is not None:
+            raise RefusedError("positioner", self._guard.frozen)
+        if self.pressed:
+            raise RefusedError("positioner", "a button is pressed at the unit: somebody is there")
+
+    def _note_readiness(self) -> None:
+        ready = (self.connected and self.blocked is None and self.doubt is None, self.pressed)
+        if ready != self._was_ready:
+            self._was_ready = ready
+            self._changed()
+
+    def _tell(self, text: str) -> None:
+        log.info(text)
+        self._publish_event(text)
+
+    def _publish_event(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

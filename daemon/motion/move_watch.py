@@ -1,0 +1,124 @@
+"""Judging a move in progress from telemetry alone: the positioner neither acknowledges nor complains."""
+
+from enum import StrEnum
+
+from daemon.base.records import Pose, Target
+from daemon.config.instruments import PositionerSettings
+from daemon.config.sections import Motion
+from daemon.motion.watch import jitter
+from drivers.interfaces import Telemetry
+from solar.frames import Limits
+
+# Longer than the pause between the two axes and the start-up ramp together.
+_STALLED_AFTER_S = 6.0
+_SPARE_S = 20.0
+# Telemetry comes several times a second: two looks closer than this may be of the same.
+_STANDS_AFTER_S = 0.3
+# An axis that is near enough may yet be taken up by the unit after the other one, to go all the way.
+_TAKES_UP_S = 3.0
+_AIMS_ELSEWHERE = 1.0
+
+
+class Progress(StrEnum):
+    """What one look says about the move; the failures are named as the outcomes of a move."""
+
+    GOING = "going"
+    ARRIVED = "arrived"
+    STALLED = "stalled"
+    OVERSHOT = "overshot"
+    TIMED_OUT = "timed-out"
+
+
+class Follow:
+    """One move from its start to a verdict.
+
+    Parameters
+    ----------
+    target, start
+        Where to and where from.
+    limits
+        Nothing may go beyond them by more than the tolerance.
+    settings, expected
+        Tolerance, and the slowest speed that counts as moving properly.
+    now_s
+        Monotonic time of the start.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        start: Pose,
+        limits: Limits,
+        settings: Motion,
+        expected: PositionerSettings,
+        now_s: float,
+    ) -> None:
+        self._axes = (
+            _Axis("A", start.a_deg, target.a_deg, limits.a_min_deg, limits.a_max_deg, settings.tolerance_deg),
+            _Axis("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
+        )
+        travel_deg = abs(target.a_deg - start.a_deg) + abs(target.b_deg - start.b_deg)
+        self._budget_s = travel_deg / expected.slowest_deg_per_s + _SPARE_S
+        self._start_s = now_s
+        self._jitter = jitter(expected.position_unit)
+        self._positions: tuple[float, float] | None = None
+        self._moved_s = now_s
+
+    def judge(self, telemetry: Telemetry, now_s: float) -> tuple[Progress, str]:
+        """Return the verdict on the newest look, and a sentence for a bad one."""
+        angles = (telemetry.a_deg, telemetry.b_deg)
+        positions = (telemetry.position_a, telemetry.position_b)
+        still = self._positions is not None and all(
+            abs(here - there) <= self._jitter for here, there in zip(positions, self._positions, strict=True)
+        )
+        if not still:
+            self._positions = positions
+            self._moved_s = now_s
+        if telemetry.faults:
+            return Progress.STALLED, f"the positioner reports {', '.join(telemetry.faults)}"
+        for axis, angle in zip(self._axes, angles, strict=True):
+            if axis.overshot(angle):
+                return Progress.OVERSHOT, f"{axis.name} stands at {angle:.1f} deg, beyond its target {axis.target:.1f}"
+        if all(axis.there(angle) for axis, angle in zip(self._axes, angles, strict=True)):
+            stands = still and now_s - self._moved_s >= (_TAKES_UP_S if _aims_elsewhere(telemetry) else _STANDS_AFTER_S)
+            return (Progress.ARRIVED if stands else Progress.GOING), ""
+        where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
+        if now_s - self._moved_s > _STALLED_AFTER_S:
+            return Progress.STALLED, f"no movement for {now_s - self._moved_s:.0f} s at {where}; {_hint(telemetry)}"
+        if now_s - self._start_s > self._budget_s:
+            return Progress.TIMED_OUT, f"not there after {now_s - self._start_s:.0f} s, at {where}"
+        return Progress.GOING, ""
+
+
+class _Axis:
+    def __init__(self, name: str, start: float, target: float, low: float, high: float, tolerance: float) -> None:
+        self.name = name
+        self.target = target
+        self._tolerance = tolerance
+        # Past the target by twice the tolerance on the far side, or outside the limits: whichever comes first. An axis
+        # that starts outside the limits may of course come back in.
+        margin = 2 * tolerance
+        self._lowest = min(start - margin, low - margin) if start < low else low - margin
+        self._highest = max(start + margin, high + margin) if start > high else high + margin
+        if target >= start:
+            self._highest = min(self._highest, target + margin)
+        if target <= start:
+            self._lowest = max(self._lowest, target - margin)
+
+    def there(self, angle: float) -> bool:
+        return abs(angle - self.target) <= self._tolerance
+
+    def overshot(self, angle: float) -> bool:
+        return not (self._lowest <= angle <= self._highest)
+
+
+def _aims_elsewhere(telemetry: Telemetry) -> bool:
+    return (
+        abs(telemetry.position_a - telemetry.destination_a) > _AIMS_ELSEWHERE
+        or abs(telemetry.position_b - telemetry.destination_b) > _AIMS_ELSEWHERE
+    )
+
+
+def _hint(telemetry: Telemetry) -> str:
+    text = f"supply {telemetry.supply_v:.1f} V"
+    return f"{text}, mode '{telemetry.mode_text}'" if telemetry.mode_text else text

@@ -1,0 +1,178 @@
+"""What a person has to look at before the tracker goes on: doubts about the reference, and motion nobody ordered.
+
+Kept beside the store, so that a restart of the service forgets none of it.
+"""
+
+import logging
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from daemon.base.replace_file import replace_file
+from drivers.interfaces import Telemetry
+
+log = logging.getLogger("heliocube.motion")
+
+_FILE_NAME = "motion.json"
+NOT_FINISHED = "homing was not finished, the reference is in doubt: home it"
+RESET = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
+
+
+def fault_text(name: str) -> str:
+    """Return how a latched fault is shown."""
+    return f"the positioner reports {name}"
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    doubts: dict[str, str] = Field(default_factory=dict)
+    incidents: dict[str, str] = Field(default_factory=dict)
+    faults: list[str] = Field(default_factory=list)
+    homing: bool = False
+
+
+def _said_once(texts: Iterable[str]) -> str:
+    """Return the sentences in one, without those that another one says as well."""
+    parts = list(dict.fromkeys(part for text in texts for part in text.split("; ")))
+    return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
+
+
+class Doubts:
+    """Doubts and incidents by kind, and the faults that were last seen.
+
+    A doubt is about the reference: a stow may go ahead, and reference runs of both axes end it. An incident is motion
+    without an order or against a stop: nothing moves at all before a person has cleared it.
+
+    Parameters
+    ----------
+    directory
+        Of the file, or None to keep it in memory only.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._path = None if directory is None else directory / _FILE_NAME
+        kept = self._load()
+        self._doubts = dict(kept.doubts)
+        self._incidents = dict(kept.incidents)
+        self._faults = tuple(kept.faults)
+        self._homing = False
+        if kept.homing:
+            self.doubt("homing", NOT_FINISHED)
+
+    @property
+    def reference(self) -> str | None:
+        """Why the reference is in doubt, or None."""
+        return _said_once(self._doubts.values()) or None
+
+    @property
+    def incident(self) -> str | None:
+        """What moved without an order or did not stop, or None."""
+        return "; ".join(self._incidents.values()) or None
+
+    @property
+    def vanished(self) -> tuple[str, ...]:
+        """The doubts about faults that went away by themselves."""
+        return tuple(text for kind, text in self._doubts.items() if kind.startswith("fault"))
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """All of it, a sentence each."""
+        return (*self._incidents.values(), *self._doubts.values())
+
+    def incident_of(self, kind: str) -> str | None:
+        """Return one incident, or None."""
+        return self._incidents.get(kind)
+
+    def doubt(self, kind: str, text: str) -> None:
+        """Keep a doubt; a new text for one of the same kind replaces the old one."""
+        self._put(self._doubts, kind, text)
+
+    def note(self, kind: str, text: str) -> None:
+        """Keep an incident; the first of a kind stays until it has been cleared."""
+        if kind not in self._incidents:
+            self._put(self._incidents, kind, text)
+
+    def see(self, telemetry: Telemetry, *, clearing: bool) -> None:
+        """Take in what telemetry says about reference and faults; a fault may vanish only while we clear."""
+        if telemetry.was_reset:
+            self.doubt("reset", RESET)
+        if telemetry.reference_doubt:
+            self.doubt("count", telemetry.reference_doubt)
+        if clearing or telemetry.faults == self._faults:
+            return
+        for name in self._faults:
+            if name not in telemetry.faults:
+                self.doubt(f"fault {name}", f"{name} cleared by itself, the reference may be lost: home it")
+        self._faults = telemetry.faults
+        self._save()
+
+    def forgive(self, shown: Collection[str], before: Telemetry) -> None:
+        """Forget what a person was shown; keep what the unit has cleared although nobody had seen it.
+
+        Parameters
+        ----------
+        shown
+            Sentences of `texts`, or of `fault_text`.
+        before
+            The last telemetry before the unit cleared its marks.
+        """
+        self.see(before, clearing=True)
+        for name in before.faults:
+            if fault_text(name) not in shown:
+                self.doubt(f"fault {name}", f"{name} was cleared before anybody had seen it: home the positioner")
+        for texts in (self._doubts, self._incidents):
+            for kind in [kind for kind, text in texts.items() if text in shown]:
+                del texts[kind]
+        self.cleared()
+
+    def cleared(self) -> None:
+        """Expect no faults: the unit has cleared them because we asked it to."""
+        self._faults = ()
+        self._save()
+
+    def homing_begins(self) -> None:
+        """Keep in mind that a reference run is on: if the service dies before its end, it was not finished."""
+        self._homing = True
+        self._save()
+
+    def homing_ends(self, doubt: str | None) -> None:
+        """Keep the doubt that a reference run has left, or none."""
+        self._homing = False
+        if doubt is None:
+            self._save()
+        else:
+            self.doubt("homing", doubt)
+
+    def referenced(self) -> None:
+        """End all doubts: both axes have made a good reference run."""
+        self._homing = False
+        self._doubts.clear()
+        self._save()
+
+    def _put(self, texts: dict[str, str], kind: str, text: str) -> None:
+        if texts.get(kind) != text:
+            texts[kind] = text
+            self._save()
+
+    def _load(self) -> _Kept:
+        if self._path is None:
+            return _Kept()
+        try:
+            return _Kept.model_validate_json(self._path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return _Kept()
+        except (OSError, ValueError):
+            log.warning("%s cannot be read: the reference is in doubt until it is homed or cleared", self._path)
+            text = f"{self._path} cannot be read, so nobody knows what was in doubt before the restart: home it"
+            return _Kept(doubts={"unreadable": text})
+
+    def _save(self) -> None:
+        if self._path is None:
+            return
+        kept = _Kept(doubts=self._doubts, incidents=self._incidents, faults=list(self._faults), homing=self._homing)
+        try:
+            replace_file(self._path, kept.model_dump_json())
+        except OSError as error:
+            log.warning("%s cannot be written (%s): a restart would forget what is in doubt", self._path, error)

@@ -1,0 +1,56 @@
+"""When a move that failed is tried again: after pauses that grow, and told ever more seldom."""
+
+import math
+
+from daemon.base.alarms import Alarms
+
+_STOW_PAUSES_S = (60.0, 120.0, 300.0, 600.0)
+_OTHER_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+
+
+class Retries:
+    """Failures in a row.
+
+    Parameters
+    ----------
+    first_pause_s
+        Pause after the first failure of an ordinary move; a stow is tried again after 1, 2, 5 and then every 10 min.
+    alarms
+        Where `move-failed` is raised, until a move arrives.
+    """
+
+    def __init__(self, first_pause_s: float, alarms: Alarms) -> None:
+        self._alarms = alarms
+        self._first_pause_s = first_pause_s
+        self._stows = 0
+        self._others = 0
+        self._stow_failed_s = self._other_failed_s = -math.inf
+        self.text: str | None = None
+
+    def failed(self, now_s: float, text: str, *, stow: bool) -> bool:
+        """Take note of a failure; return whether it is worth a warning: the first, second, fourth, eighth ... are."""
+        self.text = text
+        self._alarms.set("move-failed", f"{'the stow' if stow else 'a move'} failed and is tried again: {text}")
+        if stow:
+            self._stows += 1
+            self._stow_failed_s = now_s
+        else:
+            self._others += 1
+            self._other_failed_s = now_s
+        count = self._stows + self._others
+        return count & (count - 1) == 0
+
+    def forget(self) -> None:
+        """Begin anew: a move has arrived, or a person has looked."""
+        self._stows = self._others = 0
+        self._stow_failed_s = self._other_failed_s = -math.inf
+        self.text = None
+        self._alarms.set("move-failed", None)
+
+    def due_s(self, *, stow: bool) -> float:
+        """Return the monotonic time from which a move may be tried."""
+        if stow:
+            pause_s = _STOW_PAUSES_S[min(self._stows, len(_STOW_PAUSES_S)) - 1] if self._stows else 0.0
+            return self._stow_failed_s + pause_s
+        factor = _OTHER_FACTORS[min(self._others, len(_OTHER_FACTORS)) - 1] if self._others else 0.0
+        return self._other_failed_s + factor * self._first_pause_s

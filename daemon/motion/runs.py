@@ -1,0 +1,302 @@
+"""One move or one reference run, from its order to its end: each begins and ends with both axes standing."""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any, TypeVar
+
+from daemon.base.clock import Clock
+from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
+from daemon.base.waiting import wait_at_most
+from daemon.config.instruments import PositionerSettings
+from daemon.config.sections import Motion as MotionSettings
+from daemon.motion.guard import Guard
+from daemon.motion.move_watch import Follow, Progress
+from daemon.motion.reference import NOT_FINISHED
+from daemon.motion.retry import Retries
+from drivers.errors import DeviceError, RefusedError
+from drivers.interfaces import Axis, Positioner
+from solar.frames import Limits
+
+log = logging.getLogger("heliocube.motion")
+
+T = TypeVar("T")
+
+_BETWEEN_ATTEMPTS_S = 1.0
+# The unit itself gives up after 10 min.
+_HOMING_WITHIN_S = 900.0
+_AXES: tuple[Axis, Axis] = ("a", "b")
+
+
+class _HomingFailedError(Exception):
+    """A reference run that leaves the reference in doubt."""
+
+
+class Runs:
+    """Carries out moves and reference runs, one at a time.
+
+    Parameters
+    ----------
+    positioner, guard
+        The instrument, and who looks at it and stops it.
+    limits, settings, expected
+        As for `Motion`.
+    retries
+        Told how every move ends.
+    clock, publish, changed
+        As for `Motion`.
+    wake
+        Set by whoever wants a look at once.
+    look_every_s
+        Interval between looks at what moves.
+    """
+
+    def __init__(
+        self,
+        positioner: Positioner,
+        guard: Guard,
+        limits: Limits,
+        settings: MotionSettings,
+        expected: PositionerSettings,
+        retries: Retries,
+        clock: Clock,
+        publish: Callable[[Record], None],
+        changed: Callable[[], None],
+        wake: asyncio.Event,
+        look_every_s: float,
+    ) -> None:
+        self._positioner = positioner
+        self._guard = guard
+        self._limits = limits
+        self._settings = settings
+        self._expected = expected
+        self._retries = retries
+        self._clock = clock
+        self._publish = publish
+        self._changed = changed
+        self._wake = wake
+        self._look_every_s = look_every_s
+        self._interrupted = False
+        self._stow = False
+        self.target: Target | None = None
+        self.last_move: Move | None = None
+        self.last_move_started_s = -math.inf
+
+    def interrupt(self) -> None:
+        """End the run that is on, if there is one, with a halt."""
+        self._interrupted = self.target is not None or self._guard.homing
+
+    def _is_interrupted(self) -> bool:
+        return self._interrupted
+
+    async def move(self, target: Target, *, stow: bool) -> None:
+        """Move there, in as many attempts as the settings allow; the record of it is published."""
+        self._interrupted, self._stow, self.target = False, stow, target
+        start_utc_s, start_s = self._clock.utc(), self._clock.monotonic()
+        self.last_move_started_s = start_s
+        start = self._guard.pose
+        assert start is not None  # noqa: S101 - narrowing; a move is only taken up after a look
+        outcome, why = MoveOutcome.LINK_LOST, target.why
+        self._guard.rested = None
+        try:
+            outcome, why = await self._attempt(target, start)
+        except BaseException as error:
+            if not isinstance(error, DeviceError):
+                outcome = MoveOutcome.INTERRUPTED
+            raise
+        finally:
+            end = self._guard.pose or start
+            self.target = None
+            duration_s = self._clock.monotonic() - start_s
+            where = (start.a_deg, start.b_deg, target.a_deg, target.b_deg, end.a_deg, end.b_deg)
+            self.last_move = Move(start_utc_s, start_s, duration_s, *where, outcome, why)
+            self._publish(self.last_move)
+        self._count(outcome, why)
+        self._changed()
+
+    def _count(self, outcome: MoveOutcome, why: str) -> None:
+        if outcome is MoveOutcome.ARRIVED:
+            self._retries.forget()
+        elif outcome is not MoveOutcome.INTERRUPTED:
+            text = f"the last move failed ({outcome}): {why}"
+            level = logging.WARNING
+            if not self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
+                level = logging.DEBUG
+            log.log(level, "move failed: %s", why, extra={"fields": {"outcome": outcome}})
+
+    async def _attempt(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
+        guard = self._guard
+        outcome, why = MoveOutcome.REFUSED, target.why
+        for attempt in range(self._settings.attempts):
+            if attempt:
+                await wait_at_most(self._wake, _BETWEEN_ATTEMPTS_S)
+            if self._is_interrupted():
+                return MoveOutcome.INTERRUPTED, target.why
+            try:
+                # A tilted module catches the wind, so a stow lays it flat before it turns it.
+                await self._positioner.move_to(target.a_deg, target.b_deg, first="b" if self._stow else "a")
+                outcome, why = await self._follow(target, start)
+            except RefusedError as error:
+                # One axis may have taken the target, or both another one.
+                guard.watch.pardon()
+                await guard.halt()
+                outcome, why = MoveOutcome.REFUSED, error.message
+                if self._is_interrupted():
+                    outcome, why = MoveOutcome.INTERRUPTED, target.why
+            if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._hopeless():
+                break
+        return outcome, why
+
+    def _hopeless(self) -> bool:
+        telemetry = self._guard.telemetry
+        faulty = telemetry is not None and bool(telemetry.faults or telemetry.autonomous)
+        return faulty or bool(self._guard.unexplained or self._guard.frozen or self._doubt())
+
+    def _doubt(self) -> str | None:
+        """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
+        return None if self._stow else self._guard.doubts.reference
+
+    async def _follow(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
+        guard = self._guard
+        await guard.expect_move()
+        follow = Follow(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
+        while True:
+            telemetry = await guard.look(moving=True)
+            if self._interrupted or telemetry.button_pressed:
+                await guard.halt()
+                return MoveOutcome.INTERRUPTED, target.why
+            if guard.stray is not None:
+                text = guard.stray.text
+                return MoveOutcome.INTERRUPTED if await guard.quell() else MoveOutcome.OVERSHOT, text
+            if (doubt := self._doubt()) is not None:
+                await guard.halt()
+                return MoveOutcome.STALLED, doubt
+            progress, why = follow.judge(telemetry, self._clock.monotonic())
+            if progress is Progress.ARRIVED:
+                guard.watch.arrived(telemetry)
+                return MoveOutcome.ARRIVED, target.why
+            if progress is not Progress.GOING:
+                await guard.halt()
+                return MoveOutcome(progress.value), why
+            await wait_at_most(self._wake, self._look_every_s)
+
+    async def free(self) -> None:
+        """Switch the unit's own tracking off; that alone does not stop a motor."""
+        try:
+            await self._guard.attended(self._positioner.disable_autonomy())
+        except RefusedError as error:
+            log.debug("own tracking: %s", error.message)
+        await self._guard.halt()
+
+    async def clear(self, shown: tuple[str, ...]) -> None:
+        """Clear the unit's marks, and forgive what a person was shown of them and of the doubts."""
+        guard = self._guard
+        guard.clearing = True
+        try:
+            before = await guard.attended(self._positioner.clear_faults())
+            guard.doubts.forgive(shown, before)
+        except RefusedError as error:
+            self._tell(f"nothing was cleared: {error.message}")
+            return
+        finally:
+            guard.clearing = False
+        if self._retries.text in shown:
+            self._retries.forget()
+        guard.forget()
+        await guard.look(moving=False)
+        self._changed()
+
+    async def home(self) -> None:
+        """Make a reference run of both axes; only a good one of each ends the doubts about the reference."""
+        guard, doubts = self._guard, self._guard.doubts
+        # The run clears the unit's faults, and with them what they said about the count.
+        faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
+        doubted = faulty or doubts.reference is not None
+        self._interrupted = False
+        guard.homing, guard.rested = True, None
+        doubts.homing_begins()
+        left: str | None = NOT_FINISHED
+        self._tell("homing")
+        self._changed()
+        try:
+            left = await self._home_both(doubted=doubted)
+        except _HomingFailedError as error:
+            await guard.halt()
+            left = f"homing failed ({error}), the reference is in doubt: home it"
+            self._tell(f"homing failed: {error}")
+        except RefusedError as error:
+            await guard.halt()
+            if self._interrupted:
+                left = NOT_FINISHED if doubted else None
+                self._tell("homing was stopped before its end")
+            else:
+                self._tell(f"homing refused: {error.message}")
+        finally:
+            guard.homing = False
+            doubts.homing_ends(left)
+            self._changed()
+
+    async def _home_both(self, *, doubted: bool) -> str | None:
+        """Return the doubt that is left."""
+        guard = self._guard
+        guard.clearing = True
+        try:
+            # Only the run itself may tell whether the count is right.
+            clear = partial(self._positioner.clear_faults, forgive=False)
+            await guard.attended(self._unless_interrupted(clear))
+            guard.doubts.cleared()
+        finally:
+            guard.clearing = False
+        for axis in _AXES:
+            await self._home_one(axis)
+            if self._interrupted:
+                await guard.halt()
+                self._tell("homing was stopped before its end")
+                return NOT_FINISHED if doubted else None
+        await guard.halt()
+        telemetry = await guard.look(moving=False)
+        if telemetry.reference_doubt:
+            raise _HomingFailedError(telemetry.reference_doubt)
+        guard.doubts.referenced()
+        self._retries.forget()
+        self._tell("homing finished")
+        return None
+
+    async def _home_one(self, axis: Axis) -> None:
+        guard = self._guard
+        before = await guard.look(moving=True)
+        guard.watch.expect_homing(axis, before)
+        await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
+        deadline_s = self._clock.monotonic() + _HOMING_WITHIN_S
+        while True:
+            telemetry = await guard.look(moving=True)
+            self._interrupted = self._interrupted or telemetry.button_pressed
+            if self._interrupted:
+                return
+            if guard.stray is not None:
+                text = guard.stray.text
+                await guard.quell()
+                raise _HomingFailedError(text)
+            if not telemetry.homing:
+                break
+            if self._clock.monotonic() > deadline_s:
+                raise _HomingFailedError(f"axis {axis.upper()} has not come to its end switch")
+            await wait_at_most(self._wake, self._look_every_s)
+        # A doubt about both axes stays until the other one has been homed as well.
+        known = before.reference_doubt.split("; ")
+        fresh = "; ".join(text for text in telemetry.reference_doubt.split("; ") if text not in known)
+        trouble = fresh or ", ".join(telemetry.faults)
+        if trouble or telemetry.was_reset:
+            raise _HomingFailedError(trouble or "the positioner has restarted")
+
+    async def _unless_interrupted(self, call: Callable[[], Coroutine[Any, Any, T]]) -> T:
+        """Return what the driver's call returns; it is looked at with the call itself, for a stop may come any time."""
+        if self._interrupted:
+            raise RefusedError("positioner", "a stop came in between")
+        return await call()
+
+    def _tell(self, text: str) -> None:
+        log.info(text)
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

@@ -1,0 +1,182 @@
+"""Everything over MQTT put together, as a companion of the service."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from random import Random
+from typing import Any
+
+from daemon.base.clock import Clock, iso_utc
+from daemon.base.records import Record
+from daemon.bridge.receiver import BridgeReceiver
+from daemon.config.sections import Settings
+from daemon.mqtt.commands import Commands
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.discovery import discovery
+from daemon.mqtt.link import Handler, Link
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.telemetry import Telemetry, encoded
+from daemon.mqtt.topics import Topics
+from daemon.mqtt.unusable import unusable
+from daemon.service.operator import Operator
+from daemon.service.operator_commands import NAMES
+from daemon.service.service import Role, Service
+from daemon.service.status import InputStatus, LinkStatus
+from daemon.tracker.stow import StowSource, WindStow
+
+_NO_LINK = "there is no link to the broker"
+
+
+class Mqtt:
+    """The link and all that uses it.
+
+    It is made before the service, which needs the reasons to stow and the way of the scans; `attach` follows it.
+
+    Parameters
+    ----------
+    settings, role
+        The configuration.
+    clock, random, publish
+        The service's time, jitter, and where events go.
+    speed
+        How many times as fast as the machine's the clock runs.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        role: Role,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        speed: float,
+    ) -> None:
+        self._settings = settings
+        self._role = role
+        self._clock = clock
+        self._speed = speed
+        mqtt = settings.mqtt
+        name = mqtt.name or (Role.CUBE.value if role is Role.CUBE else Role.TRACKER.value)
+        self._topics = Topics(mqtt.prefix, name)
+        self._unusable = unusable(settings)
+        self._inputs: list[Callable[[float], InputStatus]] = []
+        self.link = Link(mqtt, self._topics, clock, random, publish, speed)
+        self._look_again: Callable[[], None] = lambda: None
+        self._telemetry: Telemetry | None = None
+        self._commands: Commands | None = None
+
+    @property
+    def status(self) -> LinkStatus:
+        """How the link is, and what is heard of safety."""
+        now_s = self._clock.monotonic()
+        return replace(self.link.status, inputs=tuple(status(now_s) for status in self._inputs))
+
+    def stow_sources(self) -> list[StowSource]:
+        """Return the reasons to stow that come over the broker, and begin to listen for them."""
+        mqtt, safety = self._settings.mqtt, self._settings.safety
+        found: list[StowSource] = []
+        if self._role is Role.CUBE:
+            return found
+        if mqtt.wind.topic is not None:
+            wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.trouble)
+            self._listen("mqtt.wind", mqtt.wind.topic, wind.take)
+            wind_stow = WindStow(safety, wind.since_last_asked, f"the wind on {mqtt.wind.topic}")
+            self._inputs.append(partial(_input_status, "wind", mqtt.wind.topic, wind, wind_stow))
+            found.append(wind_stow)
+        if mqtt.safe.topic is not None:
+            safe = SafeStow(mqtt.safe, self._clock.monotonic, self._wake, self.link.trouble)
+            self._listen("mqtt.safe", mqtt.safe.topic, safe.take)
+            self._inputs.append(partial(_input_status, "safe", mqtt.safe.topic, safe, safe))
+            found.append(safe)
+        return found
+
+    def send_scan(self, datagram: bytes) -> None:
+        """Hand a signed scan to the trackers; without a connection it is lost, as it would soon be too old."""
+        if "bridge.topic" not in self._unusable:
+            self.link.send_now(Message(self._settings.bridge.topic, datagram))
+
+    def attach(self, service: Service, state: Callable[[], dict[str, Any]]) -> None:
+        """Connect with a service, whose `state` is sent; call it once, before `run`."""
+        mqtt, simulated = self._settings.mqtt, service.rig.simulated
+        if service.control is not None:
+            self._look_again = service.control.look_again
+        self._telemetry = Telemetry(
+            self.link, self._topics, state, mqtt.state_every_s * self._speed, simulated=simulated
+        )
+        service.bus.subscribe(self._telemetry.note)
+        if self._settings.bridge.transport == "mqtt" and self._role is Role.TRACKER and service.receiver is not None:
+            self._listen("bridge.topic", self._settings.bridge.topic, partial(self._take_scan, service.receiver))
+        tracker = service.control is not None
+        if mqtt.commands and tracker:
+            self._commands = Commands(Operator(service, self._speed), partial(self._reply, simulated=simulated))
+            for name in NAMES:
+                self.link.listen(self._topics.command(name), partial(self._commands.take, name))
+        if "mqtt.discovery_prefix" not in self._unusable:
+            messages = discovery(
+                mqtt.discovery_prefix,
+                self._topics,
+                enabled=mqtt.discovery,
+                commands=mqtt.commands,
+                tracker=tracker,
+                simulated=simulated,
+            )
+            self.link.at_birth(lambda: messages)
+        self._tell_unusable()
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self.link.run(), name="mqtt link")
+            if self._telemetry is not None:
+                group.create_task(self._telemetry.run(), name="mqtt telemetry")
+            if self._commands is not None:
+                group.create_task(self._commands.run(), name="mqtt commands")
+
+    def _listen(self, key: str, topic: str, handler: Handler) -> None:
+        """Listen to a topic of the configuration, unless it or what belongs to it cannot be used."""
+        if not any(name.startswith(key) for name in self._unusable):
+            self.link.listen(topic, handler)
+
+    def _tell_unusable(self) -> None:
+        """Say once what of the configuration cannot be used, and what that costs."""
+        mqtt, safety = self._settings.mqtt, self._settings.safety
+        costs = {
+            "mqtt.prefix": _NO_LINK,
+            "mqtt.name": _NO_LINK,
+            "mqtt.discovery_prefix": "Home Assistant is told nothing",
+        }
+        if self._settings.bridge.transport == "mqtt":
+            costs["bridge.topic"] = "no scan goes over the broker"
+        if self._role is not Role.CUBE and mqtt.wind.topic is not None:
+            cost = f"no wind is heard over MQTT, and silence of {safety.wind_stale_s:g} s stows"
+            costs |= {"mqtt.wind.topic": cost, "mqtt.wind.json_path": cost}
+        if self._role is not Role.CUBE and mqtt.safe.topic is not None:
+            cost = f"no word for safe is heard, and silence of {mqtt.safe.stale_s:g} s stows"
+            costs |= {"mqtt.safe.topic": cost, "mqtt.safe.json_path": cost}
+        for key, cost in costs.items():
+            if key in self._unusable:
+                sentence = f"{key}: {self._unusable[key]}; so {cost}: correct it and start again"
+                if cost == _NO_LINK:
+                    self.link.renounce(sentence)
+                else:
+                    self.link.trouble(key, sentence)
+
+    def _wake(self) -> None:
+        self._look_again()
+
+    def _take_scan(self, receiver: BridgeReceiver, message: Incoming) -> None:
+        if not message.retained:
+            receiver.take(message.payload, f"the topic {message.topic}")
+
+    def _reply(self, found: dict[str, Any], *, simulated: bool) -> None:
+        whole = {"time": iso_utc(self._clock.utc()), **found, "simulated": simulated}
+        self.link.send(Message(self._topics.reply, encoded(whole), 1))
+
+
+def _input_status(
+    name: str, topic: str, source: WindReadings | SafeStow, stow: WindStow | SafeStow, now_s: float
+) -> InputStatus:
+    age_s = None if source.heard_s is None else now_s - source.heard_s
+    return InputStatus(name, topic, age_s, stow.stowing)

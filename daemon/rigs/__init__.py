@@ -1,0 +1,1 @@
+"""Real and simulated instruments; the only place that reaches the simulators."""

@@ -1,0 +1,98 @@
+"""Running the bench: simulated instruments in a process of their own, for the real drivers of another one."""
+
+import asyncio
+import logging
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from daemon.base import process as logs
+from daemon.base.clock import LoopClock, SystemClock
+from daemon.base.errors import UserError
+from daemon.commands.run import on_signals
+from daemon.config.file import override
+from daemon.config.keys import keys as every_key
+from daemon.config.sections import Settings
+from daemon.config.template import FILE_NAME, example
+from daemon.rigs.simulated import DEFAULT_START, build_weather, run_bench
+from solar.ephemeris import DAY_S
+
+log = logging.getLogger("heliocube.bench")
+
+DIGITAL_PORT = "Dev1/port0"
+_MARK = "# Written by heliocube bench, anew at each start."
+
+
+def serve_bench(settings: Settings, directory: Path) -> None:
+    """Run the bench in a directory until SIGINT or SIGTERM; print ``ready`` when everything is there.
+
+    Parameters
+    ----------
+    settings
+        Site, cube and simulation of the bench, and everything else for the file that it writes.
+    directory
+        Where the ports, the control socket and the configuration file appear; made if missing.
+
+    Raises
+    ------
+    UserError
+        A weather file or the directory cannot be used.
+    """
+    directory = directory.absolute()
+    file = _claim(directory)
+    logs.configure(sys.stderr, journal=False, level=logging.INFO)
+    with asyncio.Runner() as runner:
+        loop = runner.get_loop()
+        anchor = datetime.fromtimestamp(SystemClock().utc(), UTC)
+        start = settings.simulation.start_utc or DEFAULT_START
+        clock = LoopClock(loop.time, start.timestamp())
+        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
+        if warning:
+            log.warning(warning)
+
+        def ready(port: int) -> None:
+            served = _served(settings, directory, port, start, anchor)
+            file.write_text(f"{_MARK}\n{example('both', _values(served))}", encoding="utf-8")
+            sys.stdout.write("ready\n")
+            sys.stdout.flush()
+
+        stop = asyncio.Event()
+        with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
+            runner.run(run_bench(settings, directory, clock, weather, stop, ready))
+
+
+def _claim(directory: Path) -> Path:
+    """Make the directory and return the path of the file to write, unless somebody else's stands there."""
+    file = directory / FILE_NAME
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if file.exists() and not file.read_text(encoding="utf-8", errors="replace").startswith(_MARK):
+            raise UserError(f"{file} was not written by a bench and is not overwritten; name another folder")
+    except OSError as error:
+        raise UserError(f"{directory} cannot be used: {error.strerror}") from None
+    return file
+
+
+def _served(settings: Settings, directory: Path, port: int, start: datetime, anchor: datetime) -> Settings:
+    """Return the settings with what makes a service drive this bench, under the same sun."""
+    instruments = settings.instruments.model_dump() | {"kind": "real"}
+    instruments["multiplexer"] |= {"server": f"127.0.0.1:{port}", "digital_port": DIGITAL_PORT}
+    instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
+    instruments["positioner"] |= {"port": str(directory / "positioner")}
+    load = settings.load.model_dump() | {"resource": f"ASRL{directory / 'load'}::INSTR", "visa": "py"}
+    if load["driver"] != "agilent6063b":
+        load["driver"] = "chroma63600"
+    clock = {"start_utc": start, "anchor_utc": anchor, "speed": 1.0}
+    return override(settings, {"instruments": instruments, "load": load, "simulation": clock})
+
+
+def _values(settings: Settings) -> dict[str, Any]:
+    """Return every value by its key's path."""
+    values = {}
+    for path in every_key():
+        value: Any = settings
+        for name in path.split("."):
+            value = getattr(value, name)
+        values[path] = value
+    return values

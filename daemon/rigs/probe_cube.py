@@ -1,0 +1,142 @@
+"""Looking at one real instrument: what it says, and what docs/hardware.md wants checked before it is trusted."""
+
+import asyncio
+from collections.abc import Callable
+
+from daemon.base.records import FACES
+from daemon.config.rules import SELF_TESTS
+from daemon.config.sections import Settings
+from daemon.cube.volts import calibrated
+from daemon.rigs.real import build_multiplexer, build_voltmeter, voltmeter_line
+from drivers.errors import ConnectError, DeadlineError, OverRangeError
+from drivers.lines.threads import DeviceThread
+from drivers.lines.visa import VisaLine
+from drivers.meters.keithley2000 import Keithley2000, require_model
+from drivers.transcript import Tap
+
+Say = Callable[[str], object]
+
+_READINGS = 10
+_SETTINGS = {
+    "error queue": ":SYST:ERR?",
+    "function": ":SENS:FUNC?",
+    "range": ":SENS:VOLT:DC:RANG?",
+    "integration": ":SENS:VOLT:DC:NPLC?",
+    "filter": ":SENS:VOLT:DC:AVER:STAT?",
+    "autozero": ":SYST:AZER:STAT?",
+    "free running": ":INIT:CONT?",
+    "reading format": ":FORM:ELEM?",
+}
+
+
+async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap, say: Say, *, write: bool) -> None:
+    """Ask the voltmeter who it is and how it is set; with `write`, configure it and time some readings.
+
+    Parameters
+    ----------
+    settings
+        Where it is.
+    now
+        Monotonic time [s].
+    tap
+        Told what goes over the line.
+    say
+        Takes the lines of the report.
+
+    Raises
+    ------
+    DeviceError
+        It cannot be reached, or does not do as it should.
+    """
+    deadline_s = settings.cube.reading_deadline_s
+    connect = voltmeter_line(settings, tap)
+
+    def ask() -> dict[str, str]:
+        line = connect()
+        try:
+            line.interrupt()
+            line.drain(0.1)
+            return _answers(line, deadline_s)
+        finally:
+            line.close()
+
+    thread = DeviceThread("voltmeter")
+    try:
+        answers = await thread.call(ask, (len(_SETTINGS) + 3) * deadline_s + 10.0)
+    finally:
+        await thread.finish(None, 1.0)
+    for name, answer in answers.items():
+        say(f"{name}: {answer}")
+    require_model(answers["identity"])
+    if not write:
+        return
+    meter = build_voltmeter(settings, tap)
+    try:
+        await meter.open()
+        say("configured for DC voltage, and the configuration read back")
+        for _ in range(_READINGS):
+            start_s = now()
+            voltage_v = await meter.read_voltage()
+            say(f"  {voltage_v * 1e3:+.4f} mV in {(now() - start_s) * 1e3:.0f} ms")
+    finally:
+        await meter.close()
+
+
+def _answers(line: VisaLine, deadline_s: float) -> dict[str, str]:
+    def ask(query: str) -> str | None:
+        line.send(query)
+        try:
+            return line.receive(deadline_s).strip()
+        except DeadlineError:
+            return None
+
+    identity = ask("*IDN?")
+    if identity is None:
+        raise ConnectError(
+            "voltmeter",
+            f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface and speed?",
+        )
+    return {"identity": identity} | {name: ask(query) or "no answer" for name, query in _SETTINGS.items()}
+
+
+async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> None:
+    """Reserve the multiplexer's lines; with `write`, select each input, and measure it if there is a voltmeter.
+
+    Raises
+    ------
+    DeviceError
+        It cannot be reached, or does not do as it should.
+    """
+    multiplexer = build_multiplexer(settings, tap)
+    meter = build_voltmeter(settings) if write and settings.instruments.voltmeter.resource else None
+    try:
+        say(f"found: {await multiplexer.open()}")
+        if not write:
+            return
+        if meter is None:
+            say("instruments.voltmeter.resource is not set: the inputs are selected, not measured")
+        else:
+            say(f"measured with {await meter.open()}")
+        wired = {getattr(settings.cube, name).channel: name for name in FACES}
+        for name in SELF_TESTS:
+            if (channel := getattr(settings.cube, name)) is not None:
+                wired[channel] = "self-test"
+        for channel in range(len(settings.instruments.multiplexer.addresses)):
+            await multiplexer.select(channel)
+            await asyncio.sleep(settings.instruments.multiplexer.settle_s)
+            reading = "selected" if meter is None else await _measured(meter, settings, wired.get(channel))
+            say(f"  input {channel} ({wired.get(channel, 'not used')}): {reading}")
+    finally:
+        await multiplexer.close()
+        if meter is not None:
+            await meter.close()
+
+
+async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -> str:
+    try:
+        voltage_mv = await meter.read_voltage() * 1e3
+    except OverRangeError:
+        return "beyond the range"
+    if name not in FACES:
+        return f"{voltage_mv:+.4f} mV"
+    return f"{voltage_mv:+.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2"

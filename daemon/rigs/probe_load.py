@@ -1,0 +1,111 @@
+"""Looking at a real electronic load."""
+
+from collections.abc import Callable, Sequence
+
+from daemon.base.errors import UserError
+from daemon.config.sections import Settings
+from daemon.rigs.real import build_load, load_line
+from drivers.errors import ConnectError, DeadlineError
+from drivers.lines.threads import DeviceThread
+from drivers.lines.visa import VisaLine
+from drivers.load import agilent6063b, chroma63600
+from drivers.load.session import Dialect
+from drivers.transcript import Tap
+from solar.iv import measured_maximum, sweep_voltages
+
+_QUESTIONS = 8
+
+
+async def probe_load(
+    settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object], *, write: bool
+) -> None:
+    """Ask the load who it is and how it is set; with `write`, trace one curve and leave the module in open circuit.
+
+    Parameters
+    ----------
+    settings
+        Which load, and where it is.
+    now
+        Monotonic time [s].
+    tap
+        Told what goes over the line.
+    say
+        Takes the lines of the report.
+
+    Raises
+    ------
+    UserError
+        The settings do not say which load it is, or where.
+    DeviceError
+        It cannot be reached, or does not do as it should.
+    """
+    if settings.load.driver not in ("chroma63600", "agilent6063b"):
+        raise UserError('load.driver names no real load; give --driver, "chroma63600" or "agilent6063b"')
+    connect = load_line(settings, tap)
+    dialect = agilent6063b.DIALECT
+    if settings.load.driver == "chroma63600":
+        dialect = chroma63600.dialect(settings.load.channel)
+
+    def ask() -> list[str]:
+        line = connect()
+        try:
+            line.interrupt()
+            line.drain(0.1)
+            return _answers(line, dialect, settings.load.deadline_s)
+        finally:
+            line.close()
+
+    thread = DeviceThread("load")
+    try:
+        for text in await thread.call(ask, _QUESTIONS * settings.load.deadline_s + 10.0):
+            say(text)
+    finally:
+        await thread.finish(None, 1.0)
+    if write:
+        await _trace(settings, now, tap, say)
+
+
+def _answers(line: VisaLine, dialect: Dialect, deadline_s: float) -> list[str]:
+    def ask(query: str) -> str | None:
+        line.send(query)
+        try:
+            return line.receive(deadline_s).strip()
+        except DeadlineError:
+            return None
+
+    identity = ask("*IDN?")
+    if identity is None:
+        raise ConnectError(
+            "load", f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface?"
+        )
+    answers = [f"identity: {identity}"]
+    if not dialect.knows(identity):
+        answers.append(f"  this is not a {dialect.name}: the service will not use it")
+    questions = {"input on": dialect.is_on, "mode": dialect.mode_proof[0], "all in one line": dialect.measure}
+    if dialect.select_proof is not None:
+        questions = {"channel": dialect.select_proof[0], "module": dialect.identify_channel} | questions
+    return answers + [f"{name}: {ask(query) or 'no answer'}" for name, query in questions.items()]
+
+
+async def _trace(settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object]) -> None:
+    load, least_v = build_load(settings, tap), settings.load.minimum_voltage_v
+    assert load is not None  # noqa: S101 - narrowing; the driver was looked at before
+
+    def plan(open_circuit_v: float) -> Sequence[float]:
+        say(f"open circuit: {open_circuit_v:.3f} V")
+        enough = open_circuit_v >= 2 * least_v
+        return [float(each) for each in sweep_voltages(open_circuit_v, least_v, settings.load.points)] if enough else ()
+
+    try:
+        await load.open()
+        start_s = now()
+        swept = await load.sweep(plan, lambda: None)
+        say(f"{len(swept.voltage_v)} points in {now() - start_s:.2f} s; the input is off again")
+        for voltage_v, current_a in zip(swept.voltage_v, swept.current_a, strict=True):
+            say(f"  {voltage_v:8.3f} V  {current_a:8.4f} A")
+        if swept.stopped_why:
+            say(f"stopped: {swept.stopped_why}")
+        found = measured_maximum(swept.voltage_v, swept.current_a)
+        say(found.why_not or f"maximum power {found.pmpp_w:.2f} +- {found.pmpp_sigma_w:.2f} W at {found.vmpp_v:.2f} V")
+    finally:
+        await load.close()

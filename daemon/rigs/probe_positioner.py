@@ -1,0 +1,202 @@
+"""Looking at the real positioner: identity, stream, settings, geometry, own modes, and a small move by the clock."""
+
+import asyncio
+import os
+from collections import Counter
+from collections.abc import Callable
+
+from daemon.base.clock import Clock
+from daemon.config.sections import Settings
+from daemon.rigs.real import axis_setups, build_positioner, positioner_port
+from drivers.errors import RefusedError
+from drivers.interfaces import Axis, PositionerIdentity, Telemetry
+from drivers.positioners.pozsol.geometry import AxisSetup
+from drivers.positioners.pozsol.own_moves import own_moves
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.unit_setup import unheard
+from drivers.positioners.pozsol.wire import Field, TokenStream
+from drivers.transcript import Direction, Tap
+
+Say = Callable[[str], object]
+
+_SHEET = (*range(70, 80), 83, *range(96, 108), *range(110, 114), 117, 118, *range(121, 128), 192, 193, 194)
+_LOOK_EVERY_S = 0.1
+_STILL_S = 2.0
+_MOVE_WITHIN_S = 120.0
+_BY_HAND = (
+    "still to be done by hand (docs/hardware.md):",
+    "  capture the writes of the maker's or the former program with usbmon: code, last byte, pacing, checksum",
+    "  pull the USB cable during a move: does the axis go on to its target? (expected: yes)",
+    "  switch the motor supply off and on: is the position kept?",
+)
+
+
+async def probe_positioner(
+    settings: Settings, clock: Clock, seconds: float, move_deg: float | None, tap: Tap, say: Say
+) -> None:
+    """Listen to the positioner and report; with `move_deg`, also move each axis by that much and back.
+
+    Raises
+    ------
+    DeviceError
+        It cannot be reached, is another board, or does not do as it should.
+    """
+    heard = _Heard(tap)
+    say(f"port: {positioner_port(settings)}, {_usb_device(positioner_port(settings))}")
+    positioner = build_positioner(settings, clock, heard)
+    try:
+        identity = await positioner.open()
+        say(_modem_lines(settings, positioner))
+        say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
+        start_s = clock.monotonic()
+        heard.counts.clear()
+        await asyncio.sleep(seconds)
+        _report_stream(heard.counts, clock.monotonic() - start_s, say)
+        telemetry = await positioner.read_telemetry()
+        fields = positioner.fields()
+        _report_state(telemetry, fields, say)
+        _report_geometry(telemetry, axis_setups(settings), say)
+        _report_setup(identity, fields, say)
+        say("configuration sheet: " + ", ".join(f"{code}={fields[code]}" for code in _SHEET if code in fields))
+        if move_deg is not None:
+            if identity.setup_conflicts:
+                raise RefusedError("positioner", "is not moved while it contradicts the configuration, as said above")
+            await _time_moves(positioner, axis_setups(settings), move_deg, clock, say)
+        for line in _BY_HAND:
+            say(line)
+    finally:
+        await positioner.close()
+
+
+class _Heard:
+    """Counts the fields that come by; called in the reader's thread."""
+
+    def __init__(self, tap: Tap) -> None:
+        self.counts: Counter[int] = Counter()
+        self._tap = tap
+        self._stream = TokenStream()
+
+    def __call__(self, direction: Direction, data: bytes) -> None:
+        self._tap(direction, data)
+        if direction == "<":
+            self.counts.update(code for code, _ in self._stream.feed(data))
+
+
+def _usb_device(path: str) -> str:
+    from serial.tools import list_ports  # noqa: PLC0415 - needs what not every machine has
+
+    name = os.path.realpath(path)
+    for port in list_ports.comports():
+        if port.device == name and port.vid is not None:
+            text = f"USB {port.vid:04x}:{port.pid:04x}, {port.manufacturer} {port.product}, serial {port.serial_number}"
+            return text if (port.vid, port.pid) == (0x0483, 0x5740) else f"{text} (expected is 0483:5740)"
+    return "no USB device that this machine knows of"
+
+
+def _modem_lines(settings: Settings, positioner: PozsolPositioner) -> str:
+    if not positioner.has_lines():
+        return "modem lines: the port has none, so instruments.positioner.dtr and rts have no effect"
+    wanted = settings.instruments.positioner
+    return f"modem lines: DTR {'on' if wanted.dtr else 'off'}, RTS {'on' if wanted.rts else 'off'}"
+
+
+def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:
+    angles = counts[Field.A_ANGLE]
+    say(f"stream: {sum(counts.values()) / seconds:.0f} fields/s, {len(counts)} different ones in {seconds:.0f} s")
+    if angles:
+        say(f"  angle A every {seconds / angles * 1e3:.0f} ms (expected 120), status {counts[Field.STATUS]} times")
+    wanted = (Field.SUPPLY, Field.A_ANGLE, Field.A_POSITION, Field.B_ANGLE, Field.B_POSITION, Field.STATUS)
+    missing = [field.name for field in wanted if not counts[field]]
+    if missing:
+        say(f"  did not come in this time: {', '.join(missing)}")
+
+
+def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> None:
+    say(
+        f"A {telemetry.a_deg:.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:.1f} deg at"
+        f" {telemetry.position_b:g}; supply {telemetry.supply_v:g} V; mode '{telemetry.mode_text}'"
+    )
+    states = {
+        f"faults: {', '.join(telemetry.faults)}": bool(telemetry.faults),
+        "it has restarted since its status was cleared: the reference is in doubt": telemetry.was_reset,
+        "a button on the box is being pressed": telemetry.button_pressed,
+        f"end switches closed: {', '.join(telemetry.end_switches)}": bool(telemetry.end_switches),
+        "its own tracking, wind or snow mode is ON: it may move by itself": telemetry.autonomous,
+    }
+    for text, present in states.items():
+        if present:
+            say(f"  {text}")
+    for setting in own_moves(fields):
+        say(f"  set in the unit, which may move by itself: {setting}")
+
+
+def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], say: Say) -> None:
+    shown = ((telemetry.a_deg, telemetry.position_a), (telemetry.b_deg, telemetry.position_b))
+    for name, setup, (angle_deg, position) in zip("ab", setups, shown, strict=True):
+        expected = setup.geometry.position(angle_deg)
+        if setup.fits(angle_deg, position):
+            say(f"geometry of {name.upper()} fits: {angle_deg:.1f} deg is {expected:.1f}, it shows {position:g}")
+        else:
+            say(
+                f"geometry of {name.upper()} does NOT fit: instruments.positioner.{name}_axis makes {expected:.1f} of"
+                f" {angle_deg:.1f} deg, it shows {position:g}; no move will be taken"
+            )
+
+
+def _report_setup(identity: PositionerIdentity, fields: dict[int, str], say: Say) -> None:
+    compared = "geometry (70-77, 83, 96-103, 107), zero offsets (192, 193) and ranges (79, 105, 110, 111)"
+    for conflict in identity.setup_conflicts:
+        say(f"  CONFLICT, nothing will be moved: {conflict}")
+    missing = ", ".join(str(code) for code in unheard(fields))
+    if missing:
+        say(f"  fields that did not come as numbers, so they were not compared: {missing}")
+    if not identity.setup_conflicts:
+        say(f"its {compared} agree with the configuration as far as they came")
+
+
+async def _time_moves(
+    positioner: PozsolPositioner, setups: tuple[AxisSetup, AxisSetup], move_deg: float, clock: Clock, say: Say
+) -> None:
+    try:
+        await positioner.halt()
+        await positioner.disable_autonomy()
+        start = await positioner.read_telemetry()
+        if start.faults or start.was_reset:
+            raise RefusedError("positioner", "has faults or has restarted: home it before it is moved")
+        if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
+            raise RefusedError("positioner", "stands outside the configured limits, so it is not moved from there")
+        axes: tuple[tuple[Axis, AxisSetup, float], ...] = (
+            ("a", setups[0], start.a_deg),
+            ("b", setups[1], start.b_deg),
+        )
+        for axis, setup, here_deg in axes:
+            way = move_deg if setup.allows(here_deg + move_deg) else -move_deg
+            for target_deg in (here_deg + way, here_deg):
+                targets = (target_deg, start.b_deg) if axis == "a" else (start.a_deg, target_deg)
+                await positioner.move_to(*targets)
+                say(f"  {axis.upper()} to {target_deg:.1f} deg: {await _watch(positioner, axis, clock)}")
+    finally:
+        await positioner.halt()
+
+
+async def _watch(positioner: PozsolPositioner, axis: Axis, clock: Clock) -> str:
+    """Follow one axis until it stands, and return what was seen."""
+    begin_s = last_s = first_s = clock.monotonic()
+    seen = await positioner.read_telemetry()
+    start = position = seen.position_a if axis == "a" else seen.position_b
+    start_deg = seen.a_deg if axis == "a" else seen.b_deg
+    while clock.monotonic() < last_s + _STILL_S and clock.monotonic() < begin_s + _MOVE_WITHIN_S:
+        await asyncio.sleep(_LOOK_EVERY_S)
+        seen = await positioner.read_telemetry()
+        now_position = seen.position_a if axis == "a" else seen.position_b
+        if now_position != position:
+            if position == start:
+                first_s = clock.monotonic()
+            position, last_s = now_position, clock.monotonic()
+    end_deg, took_s = (seen.a_deg if axis == "a" else seen.b_deg), max(last_s - first_s, _LOOK_EVERY_S)
+    if position == start:
+        return "it did not move"
+    return (
+        f"began after {first_s - begin_s:.1f} s, took {took_s:.1f} s, {abs(position - start) / took_s:.2f} units/s,"
+        f" {abs(end_deg - start_deg) / took_s:.2f} deg/s, stands at {end_deg:.1f} deg, position {position:g}"
+    )

@@ -1,0 +1,397 @@
+"""The composition root: the one place that decides between real and simulated, and builds what was decided."""
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.base.clock import Clock, SystemClock
+from daemon.base.errors import UserError
+from daemon.base.kernel_clock import synchronised
+from daemon.base.records import FACES
+from daemon.config.sections import Settings, WeatherName
+from daemon.rigs.real import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
+from daemon.service.service import Rig, Role
+from drivers.interfaces import ElectronicLoad, Positioner
+from sim_drivers.load.core import LoadCore
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.pv_source import Light, PvSource
+from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
+from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.voltmeter.core import VoltmeterCore
+from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
+from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
+from sim_drivers.weather_parts import WeatherInParts
+from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.frames import Angles, Array
+from solar.pv_module import Q_PEAK_G4_1_305, PvModule
+from solar.sky import Sky, sky
+
+# A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
+DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
+
+_RAMP_S = 0.5
+"""How long the simulated motors take to full speed."""
+
+
+def site_of(settings: Settings) -> Site:
+    """Return the configured site as the science knows it."""
+    return Site(settings.site.latitude_deg, settings.site.longitude_deg, settings.site.altitude_m)
+
+
+_COVER_EVERY_S = 60.0
+_WIND_EVERY_S = 1800.0
+
+
+def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
+    """Return the simulated weather for a span of time, and a warning if a file does not fit the site.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or does not cover the span.
+    """
+    choice, site = settings.simulation.weather, site_of(settings)
+    if not isinstance(choice, Path):
+        return GeneratedWeather(choice, site, settings.simulation.seed), None
+    try:
+        weather = load_weather(choice)
+        weather.at(np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s))
+        return weather, site_mismatch(weather, site)
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
+def is_real(settings: Settings) -> bool:
+    """Tell whether the settings ask for real instruments."""
+    return settings.instruments.kind == "real"
+
+
+def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
+    """Build the real instruments that a role needs; nothing is connected yet.
+
+    Raises
+    ------
+    UserError
+        The settings do not say where one of them is.
+    """
+    return Rig(
+        None if role is Role.TRACKER else build_multiplexer(settings),
+        None if role is Role.TRACKER else build_voltmeter(settings),
+        None if role is Role.CUBE else build_positioner(settings, clock),
+        wind_speed_m_s=None,
+        simulated=False,
+        load=None if role is Role.CUBE else build_load(settings),
+        clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
+    )
+
+
+def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: Weather) -> Rig:
+    """Build the simulated instruments that a role needs, under one sky; `UserError` for a real load among them."""
+    scene = _build_scene(settings, weather)
+    rig = _under(scene, clock, weather)
+    if role is not Role.TRACKER:
+        multiplexer, voltmeter = _build_cube(settings, clock, scene)
+        rig = replace(rig, multiplexer=multiplexer, voltmeter=voltmeter)
+    if role is not Role.CUBE:
+        _, positioner, load = _build_tracker(settings, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings))
+        rig = replace(rig, positioner=positioner, load=load)
+    return rig
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedPair:
+    """The instruments of a cube and two trackers under one sky.
+
+    Attributes
+    ----------
+    rigs
+        Cube and first tracker; second tracker.
+    truths
+        Where each tracker's axes truly stand at a monotonic time.
+    overhead
+        The sky over them, the temperature of the air [degC] and the wind [m/s] at instants (n,) [s UTC]; NaN for
+        what the weather does not tell.
+    """
+
+    rigs: tuple[Rig, Rig]
+    truths: tuple[Callable[[float], Angles], Callable[[float], Angles]]
+    overhead: Callable[[Array], tuple[Sky, Array, Array]]
+
+
+def build_simulated_pair(
+    settings: Settings, clock: Clock, weather: Weather, modules: tuple[PvModule, PvModule]
+) -> SimulatedPair:
+    """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
+    scene = _build_scene(settings, weather)
+    multiplexer, voltmeter = _build_cube(settings, clock, scene)
+    (one, first, load), (other, second, its_load) = (
+        _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
+        for number, module in enumerate(modules)
+    )
+
+    def overhead(utc_s: Array) -> tuple[Sky, Array, Array]:
+        now = weather.at(utc_s)
+        sun, extra = sun_direction(utc_s, *site_of(settings)), extraterrestrial_dni(utc_s)
+        light = sky(settings.simulation.sky, sun, now.dni_w_m2, now.dhi_w_m2, extra)
+        return light, now.temp_air_degc, now.wind_speed_m_s
+
+    around = _under(scene, clock, weather)
+    rigs = (
+        replace(around, multiplexer=multiplexer, voltmeter=voltmeter, positioner=first, load=load),
+        replace(around, positioner=second, load=its_load),
+    )
+    return SimulatedPair(rigs, (one, other), overhead)
+
+
+def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, WeatherName]]) -> Weather:
+    """Return built-in weather of several kinds, each from its instant [s UTC] on; the first one also before."""
+    site, seed = site_of(settings), settings.simulation.seed
+    return WeatherInParts([(begin_utc_s, GeneratedWeather(kind, site, seed)) for begin_utc_s, kind in parts])
+
+
+def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
+    """Return a rig of no instruments under a sky."""
+
+    def wind() -> float | None:
+        # Asked every second of a simulated day, and a sensor four times a scan: a context manager would cost more.
+        try:
+            return scene.wind_speed(clock.utc())
+        except WeatherError as error:
+            raise UserError(str(error)) from error
+
+    sensor = wind if _tells_wind(weather) else None
+    return Rig(None, None, None, sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
+
+
+def _tells_wind(weather: Weather) -> bool:
+    """Tell whether weather has wind at all: a file without it is a rig without a sensor, and no silent one."""
+    if not isinstance(weather, MeasuredWeather):
+        return True
+    instants = np.arange(weather.start_utc_s, weather.end_utc_s, _WIND_EVERY_S)
+    instants = instants[weather.covers(instants)]
+    return instants.size == 0 or bool(np.isfinite(weather.at(instants).wind_speed_m_s).any())
+
+
+def _build_tracker(
+    settings: Settings, clock: Clock, scene: Scene, module: PvModule, noise: np.random.Generator
+) -> tuple[Callable[[float], Angles], Positioner, ElectronicLoad | None]:
+    """Return where a tracker's axes truly stand, its positioner, and the load on its module, if there is one."""
+    truth, positioner = build_simulated_positioner(settings, clock)
+    return truth, positioner, _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
+
+
+class _Module(PvSource):
+    def light(self, now: float) -> Light:
+        with _weather_may_end():
+            return super().light(now)
+
+
+def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles], module: PvModule) -> PvSource:
+    def utc_s(now_s: float) -> float:
+        return clock.utc() + now_s - clock.monotonic()
+
+    def present(_now_s: float) -> Angles:
+        # A load that answers some milliseconds from now must not drive the axes ahead of everybody else's time.
+        return pose(clock.monotonic())
+
+    return _Module(scene, present, utc_s, module)
+
+
+def _build_load(
+    settings: Settings, clock: Clock, source: PvSource, noise: np.random.Generator
+) -> ElectronicLoad | None:
+    load = settings.load
+    if load.driver == "none":
+        return None
+    if load.driver != "simulated":
+        raise UserError(
+            f'load.driver = "{load.driver}" is a real load and instruments.kind is "simulated":'
+            ' set load.driver to "simulated"'
+        )
+    core = LoadCore(source, noise, now=clock.monotonic())
+    return InMemoryLoad(
+        core, clock.monotonic, settle_s=load.settle_s, least_v=MARGIN_OF_LEAST_V * load.minimum_voltage_v
+    )
+
+
+def _noise_of_load(settings: Settings) -> np.random.Generator:
+    return np.random.default_rng([settings.simulation.seed, 2])
+
+
+def _build_scene(settings: Settings, weather: Weather) -> Scene:
+    simulation = settings.simulation
+    return Scene(
+        site_of(settings),
+        weather,
+        sky_model=simulation.sky,
+        albedo=simulation.albedo,
+        seed=simulation.seed,
+        sensors=SensorModel(gain_error=simulation.sensor_gain_error, noise_mv=simulation.sensor_noise_mv),
+        faces=_faces(settings),
+    )
+
+
+def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
+    """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
+    core = _build_unit(settings, clock)
+    return core.truth, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+
+
+def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
+    speed = settings.simulation.motor_speed_mm_s
+    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed, acceleration_mm_s2=speed / _RAMP_S)))
+
+
+def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
+    switch, core = _build_cube_cores(settings, clock, scene)
+    meter = settings.instruments.voltmeter
+    return (
+        InMemoryMultiplexer(switch, clock.monotonic),
+        InMemoryVoltmeter(
+            core,
+            clock.monotonic,
+            range_v=meter.range_v,
+            nplc=meter.nplc,
+            deadline_s=settings.cube.reading_deadline_s,
+        ),
+    )
+
+
+def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
+    face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
+
+    shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
+
+    def sensor(channel: int, now_s: float) -> float | None:
+        if channel in shorted:
+            return 0.0
+        face = face_of_channel.get(channel)
+        if face is None:
+            return None
+        try:
+            return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+        except WeatherError as error:
+            raise UserError(str(error)) from error
+
+    meter = settings.instruments.voltmeter
+    switch = MultiplexerCore(inputs=sensor, latency_s=0.0)
+    core = VoltmeterCore(
+        input_voltage=switch.output_voltage,
+        random=np.random.default_rng([settings.simulation.seed, 1]),
+        line_frequency_hz=meter.line_frequency_hz,
+        terminator=meter.terminator,
+    )
+    return switch, core
+
+
+@contextlib.contextmanager
+def _weather_may_end() -> Iterator[None]:
+    """Turn the end of a weather file in the middle of a run into a sentence for the user."""
+    try:
+        yield
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
+def _faces(settings: Settings) -> list[FaceGeometry]:
+    """Return the cube's geometry: an azimuth that is not configured is that of the face's name at this site."""
+    named = default_faces(settings.site.latitude_deg)
+    faces = [getattr(settings.cube, name) for name in FACES]
+    return [
+        FaceGeometry(default.azimuth_deg if face.azimuth_deg is None else face.azimuth_deg, face.tilt_deg)
+        for face, default in zip(faces, named, strict=True)
+    ]
+
+
+def _sky_text(scene: Scene, clock: Clock) -> str:
+    with _weather_may_end():
+        sky = scene.sky_state(clock.utc())
+        wind = scene.wind_speed(clock.utc())
+    text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
+    return text if wind is None else f"{text}, wind {wind:.1f} m/s"
+
+
+def measured_weather(path: Path) -> MeasuredWeather:
+    """Read a weather file; `UserError` if it cannot be used."""
+    try:
+        return load_weather(path)
+    except WeatherError as error:
+        raise UserError(str(error)) from error
+
+
+def weather_misfit(weather: MeasuredWeather, site: Site) -> str | None:
+    """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been."""
+    return site_mismatch(weather, site)
+
+
+async def run_bench(
+    settings: Settings,
+    directory: Path,
+    clock: Clock,
+    weather: Weather,
+    stop: asyncio.Event,
+    ready: Callable[[int], None],
+) -> None:
+    """Serve the simulated instruments on real transports until `stop` is set.
+
+    `ready` is called with the port of the NI gRPC server as soon as all of them are there. Raises `UserError` when the
+    directory cannot be used.
+    """
+    try:
+        from sim_drivers.bench.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
+        from sim_drivers.bench.client import BenchError  # noqa: PLC0415
+        from sim_drivers.bench.control import BenchControl  # noqa: PLC0415
+    except ImportError as error:
+        raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
+
+    scene = _build_scene(settings, weather)
+    switch, meter = _build_cube_cores(settings, clock, scene)
+    unit = _build_unit(settings, clock)
+    source = _build_source(clock, scene, unit.truth, Q_PEAK_G4_1_305)
+    noise, now_s = _noise_of_load(settings), clock.monotonic()
+    if settings.load.driver == "agilent6063b":
+        load = LoadCore(source, noise, make="agilent6063b", now=now_s)
+    else:
+        load = LoadCore(source, noise, channel=settings.load.channel, now=now_s)
+    bench = Bench(
+        directory,
+        scene,
+        switch,
+        meter,
+        unit,
+        load,
+        source,
+        BenchClock(clock.monotonic, clock.utc),
+        settings.instruments.voltmeter.baud_rate,
+    )
+    try:
+        async with BenchControl(bench):
+            await bench.run(stop, lambda: ready(bench.multiplexer.port))
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
+    """Send a command to the bench in a directory and return its answer; raises `UserError`."""
+    from sim_drivers.bench.client import BenchError, request  # noqa: PLC0415 - not needed by the service
+
+    try:
+        return request(directory, verb, arguments)
+    except BenchError as error:
+        raise UserError(str(error)) from error
+
+
+def bench_verbs() -> dict[str, tuple[str, str]]:
+    """Return the bench's commands by name: what each takes, and what it does."""
+    from sim_drivers.bench.client import VERBS  # noqa: PLC0415 - not needed by the service
+
+    return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

@@ -1,0 +1,84 @@
+"""The service manager's watchdog, answered only while the work itself goes on.
+
+A device that is down is a declared state and no reason to be killed; a control loop that no longer looks, a scan that
+does not end or an event loop that runs late is.
+"""
+
+import asyncio
+import logging
+
+from daemon.base.clock import Clock
+from daemon.base.sd_notify import Notifier
+from daemon.cube.acquisition import Acquisition
+from daemon.tracker.control import Control
+
+log = logging.getLogger("heliocube.watchdog")
+
+_CHECK_EVERY_S = 10.0
+_LATEST_S = 2.0
+_STUCK_AFTER_S = 30.0
+
+
+class Watchdog:
+    """Pings the service manager and keeps its status line.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    notifier
+        To the service manager.
+    control, acquisition
+        The work that must go on; None where the role has it not.
+    speed
+        How many times as fast as the machine's the clock runs.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        notifier: Notifier,
+        control: Control | None,
+        acquisition: Acquisition | None,
+        speed: float,
+    ) -> None:
+        self._clock = clock
+        self._notifier = notifier
+        self._control = control
+        self._acquisition = acquisition
+        self._speed = speed
+        self._stuck = False
+
+    async def run(self) -> None:
+        """Check and ping until cancelled."""
+        interval_s = min(self._notifier.watchdog_interval_s or _CHECK_EVERY_S, _CHECK_EVERY_S) * self._speed
+        while True:
+            due_s = self._clock.monotonic() + interval_s
+            await asyncio.sleep(interval_s)
+            late_s = (self._clock.monotonic() - due_s) / self._speed
+            trouble = f"the event loop runs {late_s:.1f} s late" if late_s > _LATEST_S else self._stuck_part()
+            if trouble is None:
+                self._notifier.watchdog()
+            elif not self._stuck:
+                log.error("%s: the watchdog is not answered", trouble)
+            self._stuck = trouble is not None
+            self._notifier.status(trouble or self._status())
+
+    def _stuck_part(self) -> str | None:
+        now_s = self._clock.monotonic()
+        if self._control is not None:
+            silent_s = now_s - self._control.last_tick_s
+            if silent_s > _STUCK_AFTER_S * max(self._speed, 1.0):
+                return f"control has not looked for {silent_s:.0f} s"
+        if self._acquisition is not None and not self._acquisition.outage.is_down:
+            silent_s = now_s - self._acquisition.last_scan_s
+            if silent_s > (_STUCK_AFTER_S + self._acquisition.scan_every_s) * max(self._speed, 1.0):
+                return f"no scan has ended for {silent_s:.0f} s"
+        return None
+
+    def _status(self) -> str:
+        if self._control is not None:
+            return f"{self._control.mode}: {self._control.why}"
+        if self._acquisition is not None and self._acquisition.outage.is_down:
+            return self._acquisition.outage.reason
+        return "acquiring"

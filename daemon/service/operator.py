@@ -1,0 +1,346 @@
+"""The operator's commands, and what the tracker did upon them, from its own telemetry."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+
+from daemon.base.records import Event, Mode, Pose, Target
+from daemon.motion.motion import Motion
+from daemon.service.service import Service
+from daemon.tracker.control import Control
+from daemon.tracker.wishes import Wishes
+from drivers.errors import DeviceError, RefusedError
+
+log = logging.getLogger("heliocube.operator")
+
+# A stop shows at once; a move in another direction is first stopped, and turns round.
+_WAIT_S = 3.0
+_WAIT_FOR_MOTION_S = 6.0
+_LOOK_EVERY_S = 0.02
+# Telemetry tells tenths of a degree.
+_NEARER_DEG = 0.15
+
+
+class CommandError(Exception):
+    """A command was not carried out; the message is one sentence.
+
+    Parameters
+    ----------
+    sentence
+        Why, and what to do.
+    wrong
+        True where the command itself was at fault, False where the state of the tracker was.
+    """
+
+    def __init__(self, sentence: str, *, wrong: bool = False) -> None:
+        super().__init__(sentence)
+        self.wrong = wrong
+
+
+class Seen(StrEnum):
+    """What the telemetry has shown of a command's effect before the answer."""
+
+    DONE = "done"
+    UNDER_WAY = "under-way"
+    NOT_SEEN = "not-seen"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came of a command.
+
+    Attributes
+    ----------
+    seen
+        ``done``: it has arrived, or stands; ``under-way``: it is seen to move there, or to home; ``not-seen``: neither.
+    text
+        What the tracker did, in a sentence.
+    """
+
+    seen: Seen
+    text: str
+
+    @property
+    def done(self) -> bool:
+        """Whether the telemetry has shown the whole effect."""
+        return self.seen is Seen.DONE
+
+
+class Operator:
+    """Carries commands to control and to motion, and waits until their effect can be seen.
+
+    Every command raises `CommandError` when it is not carried out. `why` and `by` are one line each: the reason, and
+    the person, for the records.
+
+    Parameters
+    ----------
+    service
+        Whose tracker is commanded.
+    speed
+        How many times as fast as the machine's the service's clock runs: nobody at a terminal waits longer for it.
+    """
+
+    def __init__(self, service: Service, speed: float) -> None:
+        self._service = service
+        self._speed = speed
+
+    async def stop(self, why: str, by: str = "") -> Answer:
+        """Stop the axes at once and keep them stopped until 'auto', even from a stow."""
+        control, motion = self._tracker()
+        return await self._stand_still("stop", control.stop(why, by), motion.target, why, by)
+
+    async def maintenance(self, why: str, by: str = "") -> Answer:
+        """Stop the axes, keep them still and the alarms silent until 'auto'."""
+        control, motion = self._tracker()
+        with _refusals():
+            control.refuse_while_still("maintenance")
+        return await self._stand_still("maintenance", control.maintenance(why, by), motion.target, why, by)
+
+    async def _stand_still(
+        self, name: str, command: Awaitable[None], heading: Target | None, why: str, by: str
+    ) -> Answer:
+        """Let the packet go first, and write and tell afterwards."""
+        control, motion = self._tracker()
+        asked_s, before, lost = self._service.clock.monotonic(), control.wishes, None
+        try:
+            await command
+        except DeviceError as error:
+            lost = str(error)
+        self._note(name, why, by)
+        control.tick()
+        if lost is not None:
+            noted = "" if name == "stop" else f"{name} is noted, but "
+            raise CommandError(f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}")
+        seen = await self._until(lambda: Seen.DONE if _stands(motion, asked_s) else None)
+        way = ""
+        if seen is Seen.DONE and heading is not None:
+            way = f"stopped on the way to A {heading.a_deg:+.1f}, B {heading.b_deg:.1f} deg; "
+        return Answer(seen, f"{way}{self._seen()}{_replaced(before, control.wishes)}")
+
+    async def stow(self, why: str, by: str = "") -> Answer:
+        """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
+        control, motion = self._tracker()
+        with _refusals():
+            control.refuse_while_still("stow")
+        if motion.moving and control.mode is not Mode.STOW:
+            await _try_to_stop(motion)
+        safety, before = self._service.settings.safety, control.wishes
+        with _refusals():
+            control.stow(why, by)
+        self._note("stow", why, by)
+        control.tick()
+        return await self._on_the_way(safety.stow_a_deg, safety.stow_b_deg, before)
+
+    async def snow(self, why: str, by: str = "") -> Answer:
+        """Go to the snow position and stay; a stow goes before it."""
+        control, _ = self._tracker()
+        before = control.wishes
+        with _refusals():
+            control.snow(why, by)
+        self._note("snow", why, by)
+        control.tick()
+        settings = self._service.settings
+        place = settings.limits.limits().clip(settings.safety.snow_a_deg, settings.safety.snow_b_deg)
+        return await self._on_the_way(place.a_deg, place.b_deg, before)
+
+    async def hold(self, why: str, by: str = "") -> Answer:
+        """Stay here; a move in progress is stopped."""
+        control, motion = self._tracker()
+        asked_s, before = self._service.clock.monotonic(), control.wishes
+        with _refusals():
+            control.hold(why, by)
+        self._note("hold", why, by)
+        control.tick()
+        if not motion.homing:
+            # Even a tracker at rest is looked at once more.
+            motion.rest()
+
+        def seen() -> Seen | None:
+            if motion.homing:
+                return Seen.UNDER_WAY
+            return Seen.DONE if control.mode is Mode.HOLD and _stands(motion, asked_s) else None
+
+        return Answer(await self._until(seen), f"{self._seen()}{_replaced(before, control.wishes)}")
+
+    async def goto(self, a_deg: float, b_deg: float, why: str, by: str = "") -> Answer:
+        """Go to a position inside the limits and hold there."""
+        control, motion = self._tracker()
+        before = control.wishes
+        with _refusals():
+            control.refuse_goto(a_deg, b_deg)
+            if obstacle := _obstacle(motion):
+                raise CommandError(f"the tracker cannot go anywhere: {obstacle}")
+            if motion.homing:
+                raise CommandError("the tracker is homing and goes nowhere before its end; 'heliocube stop' ends it")
+            control.goto(a_deg, b_deg, why, by)
+        self._note(f"goto A {a_deg:g}, B {b_deg:g} deg", why, by)
+        control.tick()
+        return await self._on_the_way(a_deg, b_deg, before)
+
+    async def auto(self, why: str, by: str = "") -> Answer:
+        """End all that persons asked for: stop, maintenance, stow, snow, hold and goto."""
+        control, _ = self._tracker()
+        before = control.wishes
+        control.auto()
+        self._note("auto", why, by)
+        control.tick()
+        ended = "; ".join(before.gone_in(control.wishes))
+        return Answer(Seen.DONE, f"{self._seen()}{f'; released: {ended}' if ended else ''}")
+
+    async def home(self, why: str, by: str = "") -> Answer:
+        """Start a reference run of both axes."""
+        control, motion = self._tracker()
+        with _refusals():
+            control.refuse_home()
+            self._require_telemetry("homed")
+            control.home()
+        self._note("home", why, by)
+        return Answer(await self._until(lambda: Seen.UNDER_WAY if motion.homing else None), self._seen())
+
+    async def clear(self, why: str, by: str = "") -> Answer:
+        """Clear the faults and doubts that are shown now; what came unseen or comes later stays."""
+        control, motion = self._tracker()
+        with _refusals():
+            control.refuse_while_still("clear")
+            self._require_telemetry("cleared of faults")
+            shown, asked_s = control.clear_faults(), self._service.clock.monotonic()
+        self._note("clear faults", why, by)
+
+        def seen() -> Seen | None:
+            looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s >= asked_s
+            return Seen.DONE if looked and not set(shown) & set(motion.concerns) else None
+
+        found = await self._until(seen)
+        control.tick()
+        forgiven = f"forgiven: {'; '.join(shown)}" if shown else "nothing was shown that could be cleared"
+        return Answer(found, f"{forgiven if found is Seen.DONE else 'not cleared yet'}; {self._seen()}")
+
+    async def relearn(self, why: str, by: str = "") -> Answer:
+        """Forget the albedo and the gains that the law `optimal` has learned."""
+        control, _ = self._tracker()
+        with _refusals():
+            control.refuse_while_still("relearn")
+        if control.optimal is None:
+            law = self._service.settings.law.name
+            raise CommandError(f"there is nothing to forget: the law {law} learns nothing, only optimal does")
+        self._note("relearn", why, by)
+        control.optimal.relearn()
+        return Answer(Seen.DONE, "albedo and gains are learned anew")
+
+    def _tracker(self) -> tuple[Control, Motion]:
+        control, motion = self._service.control, self._service.motion
+        if control is None or motion is None:
+            raise CommandError("this is the cube's process and has no tracker: ask that of the tracker")
+        return control, motion
+
+    def _note(self, command: str, why: str, by: str) -> None:
+        clock, text = self._service.clock, f"{command}: {why}{f' ({by})' if by else ''}"
+        log.info("%s", text)
+        self._service.bus.publish(Event(clock.utc(), clock.monotonic(), "operator", text))
+
+    def _require_telemetry(self, what: str) -> None:
+        _, motion = self._tracker()
+        if not motion.connected:
+            raise CommandError(f"the tracker cannot be {what}: {_obstacle(motion)}")
+
+    async def _on_the_way(self, a_deg: float, b_deg: float, before: Wishes) -> Answer:
+        """Wait until the tracker is seen to stand at a place or to come nearer to it."""
+        control, motion = self._tracker()
+        approach = _Approach(motion, Target(a_deg, b_deg, ""), self._service.settings.motion.tolerance_deg)
+        found = await self._until(approach.seen, _WAIT_FOR_MOTION_S)
+        return Answer(found, f"{self._seen()}{_replaced(before, control.wishes)}")
+
+    async def _until(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
+        clock = self._service.clock
+        deadline_s = clock.monotonic() + within_s * self._speed
+        while (found := seen()) is None:
+            if clock.monotonic() >= deadline_s:
+                return Seen.NOT_SEEN
+            await asyncio.sleep(_LOOK_EVERY_S * self._speed)
+        return found
+
+    def _seen(self) -> str:
+        """Return where the tracker is, what it does, and in which mode, as telemetry and control have it."""
+        control, motion = self._tracker()
+        mode = f"mode {control.mode}: {control.why}"
+        if motion.pose is None or not motion.connected:
+            return f"the tracker does not answer ({_obstacle(motion)}); {mode}"
+        where = f"A {motion.pose.a_deg:+.1f}, B {motion.pose.b_deg:.1f} deg"
+        if motion.homing:
+            return f"homing, now at {where}; {mode}"
+        if motion.target is not None:
+            target = motion.target
+            return f"moving to A {target.a_deg:+.1f}, B {target.b_deg:.1f} deg, now at {where}; {mode}"
+        return f"{'moving' if motion.stands_since_s is None else 'standing'} at {where}; {mode}"
+
+
+class _Approach:
+    """Watches a tracker come nearer to a place."""
+
+    def __init__(self, motion: Motion, place: Target, tolerance_deg: float) -> None:
+        self._motion = motion
+        self._place = place
+        self._tolerance_deg = tolerance_deg
+        self._farthest_deg = self._nearest_seen_deg()
+
+    def seen(self) -> Seen | None:
+        """Return what the latest telemetry shows, or None for nothing yet."""
+        motion = self._motion
+        if motion.pose is None or not motion.connected:
+            return None
+        if motion.target is None:
+            near = not motion.homing and _furthest_off(motion.pose, self._place) <= self._tolerance_deg
+            return Seen.DONE if near and motion.stands_since_s is not None else None
+        distance_deg = self._nearest_seen_deg()
+        self._farthest_deg = max(self._farthest_deg, distance_deg)
+        heads = (motion.target.a_deg, motion.target.b_deg) == (self._place.a_deg, self._place.b_deg)
+        return Seen.UNDER_WAY if heads and distance_deg <= self._farthest_deg - _NEARER_DEG else None
+
+    def _nearest_seen_deg(self) -> float:
+        pose, place = self._motion.pose, self._place
+        return 0.0 if pose is None else abs(pose.a_deg - place.a_deg) + abs(pose.b_deg - place.b_deg)
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Turn what control refuses into a sentence for the operator."""
+    try:
+        yield
+    except RefusedError as error:
+        raise CommandError(error.message) from None
+    except ValueError as error:
+        raise CommandError(str(error), wrong=True) from None
+
+
+async def _try_to_stop(motion: Motion) -> None:
+    """Send stop at once; a link that is lost is motion's to tell, and no reason to give the command up."""
+    try:
+        await motion.stop()
+    except DeviceError as error:
+        log.warning("stop could not be sent: %s", error)
+
+
+def _replaced(before: Wishes, now: Wishes) -> str:
+    ended = "; ".join(before.gone_in(now))
+    return f"; this replaces: {ended}" if ended else ""
+
+
+def _stands(motion: Motion, asked_s: float) -> bool:
+    """Whether telemetry from after a command shows both axes unmoved."""
+    telemetry, stands_s = motion.telemetry, motion.stands_since_s
+    if telemetry is None or stands_s is None or motion.moving:
+        return False
+    return telemetry.time_monotonic_s >= asked_s
+
+
+def _furthest_off(pose: Pose, place: Target) -> float:
+    return max(abs(pose.a_deg - place.a_deg), abs(pose.b_deg - place.b_deg))
+
+
+def _obstacle(motion: Motion) -> str | None:
+    if motion.connected:
+        return motion.blocked or motion.doubt
+    return motion.outage.reason or "the positioner has not answered yet"

@@ -1,0 +1,1 @@
+"""What the service keeps on disk: the tables of records, and their export."""

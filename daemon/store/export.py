@@ -1,0 +1,161 @@
+"""From the store to tables: a span of time, one file per kind of record, with pvlib's names where it has them."""
+
+import math
+import sqlite3
+from collections import namedtuple
+from collections.abc import Collection
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from daemon.store.tables import COLUMNS, Column, Format, Row, TableWriter
+from solar.frames import azimuth_from_direction, normal_from_angles
+
+KINDS = tuple(name for name, _ in COLUMNS.values())
+
+_ROWS_AT_ONCE = 4096
+
+
+def _added(*names: str) -> list[Column]:
+    return [Column(name, name, "float") for name in names]
+
+
+# What follows the columns of the tables: the same quantities as pvlib names them, then the run they come from.
+_PVLIB = {
+    "scans": _added("ghi"),
+    "decisions": _added("solar_azimuth", "apparent_elevation", "apparent_zenith"),
+    "poses": _added("surface_tilt", "surface_azimuth"),
+}
+_RUN = [Column("run", "run", "int")]
+_SIMULATED = [Column("simulated", "simulated", "bool")]
+_TRACKER = [Column("tracker", "tracker", "text")]
+
+
+def export(
+    directory: Path,
+    out: Path,
+    table_format: Format,
+    start: datetime | None,
+    end: datetime | None,
+    kinds: Collection[str],
+) -> dict[str, int]:
+    """Write what the store in `directory` holds from `start` up to, not including, `end`; return the rows of each kind.
+
+    Rows are in the order of their time, then of their making. The service may go on writing meanwhile.
+
+    Parameters
+    ----------
+    directory
+        Folder of the store.
+    out
+        Folder of the tables, made if it is missing.
+    table_format
+        ``csv`` or ``parquet``; in Parquet the UTC times are the index that pandas gives its frame.
+    start, end
+        With their time zone; None is as far as the store goes.
+    kinds
+        Of `KINDS`; none of them is all.
+
+    Raises
+    ------
+    UserError
+        The span is empty or ends before it begins; there is no store; the tables cannot be written.
+    """
+    if start is not None and end is not None and start >= end:
+        raise UserError(f"--from {_text(start)} is not before --to {_text(end)}: exchange them")
+    chosen = [name for name in KINDS if name in kinds or not kinds]
+    with closing(open_for_reading(directory / FILE_NAME)) as connection:
+        try:
+            # One transaction: all kinds as they were at one instant.
+            connection.execute("BEGIN")
+            tables = {name: _Table(name) for name in chosen}
+            columns: dict[type[Row], tuple[str, list[Column]]]
+            columns = {table.row: (table.name, table.columns) for table in tables.values()}
+            with TableWriter(out, table_format, columns) as writer:
+                return {name: table.copy(connection, writer, start, end) for name, table in tables.items()}
+        except sqlite3.Error as error:
+            raise UserError(f"the store {directory / FILE_NAME} cannot be read: {error}") from None
+        except OSError as error:
+            raise UserError(f"{out} cannot take the tables: {error.strerror}") from None
+
+
+class _Table:
+    """One kind of record on its way from the store to a file."""
+
+    def __init__(self, name: str) -> None:
+        own = next(columns for table, columns in COLUMNS.values() if table == name)
+        self.name = name
+        self._stored = [column.name for column in own]
+        simulated = [] if "simulated" in self._stored else _SIMULATED
+        columns = [*own, *_PVLIB.get(name, []), *_RUN, *simulated, *_TRACKER]
+        self.columns = [Column(column.name, column.name, column.holds) for column in columns]
+        self.row = namedtuple(name, [column.name for column in self.columns])  # type: ignore[misc]  # made at run time
+        self._floats = [place for place, column in enumerate(own) if column.holds == "float"]
+        self._texts = [place for place, column in enumerate(own) if column.holds == "text"]
+        self._truths = [place for place, column in enumerate(own) if column.holds == "bool"]
+
+    def copy(
+        self, connection: sqlite3.Connection, writer: TableWriter, start: datetime | None, end: datetime | None
+    ) -> int:
+        low = -math.inf if start is None else start.timestamp()
+        high = math.inf if end is None else end.timestamp()
+        there = columns_of(connection, self.name)
+        if not there:
+            return 0
+        names = ", ".join(f"kept.{name}" if name in there else "NULL" for name in self._stored)
+        tracker = "runs.tracker" if "tracker" in columns_of(connection, "runs") else "''"
+        query = (
+            f"SELECT {names}, kept.run, runs.simulated, {tracker}, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
+            "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"
+        )
+        cursor = connection.execute(query, (low, high))
+        count = 0
+        while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+            derived = _derived(self.name, self._stored, rows)
+            for (*values, run, simulated, name, _), more in zip(rows, derived, strict=True):
+                for place in self._floats:
+                    if values[place] is None:
+                        values[place] = math.nan
+                for place in self._texts:
+                    values[place] = values[place] or ""
+                for place in self._truths:
+                    values[place] = bool(values[place])
+                tail = [run, name] if "simulated" in self._stored else [run, bool(simulated), name]
+                writer.write(self.row(*values, *more, *tail))
+            count += len(rows)
+        return count
+
+
+def _derived(name: str, stored: list[str], rows: list[tuple[Any, ...]]) -> list[tuple[float, ...]]:
+    """Return each row's values in the columns with pvlib's names."""
+
+    def column(wanted: str) -> list[Any]:
+        return [row[stored.index(wanted)] for row in rows]
+
+    if name == "scans":
+        pairs = zip(column("zenith_w_m2"), column("zenith_quality"), strict=True)
+        return [(value if value is not None and quality == "ok" else math.nan,) for value, quality in pairs]
+    if name == "decisions":
+        azimuth, elevation = (np.array(column(f"sun_{angle}_deg"), float) for angle in ("azimuth", "elevation"))
+        return _by_row(azimuth, elevation, 90.0 - elevation)
+    if name == "poses":
+        normals = normal_from_angles(np.array(column("a_deg"), float), np.array(column("b_deg"), float))
+        north = np.array([row[-1] for row in rows]) >= 0
+        (azimuth_north, elevation), (azimuth_south, _) = (azimuth_from_direction(normals, sign) for sign in (1.0, -1.0))
+        return _by_row(90.0 - elevation, np.where(north, azimuth_north, azimuth_south))
+    return [()] * len(rows)
+
+
+def _by_row(*columns: NDArray[np.float64]) -> list[tuple[float, ...]]:
+    return list(zip(*[column.tolist() for column in columns], strict=True))
+
+
+def _text(instant: datetime) -> str:
+    return iso_utc(instant.astimezone(UTC).timestamp())

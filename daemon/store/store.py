@@ -1,0 +1,265 @@
+"""The store: every record of the service, kept in one SQLite file by a thread that nobody waits for."""
+
+import contextlib
+import logging
+import shutil
+import sqlite3
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from daemon.base.clock import Clock
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Record
+from daemon.store.schema import FILE_NAME, Rows, StoreError, check_store, open_for_writing
+from daemon.store.tables import COLUMNS
+
+log = logging.getLogger("heliocube.store")
+
+_BATCH_ROWS = 1000
+# About 25 MB, and several hours of a service that runs at the machine's own speed.
+_MOST_WAITING = 50_000
+_CLOSE_WITHIN_S = 10.0
+_DELETE_ROWS = 5000
+_DAY_S = 86400.0
+# SQLite needs a few pages to begin anything at all.
+_ROOM_BYTES = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Which run of the service the records come from, and the name of its tracker."""
+
+    started_utc_s: float
+    role: str
+    version: str
+    simulated: bool
+    site: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    tracker: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StoreStatus:
+    """How the store is.
+
+    Attributes
+    ----------
+    path
+        Its file.
+    written, waiting, lost
+        Records of this run that are in the file, that wait for the next batch, and that found no room to wait in.
+    down_why
+        Why it cannot write, or None.
+    """
+
+    path: Path
+    written: int
+    waiting: int
+    lost: int
+    down_why: str | None
+
+
+class Store:
+    """Keeps records; taking one never blocks and never fails.
+
+    A batch is written after `batch_s` seconds of wall time at the latest, in one transaction. While the disk is full
+    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time.
+
+    Parameters
+    ----------
+    directory
+        Of the file; made if it is missing.
+    batch_s, keep_days
+        Longest time until a record is written [s]; how many days with records are kept.
+    origin
+        This run of the service.
+    clock
+        The service's time.
+    publish
+        Called from the store's own thread with events about the store itself.
+
+    Raises
+    ------
+    StoreError
+        What is in the folder is no store of this program, or the folder cannot be written to.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        batch_s: float,
+        keep_days: int,
+        origin: Origin,
+        clock: Clock,
+        publish: Callable[[Event], None],
+    ) -> None:
+        check_store(directory)
+        self._path = directory / FILE_NAME
+        self._batch_s = batch_s
+        self._keep_days = keep_days
+        self._origin = origin
+        self._clock = clock
+        self._publish = publish
+        self._outage = Outage(log, "the store")
+        self._rows = {kind: Rows(kind) for kind in COLUMNS}
+        self._waiting: deque[tuple[int, Record]] = deque(maxlen=_MOST_WAITING)
+        self._changed = threading.Condition()
+        self._closing = False
+        self._numbers = 0
+        self._written = 0
+        self._lost = 0
+        self._told_lost = 0
+        self._run: int | None = None
+        self._newest_day: int | None = None
+        self._thread = threading.Thread(target=self._work, name="store", daemon=True)
+        self._thread.start()
+
+    def keep(self, record: Record) -> None:
+        """Take one record; a subscriber of the bus."""
+        with self._changed:
+            if len(self._waiting) == _MOST_WAITING:
+                self._lost += 1
+            self._waiting.append((self._numbers, record))
+            self._numbers += 1
+            if len(self._waiting) == _BATCH_ROWS:
+                self._changed.notify()
+
+    @property
+    def status(self) -> StoreStatus:
+        """A snapshot for displays."""
+        with self._changed:
+            down_why = self._outage.reason if self._outage.is_down else None
+            return StoreStatus(self._path, self._written, len(self._waiting), self._lost, down_why)
+
+    def close(self) -> None:
+        """Write what waits and end; gives up after a few seconds and says what was lost then."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(_CLOSE_WITHIN_S)
+        waiting = self.status.waiting
+        if waiting:
+            log.error("the store is closed and %d records could not be written", waiting)
+
+    def _work(self) -> None:
+        """Write batch after batch, with a connection anew after every failure."""
+        while True:
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                with closing(open_for_writing(self._path)) as connection:
+                    self._serve(connection)
+            except (sqlite3.Error, OSError, StoreError) as error:
+                self._failed(self._reason(error))
+            except Exception as error:
+                log.exception("the store's thread met what it should not")
+                self._failed(repr(error))
+            else:
+                return
+            with self._changed:
+                if self._closing:
+                    return
+                self._changed.wait_for(lambda: self._closing, self._batch_s)
+
+    def _serve(self, connection: sqlite3.Connection) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closing or len(self._waiting) >= _BATCH_ROWS, self._batch_s)
+                ended = self._closing
+                batch = [self._waiting[index] for index in range(min(len(self._waiting), _BATCH_ROWS))]
+            if batch:
+                self._write(connection, batch)
+                self._written_to(batch[-1][0], len(batch))
+            if ended and len(batch) < _BATCH_ROWS:
+                return
+
+    def _write(self, connection: sqlite3.Connection, batch: list[tuple[int, Record]]) -> None:
+        days = {int(record.time_utc_s // _DAY_S) for _, record in batch}
+        if self._run is None:
+            self._run = self._begin_run(connection)
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            by_kind = sorted(batch, key=lambda item: type(item[1]).__name__)
+            for kind, items in groupby(by_kind, key=lambda item: type(item[1])):
+                rows = self._rows[kind]
+                connection.executemany(rows.insert, [rows.row(self._run, number, record) for number, record in items])
+            connection.executemany("INSERT OR IGNORE INTO days VALUES (?)", [(day,) for day in days])
+            connection.execute("COMMIT")
+        except BaseException:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+            raise
+        newest = max(days)
+        if self._newest_day is None or newest > self._newest_day:
+            self._newest_day = newest
+            self._thin(connection)
+
+    def _begin_run(self, connection: sqlite3.Connection) -> int:
+        origin = self._origin
+        cursor = connection.execute(
+            "INSERT INTO runs VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                origin.started_utc_s,
+                origin.role,
+                origin.version,
+                origin.simulated,
+                origin.site,
+                origin.latitude_deg,
+                origin.longitude_deg,
+                origin.altitude_m,
+                origin.tracker,
+            ),
+        )
+        assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one
+        return cursor.lastrowid
+
+    def _thin(self, connection: sqlite3.Connection) -> None:
+        """Forget the oldest days. Days that have records are counted: a clock set wrong cannot empty the store."""
+        last = connection.execute("SELECT day FROM days ORDER BY day DESC LIMIT 1 OFFSET ?", (self._keep_days,))
+        found = last.fetchone()
+        if found is None:
+            return
+        end_s = (found[0] + 1) * _DAY_S
+        for name, _ in COLUMNS.values():
+            which = f"SELECT run, number FROM {name} WHERE time < ? LIMIT ?"  # noqa: S608 - our own names
+            delete = f"DELETE FROM {name} WHERE (run, number) IN ({which})"  # noqa: S608 - our own names
+            while connection.execute(delete, (end_s, _DELETE_ROWS)).rowcount == _DELETE_ROWS:
+                pass
+        connection.execute("DELETE FROM days WHERE day <= ?", found)
+
+    def _written_to(self, last: int, count: int) -> None:
+        with self._changed:
+            # Where the queue was full, the oldest of the batch have left it meanwhile, written after all.
+            while self._waiting and self._waiting[0][0] <= last:
+                self._waiting.popleft()
+            self._written += count
+            self._lost = self._numbers - self._written - len(self._waiting)
+            lost = self._lost - self._told_lost
+            told = self._outage.up(self._clock.monotonic())
+            if told:
+                self._told_lost = self._lost
+        if told:
+            self._tell(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
+
+    def _reason(self, error: Exception) -> str:
+        """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(self._path.parent).free < _ROOM_BYTES:
+                return f"the disk of {self._path.parent} is full"
+        return str(error)
+
+    def _failed(self, reason: str) -> None:
+        with self._changed:
+            first = not self._outage.is_down
+            told = self._outage.down(self._clock.monotonic(), reason)
+        if first and told:
+            self._tell(f"cannot write: {reason}; records wait in memory")
+
+    def _tell(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "store", text))

@@ -1,0 +1,1 @@
+"""What runs without a rig to keep: simulation, replay, and the studies of energy, gain and calibration."""

@@ -1,0 +1,199 @@
+"""Evaluation of `heliocube calibrate cube`: sensors that lie beside a reference pyranometer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.config.sections import Cube
+from daemon.studies.calibrate.readings import Readings, Reference, span_text
+from solar.agreement import Agreement, agreement
+from solar.calibration.comparison import Interval, SeriesGain, fitted_offset, lag_s, series_gain
+from solar.calibration.selection import block_means, clear_and_stable, night_offset
+from solar.ephemeris import Site, sun_position
+from solar.frames import Array
+
+MEAN_S = 60.0
+_NORMAL = 1.96
+_WIDEST_GAP = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class FaceResult:
+    """One sensor beside the reference.
+
+    Attributes
+    ----------
+    series
+        Its gain and where it comes from.
+    offset_mv
+        Voltage in the dark, with its 95 % interval.
+    gain_uncertainty_percent
+        Expanded, k = 2: the series and the reference together.
+    before, after
+        Agreement with the old gain and the new over the clear and stable minutes.
+    """
+
+    series: SeriesGain
+    offset_mv: Interval
+    gain_uncertainty_percent: float
+    before: Agreement
+    after: Agreement
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All four sensors beside the reference.
+
+    Attributes
+    ----------
+    faces
+        By name.
+    utc_s, reference_w_m2, irradiance_w_m2, before_w_m2, incidence_deg
+        Minutes of clear and stable sky: shapes (n,), (n,), (n, 4), (n, 4) and (n,); irradiances with the new gains and
+        with the old.
+    lag_s, lag_known
+        How far the sensors' clock is ahead; whether the readings told, or it was taken as 0 or given.
+    night_readings
+        How many readings at night the offsets are from; 0: from the line through the readings.
+    minutes
+        Common minutes by daylight, of which those of clear and stable sky are a part.
+    """
+
+    faces: dict[str, FaceResult]
+    utc_s: Array
+    reference_w_m2: Array
+    irradiance_w_m2: Array
+    before_w_m2: Array
+    incidence_deg: Array
+    lag_s: float
+    lag_known: bool
+    reference_offset_w_m2: float
+    night_readings: int
+    minutes: int
+
+
+def compare(
+    reference: Reference,
+    readings: Readings,
+    site: Site,
+    cube: Cube,
+    *,
+    lag: float | None,
+    reference_uncertainty_percent: float,
+) -> Comparison:
+    """Return the sensors' gains, offsets and agreement.
+
+    Parameters
+    ----------
+    cube
+        The settings in force when the readings were made: their gains are those of 'before', and turn irradiances back
+        into voltages.
+    lag
+        How far the sensors' clock is ahead [s]; None to find out.
+    reference_uncertainty_percent
+        Expanded (k = 2) uncertainty of the reference's own calibration.
+
+    Raises
+    ------
+    UserError
+        The two do not overlap, or there is too little clear and stable sky; the sentence says how much there is.
+    """
+    old = [getattr(cube, name) for name in FACES]
+    gains, offsets = np.array([face.gain_w_m2_per_mv for face in old]), np.array([face.offset_mv for face in old])
+    voltage = readings.faces if readings.in_mv else readings.faces / gains + offsets
+    whole = np.isfinite(voltage).all(axis=-1)
+    if not whole.any():
+        raise UserError(f"{readings.source} has no instant at which all four faces were read")
+    utc_s, voltage = readings.utc_s[whole], voltage[whole]
+    known = lag
+    if known is None:
+        found = lag_s(reference.utc_s, reference.ghi_w_m2, utc_s, voltage.mean(axis=-1))
+        known = found if np.isfinite(found) else None
+    utc_s = utc_s - (known or 0.0)
+    zero, _, _ = night_offset(reference.utc_s, reference.ghi_w_m2[:, None], site)
+    reference_zero = float(zero[0]) if np.isfinite(zero[0]) else 0.0
+    dark, dark_error, nights = night_offset(utc_s, voltage, site)
+    minute, ghi, mv = _common(reference, utc_s, voltage)
+    if not minute.size:
+        raise UserError(
+            f"reference and sensors do not overlap: {reference.source} has {span_text(reference.utc_s)}, "
+            f"{readings.source} has {span_text(utc_s)}; check the files and that times are UTC"
+        )
+    ghi = ghi - reference_zero
+    clear = clear_and_stable(minute, ghi, site)
+    daylight = int(np.count_nonzero(sun_position(minute, *site).elevation_deg > 0.0))
+    if not clear.any():
+        raise UserError(
+            f"none of the {daylight} common minutes by daylight has a clear and stable sky; measure on cloudless days, "
+            "and check --site"
+        )
+    minute, ghi, mv = minute[clear], ghi[clear], mv[clear]
+    faces = {}
+    for place, name in enumerate(FACES):
+        offset = Interval(float(dark[place]), float(_NORMAL * dark_error[place])) if nights else None
+        faces[name] = _face(
+            name, minute, ghi, mv[:, place], offset, gains[place], offsets[place], reference_uncertainty_percent
+        )
+    new_gains = np.array([face.series.gain_w_m2_per_mv.value for face in faces.values()])
+    new_offsets = np.array([face.offset_mv.value for face in faces.values()])
+    return Comparison(
+        faces=faces,
+        utc_s=minute,
+        reference_w_m2=ghi,
+        irradiance_w_m2=(mv - new_offsets) * new_gains,
+        before_w_m2=(mv - offsets) * gains,
+        incidence_deg=90.0 - sun_position(minute, *site).elevation_deg,
+        lag_s=known or 0.0,
+        lag_known=known is not None,
+        reference_offset_w_m2=reference_zero,
+        night_readings=nights,
+        minutes=daylight,
+    )
+
+
+def _common(reference: Reference, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
+    """Bring both to means over minutes, the sensors' to the instants of the reference's by straight lines.
+
+    Readings a moment apart may fall in different minutes, so that minutes of one number may be a minute apart.
+    """
+    minute, ghi = block_means(reference.utc_s, reference.ghi_w_m2, MEAN_S)
+    times, mv = block_means(utc_s, voltage, MEAN_S)
+    if times.size < 2:
+        return minute[:0], ghi[:0], mv[:0]
+    steps = np.diff(times)
+    place = np.clip(np.searchsorted(times, minute) - 1, 0, steps.size - 1)
+    common = (times[0] <= minute) & (minute <= times[-1])
+    common &= steps[place] <= _WIDEST_GAP * max(MEAN_S, float(np.median(steps)))
+    at_reference = np.stack([np.interp(minute[common], times, face) for face in mv.T], axis=-1)
+    return minute[common], ghi[common], at_reference
+
+
+def _face(
+    name: str,
+    utc_s: Array,
+    ghi: Array,
+    mv: Array,
+    offset: Interval | None,
+    old_gain: float,
+    old_offset: float,
+    reference_uncertainty_percent: float,
+) -> FaceResult:
+    try:
+        zero = fitted_offset(ghi, mv) if offset is None else offset
+        series = series_gain(utc_s, ghi, mv - zero.value)
+    except ValueError as error:
+        raise UserError(f"the {name} sensor cannot be calibrated: {error}") from None
+    gain = series.gain_w_m2_per_mv
+    own_percent = 100.0 * gain.half_width / gain.value
+    # What an uncertain zero does to the gain at the mean irradiance of the readings.
+    zero_percent = 100.0 * zero.half_width / float(np.mean(mv - zero.value))
+    total = float(np.sqrt(own_percent**2 + zero_percent**2 + reference_uncertainty_percent**2))
+    return FaceResult(
+        series,
+        zero,
+        total,
+        before=agreement((mv - old_offset) * old_gain, ghi),
+        after=agreement((mv - zero.value) * gain.value, ghi),
+    )

@@ -1,0 +1,163 @@
+"""Readings to calibrate by: from CSV, or from the store of the service."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from solar.frames import Array
+
+_MV, _W_M2 = "_mv", "_w_m2"
+_REFERENCE_NAMES = ("ghi", "ghi_w_m2")
+# Far above any sun, far below any number that a damaged cell may hold.
+_LARGEST = 10_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Readings of the four faces.
+
+    Attributes
+    ----------
+    source
+        How messages call them.
+    utc_s, faces
+        Increasing instants [s], shape (n,), and readings, shape (n, 4); NaN where there is none that can be trusted.
+    in_mv
+        Whether they are voltages [mV]; else irradiances [W/m2] made with some earlier gains.
+    calibrations
+        Identifiers of the calibrations those were made with; empty for the gains of the settings.
+    """
+
+    source: str
+    utc_s: Array
+    faces: Array
+    in_mv: bool
+    calibrations: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Global horizontal irradiance by a reference pyranometer, shape (n,) each; without gaps."""
+
+    source: str
+    utc_s: Array
+    ghi_w_m2: Array
+
+
+def read_reference(path: Path) -> Reference:
+    """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
+    frame, utc_s, lines = _table(path)
+    name = next((name for name in _REFERENCE_NAMES if name in frame), None)
+    if name is None:
+        raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
+    ghi = _numbers(path, frame[name], lines)
+    there = np.isfinite(ghi)
+    if not there.any():
+        raise UserError(f"{path} has no reading in its column {name}")
+    return Reference(str(path), utc_s[there], ghi[there])
+
+
+def read_csv(path: Path) -> Readings:
+    """Read a CSV with time and either east_mv .. zenith_mv or east_w_m2 .. zenith_w_m2.
+
+    Tables of `heliocube export` and `heliocube simulate` are such files: a face whose quality is not ok has no
+    reading.
+    Raises `UserError` that names the file, the line and the cell.
+    """
+    frame, utc_s, lines = _table(path)
+    for ending in (_MV, _W_M2):
+        names = [face + ending for face in FACES]
+        if set(names) <= set(frame.columns):
+            break
+    else:
+        wanted = ", ".join(face + _MV for face in FACES)
+        raise UserError(
+            f"{path} needs the columns {wanted}, or the same ending in {_W_M2}; found: "
+            f"{', '.join(map(str, frame.columns))}"
+        )
+    faces = np.stack([_numbers(path, frame[name], lines) for name in names], axis=-1)
+    for place, face in enumerate(FACES):
+        if f"{face}_quality" in frame:
+            faces[frame[f"{face}_quality"].to_numpy() != "ok", place] = np.nan
+    made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
+    return Readings(str(path), utc_s, faces, ending == _MV, made_with)
+
+
+def read_store(directory: Path, start: datetime | None, end: datetime | None) -> Readings:
+    """Read the scans that a store holds from `start` up to `end`; raises `UserError` without any."""
+    low = -np.inf if start is None else start.timestamp()
+    high = np.inf if end is None else end.timestamp()
+    path = directory / FILE_NAME
+    values = ", ".join(f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in FACES)
+    with closing(open_for_reading(path)) as connection:
+        known = "COALESCE(calibration, '')" if "calibration" in columns_of(connection, "scans") else "''"
+        span = "FROM scans WHERE time >= ? AND time < ?"
+        try:
+            rows = connection.execute(f"SELECT time, {values} {span} ORDER BY time", (low, high)).fetchall()
+            made_with = connection.execute(f"SELECT DISTINCT {known} {span}", (low, high)).fetchall()
+        except sqlite3.Error as error:
+            raise UserError(f"the store {path} cannot be read: {error}") from None
+    if not rows:
+        raise UserError(f"the store {path} has no scans in that time; see --from and --to")
+    table = np.array(rows, dtype=np.float64)
+    _, first = np.unique(table[:, 0], return_index=True)
+    return Readings(
+        f"the store {path}", table[first, 0], table[first, 1:], False, frozenset(row[0] for row in made_with)
+    )
+
+
+def span_text(utc_s: Array) -> str:
+    """Return first and last instant for a message."""
+    return f"{iso_utc(float(utc_s[0]))[:16]}Z to {iso_utc(float(utc_s[-1]))[:16]}Z"
+
+
+def _table(path: Path) -> tuple[pd.DataFrame, Array, list[int]]:
+    try:
+        frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True)
+    except FileNotFoundError:
+        raise UserError(f"there is no file at {path}") from None
+    except pd.errors.EmptyDataError:
+        raise UserError(f"{path} is empty") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
+    if "time" not in frame:
+        raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
+    if frame.empty:
+        raise UserError(f"{path} has a header and no data")
+    lines = [number + 2 for number in range(len(frame))]
+    times = pd.to_datetime(frame["time"], format="ISO8601", utc=True, errors="coerce")
+    bad = np.flatnonzero(times.isna())
+    if bad.size:
+        raise UserError(
+            f"{path}, line {lines[bad[0]]}: '{frame['time'].iloc[bad[0]]}' is no time such as 2022-03-01T12:00:00Z"
+        )
+    utc_s = np.array([time.replace(tzinfo=UTC).timestamp() for time in times.dt.tz_localize(None)], dtype=np.float64)
+    back = np.flatnonzero(np.diff(utc_s) <= 0.0)
+    if back.size:
+        raise UserError(
+            f"{path}, line {lines[back[0] + 1]}: the time does not come after the one before; sort the file"
+        )
+    return frame, utc_s, lines
+
+
+def _numbers(path: Path, column: "pd.Series[str]", lines: list[int]) -> Array:
+    text = column.str.strip()
+    numbers = pd.to_numeric(text.mask(text.str.lower() == "nan", ""), errors="coerce").to_numpy(dtype=np.float64)
+    missing = (text == "").to_numpy() | (text.str.lower() == "nan").to_numpy()
+    bad = np.flatnonzero(~missing & ~(np.abs(numbers) < _LARGEST))
+    if bad.size:
+        raise UserError(
+            f"{path}, line {lines[bad[0]]}: {column.name} is '{column.iloc[bad[0]]}', not a number within "
+            f"+-{_LARGEST:g}; leave the cell empty where the value is missing"
+        )
+    return numbers

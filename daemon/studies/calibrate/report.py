@@ -1,0 +1,186 @@
+"""What `heliocube calibrate` tells and writes."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from daemon.base.records import FACES
+from daemon.cube.calibration import CubeCalibration, new_calibration
+from daemon.studies.calibrate.beside import Comparison
+from daemon.studies.calibrate.in_field import FieldResult
+from daemon.studies.calibrate.readings import span_text
+from daemon.studies.calibrate.request import Rig
+from solar.frames import azimuth_from_direction
+
+# Left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
+_DOUBTFUL = 0.002
+# The order of the paper's Table 1.
+_TABLE_ORDER = ("zenith", "west", "south", "east")
+_ROWS = (
+    ("MBE (W/m2)", "mbe_w_m2"),
+    ("rMBE (%)", "rmbe_percent"),
+    ("MAE (W/m2)", "mae_w_m2"),
+    ("rMAE (%)", "rmae_percent"),
+)
+
+
+def comparison_lines(found: Comparison) -> list[str]:
+    """Return gains, offsets and the paper's Table 1 before and after, as lines of text."""
+    lines = [
+        (
+            f"{found.utc_s.size} minutes of clear and stable sky of {found.minutes} common by daylight, "
+            f"{span_text(found.utc_s)}."
+        ),
+        f"The sensors' clock is {found.lag_s:+.1f} s ahead."
+        if found.lag_known
+        else "The readings do not tell a lag between the clocks; it is taken as 0 (give it with --lag).",
+        f"Night offset of the reference {found.reference_offset_w_m2:+.1f} W/m2; those of the sensors from "
+        + (f"{found.night_readings} readings at night." if found.night_readings else "a line through the readings."),
+        "",
+    ]
+    rows = [("", "gain W/m2/mV", "95 % scatter", "U (k=2)", "offset mV", "95 %", "series", "dropped")]
+    for name, face in found.faces.items():
+        gain, series = face.series.gain_w_m2_per_mv, face.series
+        rows.append(
+            (
+                name,
+                f"{gain.value:.4f}",
+                f"{gain.half_width:.4f}",
+                f"{face.gain_uncertainty_percent:.1f} %",
+                f"{face.offset_mv.value:+.4f}",
+                f"{face.offset_mv.half_width:.4f}",
+                f"{series.kept.size}",
+                f"{np.count_nonzero(~series.kept)}",
+            )
+        )
+    lines += _aligned(rows)
+    for title, moment in (("Before", "before"), ("After", "after")):
+        table = [(title, *(f"RG-{name[0].upper()}" for name in _TABLE_ORDER))]
+        table += [
+            (label, *(f"{getattr(getattr(found.faces[name], moment), field):.1f}" for name in _TABLE_ORDER))
+            for label, field in _ROWS
+        ]
+        lines += ["", *_aligned(table)]
+    return lines
+
+
+def field_lines(found: FieldResult, made_on: Rig, sky: str) -> list[str]:
+    """Return gains, attitude and albedo as lines of text."""
+    fit, latitude = found.fit, made_on.site.latitude_deg
+    rows = [("", "gain W/m2/mV", "U (k=2)", "change", "offset mV")]
+    for place, name in enumerate(FACES):
+        rows.append(
+            (
+                name,
+                f"{found.gains_w_m2_per_mv[place]:.4f}",
+                f"{200.0 * fit.errors.response[place] / fit.response[place]:.1f} %",
+                f"{100.0 * (1.0 / fit.response[place] - 1.0):+.1f} %",
+                f"{found.offsets_mv[place]:+.4f}",
+            )
+        )
+    standing = _standing(found, latitude)
+    lines = [
+        (
+            f"{fit.shape.utc_s.size} quarters of an hour of clear and stable sky on {fit.days} days, "
+            f"{span_text(fit.shape.utc_s)}; sky {sky}."
+        ),
+        "",
+        *_aligned(rows),
+        "",
+        f"yaw     {fit.attitude.yaw_deg:+.2f} +- {standing['yaw_uncertainty_deg']:.2f} deg, clockwise from above",
+        (
+            f"tilt    {fit.attitude.tilt_deg:.2f} +- {standing['tilt_uncertainty_deg']:.2f} deg, towards azimuth "
+            f"{standing['tilt_azimuth_deg']:.0f} deg"
+        ),
+        f"albedo  {fit.albedo:.3f} +- {standing['albedo_uncertainty']:.3f} (law.albedo)",
+        f"left unexplained: {100.0 * fit.shape.residual:.2f} % of the zenith face",
+        (
+            "+- are expanded, k = 2. Most of those of gains and albedo is how surely a clear-sky model tells the level "
+            "of all gains; for 1 % use a reference."
+        ),
+    ]
+    if not fit.shape.residual <= _DOUBTFUL:
+        lines.append(
+            f"Doubtful: with the right sky less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
+            "for shade on a face."
+        )
+    if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
+        lines.append(
+            f"Doubtful: the readings want {fit.shape.horizon:.1f} of the Perez model's horizon band, where 1 is right; "
+            "try --sky haydavies, and trust vertical gains and albedo only if both agree."
+        )
+    return lines
+
+
+def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str], valid_days: float) -> CubeCalibration:
+    """Return the calibration for the file; its day is that of the last reading."""
+    faces = {
+        name: {
+            "serial": serials.get(name, "unknown"),
+            "gain_w_m2_per_mv": face.series.gain_w_m2_per_mv.value,
+            "gain_uncertainty_percent": face.gain_uncertainty_percent,
+            "offset_mv": face.offset_mv.value,
+            "offset_uncertainty_mv": face.offset_mv.half_width,
+        }
+        for name, face in found.faces.items()
+    }
+    return new_calibration(
+        _dates(float(found.utc_s[-1]), valid_days)
+        | {"method": "beside a reference", "cube": cube, "reference": serials.get("reference", "unknown")}
+        | faces
+    )
+
+
+def field_calibration(
+    found: FieldResult, made_on: Rig, sky: str, serials: dict[str, str], valid_days: float
+) -> CubeCalibration:
+    """Return the calibration for the file; its day is that of the last clear sky."""
+    fit = found.fit
+    faces = {
+        name: {
+            "serial": serials.get(name, "unknown"),
+            "gain_w_m2_per_mv": float(found.gains_w_m2_per_mv[place]),
+            "gain_uncertainty_percent": float(200.0 * fit.errors.response[place] / fit.response[place]),
+            "offset_mv": float(found.offsets_mv[place]),
+            "offset_uncertainty_mv": float(found.offset_uncertainty_mv[place]),
+        }
+        for place, name in enumerate(FACES)
+    }
+    return new_calibration(
+        _dates(float(fit.shape.utc_s[-1]), valid_days)
+        | {"method": "in place", "cube": made_on.cube.name, "reference": f"clear sky, {sky}"}
+        | faces
+        | {"standing": _standing(found, made_on.site.latitude_deg)}
+    )
+
+
+def _standing(found: FieldResult, latitude_deg: float) -> dict[str, Any]:
+    attitude, errors = found.fit.attitude, found.fit.errors
+    lean = np.array([attitude.lean_equator_deg, attitude.lean_east_deg, 0.0])
+    azimuth, _ = azimuth_from_direction(lean, latitude_deg)
+    return {
+        "yaw_deg": attitude.yaw_deg,
+        "yaw_uncertainty_deg": 2.0 * errors.yaw_deg,
+        "tilt_deg": attitude.tilt_deg,
+        "tilt_azimuth_deg": float(azimuth),
+        "tilt_uncertainty_deg": float(2.0 * np.hypot(errors.lean_equator_deg, errors.lean_east_deg)),
+        "albedo": found.fit.albedo,
+        "albedo_uncertainty": 2.0 * errors.albedo,
+    }
+
+
+def _dates(last_utc_s: float, valid_days: float) -> dict[str, Any]:
+    made = datetime.fromtimestamp(int(last_utc_s), UTC)
+    return {"calibrated_utc": made, "expires_utc": made + timedelta(days=round(valid_days))}
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        ).rstrip()
+        for row in rows
+    ]

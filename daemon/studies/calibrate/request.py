@@ -1,0 +1,103 @@
+"""What a person asks of `heliocube calibrate`, read and checked."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.commands.options import site_values
+from daemon.config.file import load_settings, override
+from daemon.config.sections import Cube, Settings
+from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibration_in_force
+from daemon.studies.calibrate.readings import Readings, read_csv, read_store
+from solar.ephemeris import Site
+
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+_REFERENCE = "reference"
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """Where the readings were made, and with what gains.
+
+    Attributes
+    ----------
+    cube
+        Its settings, with the gains of the calibration in force.
+    """
+
+    site: Site
+    cube: Cube
+    calibration: CubeCalibration | None
+
+
+def rig(config: Path | None, site: str | None) -> Rig:
+    """Return site and gains: those of a configuration, of --site, or the built-in ones; raises `UserError`."""
+    settings = Settings() if config is None else load_settings(config)
+    if site is not None:
+        settings = override(settings, {"site": site_values(site)})
+    elif config is None:
+        raise UserError("give the site of the readings: --site LAT,LON[,ALT], or the service's --config")
+    place = settings.site
+    calibration = calibration_in_force(settings.cube)
+    cube = settings.cube if calibration is None else calibrated_cube(settings.cube, calibration)
+    return Rig(Site(place.latitude_deg, place.longitude_deg, place.altitude_m), cube, calibration)
+
+
+def readings(
+    sensors: Path | None, store: Path | None, start: datetime | None, end: datetime | None, made_on: Rig
+) -> Readings:
+    """Return the readings that one of the two names.
+
+    Raises
+    ------
+    UserError
+        Neither or both are given, they cannot be read, or were not made with the calibration of `made_on`.
+    """
+    if (sensors is None) == (store is None):
+        raise UserError("give the readings of the cube once: a CSV file, or --store DIR")
+    if sensors is not None and (start is not None or end is not None):
+        raise UserError("--from and --to choose from a store; a CSV file is taken whole")
+    if start is not None and end is not None and start >= end:
+        raise UserError("--from is not before --to: exchange them; --to itself is not included")
+    if sensors is not None:
+        found = read_csv(sensors)
+    else:
+        assert store is not None  # noqa: S101 - narrowing; one of the two is there
+        found = read_store(store, start, end)
+    if found.in_mv:
+        return found
+    if len(found.calibrations) > 1:
+        names = ", ".join(sorted(name or "none" for name in found.calibrations))
+        raise UserError(f"{found.source} was recorded under several calibrations ({names}); choose a span with one")
+    was = next(iter(found.calibrations))
+    now = "" if made_on.calibration is None else made_on.calibration.identifier
+    if was != now:
+        raise UserError(
+            f"{found.source} was recorded under {f'the calibration {was}' if was else 'no calibration file'}, and the "
+            f"settings have {now or 'none'}; name the configuration of that time with --config"
+        )
+    return found
+
+
+def serials(given: list[str]) -> dict[str, str]:
+    """Read serial numbers given as FACE=NUMBER, 'reference' among them; raises `UserError`."""
+    known = (*FACES, _REFERENCE)
+    found = {}
+    for text in given:
+        name, equals, number = text.partition("=")
+        if not equals or name not in known or not 0 < len(number) <= 64:
+            raise UserError(f"--serial: '{text}' is not NAME=NUMBER, with one of {', '.join(known)} as the name")
+        found[name] = number
+    return found
+
+
+def check_outputs(out: Path, plot: Path | None) -> None:
+    """Refuse before a long evaluation what could not be written after it; raises `UserError`."""
+    if out.exists():
+        raise UserError(f"{out} is there already; a calibration is not overwritten, name another file with --out")
+    if not out.parent.is_dir():
+        raise UserError(f"--out: there is no folder {out.parent}")
+    if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
+        raise UserError(f"--plot: {plot} must end in {', '.join(PLOT_SUFFIXES[:-1])} or {PLOT_SUFFIXES[-1]}")

@@ -1,0 +1,140 @@
+"""The paper's figures 3, 4, 11, 12 and 13, drawn from measurements of two trackers."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.dates import DateFormatter
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from daemon.base.errors import UserError
+from daemon.studies.compare.fit import Fit
+from daemon.studies.compare.gains import corrected_power
+from daemon.studies.compare.pairs import Pairs, Side
+from solar.compare import ChainBias
+from solar.ephemeris import Site, sun_position
+from solar.frames import Array, azimuth_from_direction, normal_from_angles
+
+# Okabe & Ito's colours, which the colour-blind can tell apart.
+_CUBE, _CHRONO, _SUN, _SKY = "#D55E00", "#0072B2", "#E69F00", "0.55"
+_SIZE = (9.0, 4.6)
+_MOST_POINTS = 4000
+# Of a plane this near to horizontal nobody can tell the azimuth.
+_FLAT_DEG = 2.0
+
+
+def curve_figure(voltage_v: Array, current_a: Array, title: str) -> Figure:
+    """Draw I(V) and P(V) of one curve with its maximum power point, as Figure 3."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    left = figure.subplots()
+    right = left.twinx()
+    power = voltage_v * current_a
+    best = int(np.argmax(power))
+    (current,) = left.plot(voltage_v, current_a, ".-", color=_CHRONO, markersize=3)
+    (watts,) = right.plot(voltage_v, power, ".-", color=_CUBE, markersize=3)
+    right.plot(voltage_v[best], power[best], "o", color="black", markersize=6, fillstyle="none")
+    right.annotate(
+        f"Pmpp {power[best]:.1f} W at {voltage_v[best]:.1f} V",
+        (voltage_v[best], power[best]),
+        (0.62, 0.1),
+        textcoords="axes fraction",
+        ha="center",
+        arrowprops={"arrowstyle": "-", "linewidth": 0.6},
+    )
+    left.set(xlabel="voltage [V]", ylabel="current [A]", title=title)
+    right.set_ylabel("power [W]")
+    for axes in (left, right):
+        axes.set_ylim(bottom=0.0)
+    left.set_xlim(left=0.0)
+    left.legend([current, watts], ["I(V)", "P(V)"], frameon=False, loc="lower left")
+    return figure
+
+
+def bias_figure(flat: Pairs, found: Fit) -> Figure:
+    """Draw one chain against the other while both lay flat, before and after correction, as Figure 4."""
+    figure = Figure(figsize=(9.0, 5.2), layout="constrained")
+    before, after = figure.subplots(1, 2, sharex=True, sharey=True)
+    some = np.unique(np.linspace(0, flat.utc_s.size - 1, _MOST_POINTS).astype(int))
+    reference = flat.chrono.pmpp_w[some]
+    top = 1.05 * float(max(flat.chrono.pmpp_w.max(), flat.cube.pmpp_w.max()))
+    cube, chrono = flat.names
+    panels = (
+        (before, flat.cube.pmpp_w[some], found.before, "as measured"),
+        (after, found.bias.corrected(flat.cube.pmpp_w[some]), found.after, "corrected"),
+    )
+    for axes, power, how, what in panels:
+        axes.plot(reference, power, ".", color=_CUBE, markersize=2, alpha=0.4, rasterized=True)
+        axes.plot([0.0, top], [0.0, top], color="black", linewidth=0.8)
+        axes.set(xlabel=f"Pmpp of {chrono} [W]", ylabel=f"Pmpp of {cube} [W]", xlim=(0.0, top), ylim=(0.0, top))
+        axes.set_title(f"{what}: rMBE {how.rmbe_pct:+.2f} %, rMAE {how.rmae_pct:.2f} %", fontsize=10)
+        axes.set_aspect("equal")
+    return figure
+
+
+def power_figure(day: Pairs, bias: ChainBias | None, title: str) -> Figure:
+    """Draw both powers and the diffuse fraction over a day, as Figures 11 and 13."""
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    left = figure.subplots()
+    time = _times(day.utc_s)
+    cube, chrono = day.names
+    left.plot(time, day.chrono.pmpp_w, color=_CHRONO, linewidth=0.9, label=chrono)
+    left.plot(time, corrected_power(day, bias), color=_CUBE, linewidth=0.9, label=cube)
+    left.set(ylabel="Pmpp [W]", title=title)
+    left.set_ylim(bottom=0.0)
+    if np.isfinite(day.diffuse_fraction).any():
+        right = left.twinx()
+        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="--")
+        right.set(ylabel="diffuse fraction (dashed)", ylim=(0.0, 1.05))
+    _clock(left, time)
+    left.legend(frameon=False, loc="upper left")
+    return figure
+
+
+def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
+    """Draw inclination and azimuth of both trackers with the sun's zenith angle and azimuth, as Figure 12."""
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    time = _times(day.utc_s)
+    sun = sun_position(day.utc_s, *site)
+    upper.plot(time, 90.0 - sun.elevation_deg, color=_SUN, linewidth=1.2, label="sun")
+    lower.plot(time, sun.azimuth_deg, color=_SUN, linewidth=1.2, label="sun")
+    for name, side, colour in zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), strict=True):
+        tilt, azimuth = _facing(side, site)
+        upper.plot(time, tilt, color=colour, linewidth=1.0, label=name)
+        lower.plot(time, azimuth, color=colour, linewidth=1.0, label=name)
+    upper.set(ylabel="inclination, zenith angle [deg]", ylim=(0.0, 95.0), title=title)
+    lower.set(ylabel="azimuth [deg]")
+    lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
+    _clock(lower, time)
+    upper.legend(frameon=False, loc="lower left", ncols=3)
+    return figure
+
+
+def save(figure: Figure, folder: Path, name: str) -> Path:
+    """Write the figure as PNG and SVG and return the PNG's path; the same figure gives the same bytes."""
+    path = folder / f"{name}.png"
+    try:
+        # What names an SVG's parts is random otherwise.
+        with rc_context({"svg.hashsalt": "heliocube"}):
+            figure.savefig(path, dpi=110)
+            figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}") from None
+    return path
+
+
+def _facing(side: Side, site: Site) -> tuple[Array, Array]:
+    azimuth, elevation = azimuth_from_direction(normal_from_angles(side.a_deg, side.b_deg), site.latitude_deg)
+    return 90.0 - elevation, np.where(90.0 - elevation > _FLAT_DEG, azimuth, np.nan)
+
+
+def _times(utc_s: Array) -> NDArray[np.datetime64]:
+    return (utc_s * 1e3).astype("datetime64[ms]")
+
+
+def _clock(axes: Axes, time: NDArray[np.datetime64]) -> None:
+    axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))  # type: ignore[no-untyped-call]  # matplotlib has no type there
+    axes.set_xlabel(f"{datetime.fromtimestamp(time[0].astype(float) / 1e3, UTC):%d %B %Y}, UTC")

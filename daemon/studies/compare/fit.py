@@ -1,0 +1,152 @@
+"""The bias between two measuring chains: found while both trackers lay flat, and kept in a small JSON file."""
+
+import json
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.studies.compare.pairs import Pairs
+from solar.compare import Agreement, ChainBias, agreement, fit_chain_bias, lies_flat
+
+LEAST_PAIRS = 100
+# Below this a chain measures its own noise.
+LEAST_W = 1.0
+_FORMAT = "heliocube chain bias 1"
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What was fitted, to what, and how well.
+
+    Attributes
+    ----------
+    names
+        The tracker whose power is corrected, and the one it is brought to.
+    bias
+        The polynomial.
+    start_utc_s, end_utc_s
+        First and last pair.
+    before, after
+        Of the corrected tracker's power against the other's, over the very pairs of the fit.
+    """
+
+    names: tuple[str, str]
+    bias: ChainBias
+    start_utc_s: float
+    end_utc_s: float
+    before: Agreement
+    after: Agreement
+
+
+def flat_pairs(pairs: Pairs, start: datetime | None = None, end: datetime | None = None) -> Pairs:
+    """Return the pairs from `start` up to `end` with power at which both lay flat; `UserError` if they are too few.
+
+    Where poses are not known, naming `start` or `end` says that both lay flat then.
+    """
+    low = -np.inf if start is None else start.timestamp()
+    high = np.inf if end is None else end.timestamp()
+    said = start is not None or end is not None
+    chosen = (pairs.utc_s >= low) & (pairs.utc_s < high)
+    for side in (pairs.cube, pairs.chrono):
+        unknown = ~(np.isfinite(side.a_deg) & np.isfinite(side.b_deg))
+        chosen &= lies_flat(side.a_deg, side.b_deg) | (unknown & said)
+        chosen &= side.pmpp_w >= LEAST_W
+    count = int(chosen.sum())
+    if count < LEAST_PAIRS:
+        poses = np.isfinite(pairs.cube.b_deg) & np.isfinite(pairs.chrono.b_deg)
+        remedy = (
+            "let both lie flat (law flat) for some days, and give those measurements"
+            if poses.any() or said
+            else "the measurements tell no a_deg and b_deg: name the time at which both lay flat with --from and --to"
+        )
+        raise UserError(
+            f"there is no period in which {pairs.names[0]} and {pairs.names[1]} both lay flat with {LEAST_W:g} W or"
+            f" more ({count} pairs, {LEAST_PAIRS} are needed): {remedy}"
+        )
+    return pairs.where(chosen)
+
+
+def fit(flat: Pairs) -> Fit:
+    """Fit the bias on pairs of trackers that lay alike."""
+    power, reference = flat.cube.pmpp_w, flat.chrono.pmpp_w
+    try:
+        bias = fit_chain_bias(power, reference)
+    except ValueError as error:
+        raise UserError(f"the bias cannot be fitted: {error}; measure in changing light") from None
+    return Fit(
+        flat.names,
+        bias,
+        float(flat.utc_s[0]),
+        float(flat.utc_s[-1]),
+        agreement(power, reference),
+        agreement(bias.corrected(power), reference),
+    )
+
+
+def as_text(found: Fit) -> str:
+    """Return the fit in lines for people."""
+    bias, (cube, chrono) = found.bias, found.names
+    lines = [
+        (
+            f"{found.before.count} pairs from {iso_utc(found.start_utc_s)[:19]}Z to {iso_utc(found.end_utc_s)[:19]}Z,"
+            f" {bias.lowest_w:.0f} to {bias.highest_w:.0f} W"
+        ),
+        (
+            f"{chrono} = {bias.constant_w:+.4f} W {bias.linear:+.5f} P {bias.quadratic_per_w:+.3e} P^2"
+            f" for a power P of {cube}"
+        ),
+        f"{'':8}{'MBE/W':>9}{'rMBE/%':>9}{'MAE/W':>9}{'rMAE/%':>9}",
+    ]
+    for name, one in (("before", found.before), ("after", found.after)):
+        lines.append(f"{name:8}{one.mbe_w:9.3f}{one.rmbe_pct:9.2f}{one.mae_w:9.3f}{one.rmae_pct:9.2f}")
+    return "\n".join(lines) + "\n"
+
+
+def write(found: Fit, path: Path) -> None:
+    """Write the fit as JSON; `UserError` if the file cannot be written."""
+    content = {
+        "format": _FORMAT,
+        "corrects": found.names[0],
+        "reference": found.names[1],
+        **asdict(found.bias),
+        "from": iso_utc(found.start_utc_s),
+        "to": iso_utc(found.end_utc_s),
+        "before": asdict(found.before),
+        "after": asdict(found.after),
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
+
+
+def read(path: Path) -> Fit:
+    """Return a fit from its file; `UserError` if it is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UserError(f"--bias: there is no file {path}; 'heliocube compare fit' writes it") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"--bias: {path} cannot be read: {error}") from None
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise UserError(f"--bias: {path} is no file of 'heliocube compare fit'")
+    try:
+        return _fit_of(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"--bias: {path} is damaged ({error}): write it anew with 'heliocube compare fit'") from None
+
+
+def _fit_of(content: dict[str, Any]) -> Fit:
+    keys = ("constant_w", "linear", "quadratic_per_w", "lowest_w", "highest_w")
+    numbers = [float(content[key]) for key in keys]
+    if not np.isfinite(numbers).all():
+        raise ValueError("a coefficient is not a number")
+    start, end = (datetime.fromisoformat(content[key]).timestamp() for key in ("from", "to"))
+    names = (str(content["corrects"]), str(content["reference"]))
+    return Fit(names, ChainBias(*numbers), start, end, Agreement(**content["before"]), Agreement(**content["after"]))

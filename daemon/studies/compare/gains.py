@@ -1,0 +1,160 @@
+"""Equation (16) day by day and period by period."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.commands.options import instant
+from daemon.studies.compare.pairs import Pairs
+from solar.compare import ChainBias, energy_wh, gain_pct
+from solar.ephemeris import DAY_S, Site, sun_position
+from solar.frames import Array
+from solar.sky_periods import sky_periods
+
+WHOLE_DAY = "day"
+# Lower, the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing.
+LOWEST_SUN_DEG = 7.0
+_PERIOD = re.compile(r"(?P<name>[^=]+)=(?P<start>[^/]+)/(?P<end>[^/]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A named stretch of time, the end not included [s UTC]."""
+
+    name: str
+    start_utc_s: float
+    end_utc_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """Equation (16) over one period.
+
+    Attributes
+    ----------
+    date, period
+        UTC day, and which part of it; the times are of its first and last pair.
+    hours
+        That both were measured.
+    cube_wh, chrono_wh
+        Energies, T-Cube's after correction.
+    gain_pct
+        Of T-Cube over T-Chrono.
+    uncorrected_pct
+        The same without the correction.
+    irradiation_pct
+        The same of the irradiance on the modules' planes; NaN where it is not known.
+    extrapolated_pct
+        Share of T-Cube's energy above the powers that the correction was fitted to; NaN without one.
+    """
+
+    date: str
+    period: str
+    start: str
+    end: str
+    hours: float
+    cube_wh: float
+    chrono_wh: float
+    gain_pct: float
+    uncorrected_pct: float
+    irradiation_pct: float
+    extrapolated_pct: float
+
+
+def corrected_power(pairs: Pairs, bias: ChainBias | None) -> Array:
+    """Return T-Cube's power after correction; as it is without one."""
+    return pairs.cube.pmpp_w if bias is None else bias.corrected(pairs.cube.pmpp_w)
+
+
+def parse_span(text: str) -> Span:
+    """Return the stretch of time of ``NAME=FROM/TO``; `UserError` for other text."""
+    match = _PERIOD.fullmatch(text)
+    if match is None:
+        raise UserError(f"--period: '{text}' is not NAME=FROM/TO, such as fog=2022-10-12T06:20/2022-10-12T08:10")
+    begin_s, end_s = (instant(match[key].strip(), "--period").timestamp() for key in ("start", "end"))
+    if not begin_s < end_s:
+        raise UserError(f"--period: '{text}' ends before it begins")
+    return Span(match["name"], begin_s, end_s)
+
+
+def spans_by_sky(pairs: Pairs, site: Site) -> list[Span]:
+    """Return the periods of clear, variable and overcast sky, where the diffuse fraction is known."""
+    elevation_deg = sun_position(pairs.utc_s, *site).elevation_deg
+    fraction = np.where(elevation_deg >= LOWEST_SUN_DEG, pairs.diffuse_fraction, np.nan)
+    return [Span(one.kind, one.start_utc_s, one.end_utc_s) for one in sky_periods(pairs.utc_s, fraction)]
+
+
+def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span]) -> list[Gain]:
+    """Return the gain of every UTC day with pairs, each followed by those of the spans that begin in it."""
+    found = []
+    days = np.floor(pairs.utc_s / DAY_S)
+    for day in np.unique(days).tolist():
+        found.append(_gain(pairs.where(days == day), bias, WHOLE_DAY))
+        for span in spans:
+            inside = (pairs.utc_s >= span.start_utc_s) & (pairs.utc_s < span.end_utc_s)
+            if span.start_utc_s // DAY_S == day and inside.sum() > 1:
+                found.append(_gain(pairs.where(inside), bias, span.name))
+    return found
+
+
+def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
+    time, power = pairs.utc_s, corrected_power(pairs, bias)
+    cube, chrono = energy_wh(time, power), energy_wh(time, pairs.chrono.pmpp_w)
+    irradiation = [energy_wh(time, side.irradiance_w_m2) for side in (pairs.cube, pairs.chrono)]
+    beyond = np.nan
+    if bias is not None and cube > 0.0:
+        beyond = 100.0 * energy_wh(time, np.where(bias.beyond(pairs.cube.pmpp_w), power, 0.0)) / cube
+    start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
+    return Gain(
+        start[:10],
+        period,
+        f"{start}Z",
+        f"{end}Z",
+        energy_wh(time, np.ones(time.shape)),
+        cube,
+        chrono,
+        gain_pct(cube, chrono),
+        gain_pct(energy_wh(time, pairs.cube.pmpp_w), chrono),
+        gain_pct(*irradiation),
+        beyond,
+    )
+
+
+def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
+    """Return the gains as a table for people."""
+    heads = (f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
+    widths = (12, 13, 9, 15, 15)
+    aligned = "".join(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))
+    lines = [f"{'date':11}{'period':18}{'from':7}{'to':7}{aligned}"]
+    for row in rows:
+        numbers = [_signed(value) for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
+        lines.append(
+            f"{row.date:11}{row.period[:17]:18}{row.start[11:16]:7}{row.end[11:16]:7}{row.cube_wh:12.1f}"
+            f"{row.chrono_wh:13.1f}{numbers[0]:>9}{numbers[1]:>15}{numbers[2]:>15}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(rows: Sequence[Gain], path: Path) -> None:
+    """Write the gains as CSV; what is not known is empty."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow([field.name for field in fields(Gain)])
+        for row in rows:
+            table.writerow([_cell(value) for value in astuple(row)])
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return "" if value != value else f"{value:.4f}"
+    return value
+
+
+def _signed(value: float) -> str:
+    return "" if value != value else f"{value:+.2f}"

@@ -1,0 +1,53 @@
+"""Measured powers of trackers: one row per tracker and instant, in memory and in tables."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from daemon.store.tables import Column, Format, TableWriter
+
+REQUIRED = ("time", "tracker", "pmpp_w")
+OPTIONAL = ("irradiance_w_m2", "a_deg", "b_deg", "module_temp_degc", "ghi_w_m2", "dhi_w_m2")
+
+
+class Measurement(NamedTuple):
+    """The power of one tracker's module at one instant, and what is known of the circumstances; NaN for unknown.
+
+    Attributes
+    ----------
+    time
+        [s UTC].
+    tracker
+        Name.
+    pmpp_w
+        Power at the maximum power point.
+    irradiance_w_m2
+        On the module's plane.
+    a_deg, b_deg
+        Where the tracker truly stood.
+    module_temp_degc
+        Of the module.
+    ghi_w_m2, dhi_w_m2
+        Global and diffuse horizontal irradiance.
+    """
+
+    time: float
+    tracker: str
+    pmpp_w: float
+    irradiance_w_m2: float
+    a_deg: float
+    b_deg: float
+    module_temp_degc: float
+    ghi_w_m2: float
+    dhi_w_m2: float
+
+
+_COLUMNS = [
+    Column("time", "time", "time"),
+    Column("tracker", "tracker", "text"),
+    *[Column(name, name, "float") for name in ("pmpp_w", *OPTIONAL)],
+]
+
+
+def writer(directory: Path, table_format: Format) -> TableWriter:
+    """Return what writes measurements to ``powers.csv`` or ``powers.parquet`` in a folder; raises `TableError`."""
+    return TableWriter(directory, table_format, {Measurement: ("powers", _COLUMNS)})

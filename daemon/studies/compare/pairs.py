@@ -1,0 +1,180 @@
+"""Powers of two trackers, instant by instant: read from tables or a simulation and laid side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, Measurement
+from solar.frames import Array
+
+TOGETHER_WITHIN_S = 5.0
+_COLUMNS = (*REQUIRED, *OPTIONAL)
+_POWER_W = (-5.0, 2000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One tracker's values, arrays of shape (n,); NaN for unknown. As in :class:`Measurement`."""
+
+    pmpp_w: Array
+    irradiance_w_m2: Array
+    a_deg: Array
+    b_deg: Array
+    module_temp_degc: Array
+
+    def where(self, chosen: NDArray[np.bool_]) -> "Side":
+        """Return some of the measurements."""
+        return Side(*(getattr(self, field.name)[chosen] for field in fields(Side)))
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Measurements of both trackers that belong together, in the order of time, shape (n,), n > 0.
+
+    Attributes
+    ----------
+    names
+        Of the two trackers.
+    utc_s
+        Of the first tracker's measurement.
+    cube, chrono
+        The first tracker and the one it is held against.
+    diffuse_fraction
+        DHI/GHI; NaN for unknown.
+    """
+
+    names: tuple[str, str]
+    utc_s: Array
+    cube: Side
+    chrono: Side
+    diffuse_fraction: Array
+
+    def where(self, chosen: NDArray[np.bool_]) -> "Pairs":
+        """Return some of the pairs."""
+        return Pairs(
+            self.names,
+            self.utc_s[chosen],
+            self.cube.where(chosen),
+            self.chrono.where(chosen),
+            self.diffuse_fraction[chosen],
+        )
+
+
+def read_tables(paths: Sequence[Path]) -> pd.DataFrame:
+    """Return the measurements in CSV (``.gz`` too) or Parquet files as one frame with all columns of `Measurement`.
+
+    Raises
+    ------
+    UserError
+        A file cannot be read, lacks a column, has one that is unknown, or holds no measurement.
+    """
+    return pd.concat([_read(path) for path in paths], ignore_index=True)
+
+
+def frame_of(measurements: Sequence[Measurement]) -> pd.DataFrame:
+    """Return measurements as the frame that `read_tables` gives."""
+    return pd.DataFrame(measurements, columns=list(Measurement._fields))
+
+
+def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER_WITHIN_S) -> Pairs:
+    """Lay the measurements of two trackers side by side, each of the first with the other's nearest in time.
+
+    Raises
+    ------
+    UserError
+        A tracker has no measurements, or none of theirs are within `within_s` of each other.
+    """
+    usable = frame[np.isfinite(frame["pmpp_w"])]
+    there = sorted(set(usable["tracker"]))
+    for name in names:
+        if name not in there:
+            known = ", ".join(f"'{one}'" for one in there) or "none at all"
+            raise UserError(
+                f"there are no powers of '{name}', only of {known}: name the two trackers with --cube and --chrono"
+            )
+    ours, theirs = (_of(usable, name) for name in names)
+    within: Any = within_s  # the stubs know times only, and ours are numbers
+    both = pd.merge_asof(ours, theirs, on="time", direction="nearest", tolerance=within, suffixes=("_cube", "_chrono"))
+    both = both[np.isfinite(both["pmpp_w_chrono"])]
+    if both.empty:
+        spans = " and ".join(f"{name} {_span(one)}" for name, one in zip(names, (ours, theirs), strict=True))
+        raise UserError(
+            f"no two measurements are within {within_s:g} s of each other ({spans}): the trackers can only be compared"
+            " over the same time"
+        )
+    cube, chrono = (
+        Side(*(both[f"{field.name}_{side}"].to_numpy(float) for field in fields(Side))) for side in ("cube", "chrono")
+    )
+    ghi, dhi = (
+        both[f"{name}_cube"].fillna(both[f"{name}_chrono"]).to_numpy(float) for name in ("ghi_w_m2", "dhi_w_m2")
+    )
+    fraction = np.clip(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=ghi > 0.0), 0.0, 1.0)
+    return Pairs(names, both["time"].to_numpy(float), cube, chrono, fraction)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else pd.read_csv(path)
+    except FileNotFoundError:
+        raise UserError(f"there is no file {path} with measured powers") from None
+    except (OSError, ValueError, UnicodeDecodeError) as error:
+        # pandas and pyarrow derive theirs from ValueError.
+        raise UserError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
+    table = table.drop(columns=[name for name in ("index",) if name in table])
+    missing = [name for name in REQUIRED if name not in table]
+    unknown = [str(name) for name in table if name not in _COLUMNS]
+    if missing or unknown:
+        what = f"lacks the column {missing[0]}" if missing else f"has an unknown column {unknown[0]}"
+        raise UserError(f"{path} {what}; the columns are {', '.join(REQUIRED)}, and where known {', '.join(OPTIONAL)}")
+    if table.empty:
+        raise UserError(f"{path} holds no measurements: there is nothing below its header")
+    found = pd.DataFrame({"time": _times(table["time"], path), "tracker": table["tracker"].astype(str)})
+    for name in _COLUMNS[2:]:
+        found[name] = _numbers(table[name], path) if name in table else np.nan
+    low, high = _POWER_W
+    wild = found["pmpp_w"].notna() & ~found["pmpp_w"].between(low, high)
+    if wild.any():
+        row = int(np.flatnonzero(wild)[0])
+        raise UserError(
+            f"{path}, row {row + 1}: pmpp_w is {found['pmpp_w'].iloc[row]:g} W, which no module of a tracker gives"
+            f" ({low:g}..{high:g} W)"
+        )
+    return found
+
+
+def _times(column: Any, path: Path) -> Array:
+    if isinstance(column.dtype, pd.DatetimeTZDtype):
+        times = column.dt.tz_convert("UTC")
+    else:
+        times = pd.to_datetime(column.astype(str), utc=True, format="ISO8601", errors="coerce")
+    if times.isna().any():
+        row = int(np.flatnonzero(times.isna())[0])
+        raise UserError(f"{path}, row {row + 1}: '{column.iloc[row]}' is no time; write 2022-10-14T08:00:05Z")
+    seconds: Array = times.dt.tz_localize(None).to_numpy("datetime64[us]").astype(np.int64) / 1e6
+    return seconds
+
+
+def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
+    numbers = pd.to_numeric(column, errors="coerce").astype(float)
+    wrong = numbers.isna() & column.notna()
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}', which is no number")
+    return numbers
+
+
+def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
+    own = frame[frame["tracker"] == name].drop(columns="tracker")
+    return own.sort_values("time", kind="stable").drop_duplicates("time")
+
+
+def _span(frame: pd.DataFrame) -> str:
+    first, last = (iso_utc(float(frame["time"].iloc[place]))[:19] for place in (0, -1))
+    return f"{first}Z..{last}Z"

@@ -1,0 +1,202 @@
+"""Measurements of two trackers as the service's own store keeps them: I-V curves, poses and the cube's readings."""
+
+import base64
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from time import sleep
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from daemon.base.clock import LoopClock
+from daemon.base.errors import UserError
+from daemon.base.records import FACES, Quality, Record
+from daemon.config.sections import Settings
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from daemon.store.store import Origin, Store
+from daemon.studies.compare.measurements import Measurement
+from solar.ephemeris import Site
+from solar.frames import Array
+from solar.sky_periods import diffuse_fraction_of_faces
+
+# A tracker at rest is looked at more often than this, and the cube is read more often.
+_POSE_HOLDS_S = 900.0
+_SCAN_WITHIN_S = 15.0
+_MOST_WAITING = 20_000
+_LOOK_EVERY = 1000
+_CURVES = "SELECT time, pmpp_w FROM curves WHERE run = ? AND quality = 'ok' ORDER BY time"
+_POSES = "SELECT time, a_deg, b_deg FROM poses WHERE run = ? ORDER BY time"
+_BEST_CURVE = (
+    "SELECT time, pmpp_w, curve FROM curves JOIN runs USING (run) WHERE (? IS NOT NULL OR tracker = ?)"
+    " AND quality = 'ok' AND curve != '' ORDER BY pmpp_w DESC LIMIT 1"
+)
+_GOOD = " AND ".join(f"{face}_quality = '{Quality.OK}'" for face in FACES)
+_SCANS = f"SELECT time, {', '.join(f'{face}_w_m2' for face in FACES)} FROM scans WHERE {_GOOD} ORDER BY time"  # noqa: S608 - our own names
+
+
+def parse_store(text: str) -> tuple[str | None, Path]:
+    """Return the tracker's name, if any, and the folder of ``DIR`` or ``NAME=DIR``."""
+    name, found, folder = text.partition("=")
+    return (name, Path(folder)) if found else (None, Path(text))
+
+
+def read_stores(stores: Sequence[tuple[str | None, Path]]) -> tuple[pd.DataFrame, Site]:
+    """Return the measurements of every run in stores, as `read_tables` of pairs does, and the last one's site.
+
+    GHI and DHI are the cube's: its zenith face, and 2 I_min - 0.2 I_Z.
+
+    Parameters
+    ----------
+    stores
+        Folders; a name is that of the tracker of all runs in it, None leaves each run its own.
+
+    Raises
+    ------
+    UserError
+        A store cannot be read, or holds no curves.
+    """
+    frames, sites = [], []
+    for name, directory in stores:
+        path = directory / FILE_NAME
+        with closing(open_for_reading(path)) as connection:
+            try:
+                frames.append(_measurements(connection, name, path))
+                sites.append(_last_site(connection))
+            except sqlite3.Error as error:
+                raise UserError(f"the store {path} cannot be read: {error}") from None
+    return pd.concat(frames, ignore_index=True), sites[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class KeptCurve:
+    """The points of one I-V curve, shape (n,), in the order of rising voltage."""
+
+    time_utc_s: float
+    voltage_v: Array
+    current_a: Array
+
+
+def kept_curve(stores: Sequence[tuple[str | None, Path]], tracker: str) -> KeptCurve | None:
+    """Return the kept curve with the highest power of a tracker, or None where no points were kept.
+
+    Stores as for `read_stores`; of those that bear the name of another tracker nothing is read.
+    """
+    best: tuple[float, float, str] | None = None
+    for name, directory in stores:
+        if name not in (None, tracker):
+            continue
+        with closing(open_for_reading(directory / FILE_NAME)) as connection:
+            # Neither is there in a store of an older version.
+            if not (columns_of(connection, "curves") and "tracker" in columns_of(connection, "runs")):
+                continue
+            row = connection.execute(_BEST_CURVE, (name, tracker)).fetchone()
+        if row is not None and (best is None or row[1] > best[1]):
+            best = row
+    if best is None:
+        return None
+    voltage, current = np.frombuffer(base64.b64decode(best[2]), "<f4").astype(np.float64).reshape(2, -1)
+    order = np.argsort(voltage)
+    return KeptCurve(best[0], voltage[order], current[order])
+
+
+def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) -> pd.DataFrame:
+    named = "tracker" in columns_of(connection, "runs")
+    runs = connection.execute("SELECT run, tracker FROM runs" if named else "SELECT run, '' FROM runs").fetchall()
+    faces = ["time", *FACES]
+    scans = pd.DataFrame(connection.execute(_SCANS).fetchall(), columns=faces).astype(float)
+    scans["ghi_w_m2"] = scans["zenith"]
+    scans["dhi_w_m2"] = scans["zenith"] * diffuse_fraction_of_faces(scans[list(FACES)].to_numpy())
+    light = scans[["time", "ghi_w_m2", "dhi_w_m2"]]
+    found = []
+    for run, own in runs if columns_of(connection, "curves") else []:
+        curves = _table(connection, _CURVES, run, ["time", "pmpp_w"])
+        if curves.empty:
+            continue
+        poses = _table(connection, _POSES, run, ["time", "a_deg", "b_deg"])
+        both = _joined(curves, poses, "backward", _POSE_HOLDS_S)
+        found.append(_joined(both, light, "nearest", _SCAN_WITHIN_S).assign(tracker=name or own or f"run {run}"))
+    if not found:
+        raise UserError(
+            f"the store {path} holds no I-V curves: they need an electronic load, section load of the configuration"
+        )
+    return pd.concat(found, ignore_index=True).reindex(columns=list(Measurement._fields))
+
+
+def _table(connection: sqlite3.Connection, query: str, run: int, columns: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(connection.execute(query, (run,)).fetchall(), columns=columns).astype(float)
+
+
+def _joined(
+    left: pd.DataFrame, right: pd.DataFrame, direction: Literal["backward", "nearest"], within_s: float
+) -> pd.DataFrame:
+    within: Any = within_s  # the stubs know times only, and ours are numbers
+    return pd.merge_asof(left, right, on="time", direction=direction, tolerance=within)
+
+
+def _last_site(connection: sqlite3.Connection) -> Site:
+    row = connection.execute("SELECT latitude_deg, longitude_deg, altitude_m FROM runs ORDER BY run DESC").fetchone()
+    return Site(*row)
+
+
+@contextmanager
+def keeping(
+    settings: Settings, names: Sequence[str], directory: Path, start_utc_s: float
+) -> Iterator[Callable[[str, Record], None]]:
+    """Keep the records of simulated trackers in one store, as a run for each; yields what takes a record by name.
+
+    Unlike the service, a simulation waits for the disk, and loses nothing.
+
+    Raises
+    ------
+    UserError
+        The folder is no store's, or the disk fails.
+    """
+    site = settings.site
+    clock = LoopClock(lambda: 0.0, start_utc_s)
+    stores: dict[str, Store] = {}
+    try:
+        for name in names:
+            origin = Origin(
+                start_utc_s,
+                "both",
+                version("heliocube"),
+                True,
+                site.name,
+                site.latitude_deg,
+                site.longitude_deg,
+                site.altitude_m,
+                name,
+            )
+            stores[name] = Store(directory, settings.store.batch_s, settings.store.keep_days, origin, clock, _ignore)
+        taken = 0
+
+        def keep(name: str, record: Record) -> None:
+            nonlocal taken
+            stores[name].keep(record)
+            taken += 1
+            if taken % _LOOK_EVERY == 0:
+                _catch_up(stores[name])
+
+        yield keep
+    finally:
+        for store in stores.values():
+            store.close()
+    for store in stores.values():
+        if store.status.waiting:
+            raise UserError(f"--store: {store.status.path} could not be written to its end")
+
+
+def _catch_up(store: Store) -> None:
+    while (status := store.status).waiting > _MOST_WAITING:
+        if status.down_why is not None:
+            raise UserError(f"--store: {status.path} cannot be written: {status.down_why}")
+        sleep(0.01)
+
+
+def _ignore(_event: object) -> None:
+    """Take an event of the store, whose failures are raised instead."""

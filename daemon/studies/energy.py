@@ -1,0 +1,202 @@
+"""The energy benchmark: laws side by side on measured weather, as a table."""
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.base.errors import UserError
+from solar import energy_laws
+from solar.energy import (
+    DAY_TYPES,
+    SKIES,
+    Drive,
+    Harvest,
+    Steer,
+    Weather,
+    best_possible,
+    build_sky,
+    faces_under,
+    harvest,
+)
+from solar.frames import Array, Limits
+from solar.laws.optimal import OptimalSettings
+
+LAWS = ("flat", "fixed:DEG", "chronometric", "mu-prime", "sun-vector", "optimal", "optimal:THRIFT", "bound")
+IDEAL = Drive(np.inf, 0.0, 1)
+_OF_FACES = ("mu-prime", "sun-vector")
+_BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One law under one sky, whole days of weather.
+
+    Attributes
+    ----------
+    energy_kwh_m2
+        Plane-of-array insolation.
+    gain_pct
+        Over the ideal chronometric tracker, overall and by day type (NaN where there is no such day).
+    share_pct
+        Of what the bound gains over the ideal chronometric tracker.
+    worst_clear_day_pct
+        Least gain of a clear day.
+    travel_deg_per_day, return_deg_per_day, moves_per_day
+        Means; the return is the way back to the night position, not part of the travel. NaN where nothing moves.
+    """
+
+    sky: str
+    law: str
+    energy_kwh_m2: float
+    gain_pct: float
+    gain_by_type_pct: tuple[float, ...]
+    share_pct: float
+    worst_clear_day_pct: float
+    travel_deg_per_day: float
+    return_deg_per_day: float
+    moves_per_day: float
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What the benchmark assumes: ground, tracker, and the settings of the law `optimal`."""
+
+    albedo: float
+    limits: Limits
+    drive: Drive
+    optimal: OptimalSettings
+
+
+def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
+    """Raise `UserError` for a sky or law that does not exist."""
+    for name in skies:
+        if name not in SKIES:
+            raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
+    for name in law_names:
+        _parameter(name)
+
+
+def run_benchmark(
+    weather: Weather, skies: Sequence[str], law_names: Sequence[str], terms: Terms, progress: Callable[[float], None]
+) -> list[Row]:
+    """Run every law under every sky, chronometric and bound first; `progress` is told the share that is done."""
+    rows: list[Row] = []
+    total = len(skies) * (len(law_names) + 1)
+    types = weather.day_types()
+    for sky_name in skies:
+        light = build_sky(weather, sky_name)
+        faces = faces_under(light, terms.albedo)
+        bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
+        run = partial(harvest, weather, light, terms.albedo)
+        reference = run(IDEAL, energy_laws.chronometric(weather, terms.limits)).energy_kwh_m2
+        summarise = partial(_row, sky_name, types=types, reference=reference, bound=bound)
+        for name in law_names:
+            progress((len(rows) + 1) / total)
+            if name == "bound":
+                nothing = np.full(len(bound), np.nan)
+                rows.append(summarise(name, Harvest(bound, nothing, nothing, nothing)))
+            else:
+                drive = IDEAL if name.startswith(("flat", "fixed")) else terms.drive
+                rows.append(summarise(name, run(drive, _steer(name, weather, faces, terms))))
+    progress(1.0)
+    return rows
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write the rows, one line each."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        names = ("sky", "law", "energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct")
+        writer.writerow((*names, "travel_deg_per_day", "return_deg_per_day", "moves_per_day"))
+        for row in rows:
+            numbers = (row.energy_kwh_m2, row.gain_pct, *row.gain_by_type_pct, row.share_pct, row.worst_clear_day_pct)
+            travel = (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)
+            cells = ("" if np.isnan(value) else f"{value:.4f}" for value in (*numbers, *travel))
+            writer.writerow((row.sky, row.law, *cells))
+
+
+def as_text(rows: Sequence[Row], weather: Weather, terms: Terms) -> str:
+    """Return the tables of all skies and what they assume, for reading."""
+    types = weather.day_types()
+    days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
+    moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
+    lines = [
+        f"{np.count_nonzero(types >= 0)} days ({days}), {len(weather.utc_s)} minutes of daylight.",
+        f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
+        "Travel adds A and B from the night position on; the way back to it at night is in its own column.",
+        "The skies agree with pvlib's above 5 deg of the sun's elevation; below it a horizontal plane keeps its GHI.",
+    ]
+    head = f"{'law':16}{'kWh/m2':>9}{'gain %':>8}" + "".join(f"{name:>10}" for name in DAY_TYPES)
+    head += f"{'share %':>9}{'worst clear':>13}{'deg/day':>9}{'return':>8}{'moves':>7}"
+    sky_name = ""
+    for row in rows:
+        if row.sky != sky_name:
+            sky_name = row.sky
+            lines += ["", f"sky {sky_name}", head]
+        by_type = "".join(_cell(value, 10, "+.2f") for value in row.gain_by_type_pct)
+        lines.append(
+            f"{row.law:16}{row.energy_kwh_m2:9.1f}{row.gain_pct:+8.2f}{by_type}{row.share_pct:9.1f}"
+            f"{_cell(row.worst_clear_day_pct, 13, '+.3f')}{_cell(row.travel_deg_per_day, 9, '.0f')}"
+            f"{_cell(row.return_deg_per_day, 8, '.0f')}{_cell(row.moves_per_day, 7, '.0f')}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: float, width: int, form: str) -> str:
+    return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
+
+
+def _row(sky_name: str, law: str, result: Harvest, *, types: NDArray[np.intp], reference: Array, bound: Array) -> Row:
+    energy = result.energy_kwh_m2
+    lit = types >= 0
+    room = float((bound[lit] - reference[lit]).sum())
+    clear = types == 0
+    return Row(
+        sky_name,
+        law,
+        float(energy.sum()),
+        _gain(energy, reference, lit),
+        tuple(_gain(energy, reference, types == index) for index in range(len(DAY_TYPES))),
+        100.0 * float((energy - reference).sum()) / room if room > 0.0 else np.nan,
+        float((100.0 * (energy[clear] / reference[clear] - 1.0)).min()) if clear.any() else np.nan,
+        float(result.travel_deg[lit].mean()),
+        float(result.return_deg[lit].mean()),
+        float(result.moves[lit].mean()),
+    )
+
+
+def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
+    if not chosen.any():
+        return np.nan
+    return 100.0 * float(energy[chosen].sum() / reference[chosen].sum() - 1.0)
+
+
+def _parameter(name: str) -> float | None:
+    """Return the number behind the colon of a law's name; `UserError` for a law that does not exist."""
+    law, colon, text = name.partition(":")
+    if not colon and f"{law}:DEG" not in LAWS and law in LAWS:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = np.nan
+    if (law == "fixed" and 0.0 <= number <= 90.0) or (law == "optimal" and 0.0 <= number <= 1e3):
+        return number
+    raise UserError(f"--laws: there is no law '{name}'; choose from {', '.join(LAWS)}, DEG in 0..90, THRIFT in 0..1000")
+
+
+def _steer(name: str, weather: Weather, faces: Array, terms: Terms) -> Steer:
+    law, number = name.partition(":")[0], _parameter(name)
+    if law in ("flat", "fixed"):
+        return energy_laws.fixed(weather, number or 0.0)
+    if law == "chronometric":
+        return energy_laws.chronometric(weather, terms.limits)
+    if law in _OF_FACES:
+        return energy_laws.from_faces(weather, faces, terms.limits, law)
+    settings = terms.optimal if number is None else replace(terms.optimal, thrift=number)
+    return energy_laws.optimal(weather, faces, terms.limits, settings)

@@ -1,0 +1,140 @@
+"""From a request to columns of numbers; one latitude at a time, so that memory does not grow with the grid."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daemon.studies.gain.choices import Device
+from daemon.studies.gain.request import DeviceTilts, Request
+from solar import gain
+from solar.frames import Array
+from solar.gain import printed as paper
+from solar.gain.ratios import Energies
+
+if TYPE_CHECKING:
+    from daemon.studies.gain.weather import SkySource
+
+Columns = dict[str, Array]
+
+
+def evaluate(request: Request, sky: "SkySource | None" = None, latitudes: Iterable[float] | None = None) -> Columns:
+    """Return one row for each latitude, tilt, azimuth deviation and day of the request, in this order.
+
+    Ratios are those of :mod:`solar.gain`; ``..._sky`` are the same under `sky`. With `request.printed` days have the
+    paper's own ratios, and years the smallest eta over the days, as the paper's scripts print it. `latitudes` may be
+    the request's own, wrapped in something that watches the progress.
+    """
+    along = request.latitudes_deg.tolist() if latitudes is None else latitudes
+    blocks = [_one_latitude(request, latitude, sky) for latitude in along]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+def evaluate_points(points: Columns, *, with_printed: bool) -> Columns:
+    """Return the points and their ratios, row by row; ``K_DH`` is the true full day's signed sum."""
+    phi, beta, n, deviation = points.values()
+    energies = gain.daily(phi, beta, n, deviation)
+    columns = points | {
+        "K_DS_abs": energies.k_ds_abs,
+        "K_DS_clip": energies.k_ds_clip,
+        "K_DV": energies.k_dv,
+        "K_DH": energies.k_dh,
+    }
+    if with_printed:
+        columns |= _printed_days(phi, DeviceTilts(beta, beta, beta), n, deviation, tuple(Device))
+    return columns
+
+
+def exact_energies(latitude: float, tilts: DeviceTilts, days: Array, azimuths: Array) -> Energies:
+    """Return daily energies [h], each device at its own tilt."""
+    static = gain.static_energy(latitude, tilts.static, days, azimuths)
+    return Energies(
+        2.0 * gain.half_day_h(latitude, days),
+        static.clip_h,
+        static.abs_h,
+        gain.vertical_energy_h(latitude, tilts.vertical, days),
+        gain.horizontal_energy_h(latitude, tilts.horizontal, days, azimuths),
+    )
+
+
+def tilts_at(request: Request, latitude: float) -> DeviceTilts:
+    """Return the tilts that the request means at a latitude."""
+    azimuths = request.azimuths_deg
+    if request.tilts_deg is not None:
+        same = np.repeat(request.tilts_deg[:, None], azimuths.size, axis=1)[..., None]
+        return DeviceTilts(same, same, same)
+    static = gain.best_tilt_static(latitude, azimuths).tilt_deg
+    vertical = np.broadcast_to(gain.best_tilt_vertical(latitude).tilt_deg, azimuths.shape)
+    horizontal = gain.best_tilt_horizontal(latitude, azimuths).tilt_deg
+    return DeviceTilts(static[None, :, None], vertical[None, :, None], horizontal[None, :, None])
+
+
+def _one_latitude(request: Request, latitude: float, sky: "SkySource | None") -> Columns:
+    tilts, azimuths = tilts_at(request, latitude), request.azimuths_deg[None, :, None]
+    against, year = request.against, request.days is None
+    days = gain.DAYS if request.days is None else request.days
+    energies = exact_energies(latitude, tilts, days, azimuths)
+    if year:
+        energies = energies.each(lambda energy: energy.sum(axis=-1, keepdims=True))
+    columns: Columns = {"phi_deg": np.array(latitude)}
+    if request.tilts_deg is None:
+        columns |= {f"beta_{device}_deg": getattr(tilts, device.value) for device in against}
+    else:
+        columns["beta_deg"] = tilts.static
+    columns["lambda_deg"] = azimuths
+    if not year:
+        columns["n"] = days
+    columns |= _ratios(energies, against)
+    if request.printed:
+        columns |= (
+            _printed_year(latitude, tilts, azimuths, against)
+            if year
+            else _printed_days(latitude, tilts, days, azimuths, against)
+        )
+    if sky is not None:
+        real = sky.energies(latitude, tilts, request.azimuths_deg, request.days, against)
+        columns |= {f"{name}_sky": ratio for name, ratio in _ratios(real, against).items() if name != "K_DS_abs"}
+    shape = np.broadcast_shapes(energies.static.shape, energies.dual.shape)
+    return {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()}
+
+
+def _ratios(energies: Energies, against: tuple[Device, ...]) -> Columns:
+    columns: Columns = {}
+    if Device.STATIC in against:
+        columns |= {"K_DS_abs": energies.k_ds_abs, "K_DS_clip": energies.k_ds_clip}
+    if Device.VERTICAL in against:
+        columns["K_DV"] = energies.k_dv
+    if Device.HORIZONTAL in against:
+        columns["K_DH"] = energies.k_dh
+    if Device.STATIC in against and Device.VERTICAL in against:
+        columns["eta_VS"] = energies.eta_vs
+    if Device.STATIC in against and Device.HORIZONTAL in against:
+        columns["eta_HS"] = energies.eta_hs
+    return columns
+
+
+def _printed_days(
+    phi: Array | float, tilts: DeviceTilts, n: Array, deviation: Array, against: tuple[Device, ...]
+) -> Columns:
+    columns: Columns = {}
+    if Device.STATIC in against:
+        columns["K_DS_eq11"] = paper.k_ds_eq11(phi, tilts.static, n, deviation)
+    if Device.VERTICAL in against:
+        columns["K_DV_eq25"] = paper.k_dv_eq25(phi, tilts.vertical, n)
+        columns["K_DV_script2"] = paper.script2(phi, tilts.vertical, n)
+    if Device.HORIZONTAL in against:
+        columns["K_DH_eq49"] = paper.k_dh_eq49(phi, tilts.horizontal, n, deviation)
+        columns["K_DH_script3"] = paper.script3(phi, tilts.horizontal, n, deviation)
+    return columns
+
+
+def _printed_year(latitude: float, tilts: DeviceTilts, deviation: Array, against: tuple[Device, ...]) -> Columns:
+    """Return what the scripts print for a year: the smallest eta over its days."""
+    ratios: Columns = {}
+    if Device.STATIC in against:
+        ratios["eta_DS_script1_min"] = paper.script1(latitude, tilts.static, gain.DAYS, deviation).k_ds
+    if Device.VERTICAL in against:
+        ratios["eta_DV_script2_min"] = paper.script2(latitude, tilts.vertical, gain.DAYS)
+    if Device.HORIZONTAL in against:
+        ratios["eta_DH_script3_min"] = paper.script3(latitude, tilts.horizontal, gain.DAYS, deviation)
+    return {name: paper.least_eta(ratio)[..., None] for name, ratio in ratios.items()}

@@ -1,0 +1,123 @@
+"""Columns of numbers as a table on the terminal, as CSV at full precision, or as Parquet."""
+
+import sys
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from daemon.base.errors import UserError
+from daemon.studies.gain.choices import Device, TableFormat
+from daemon.studies.gain.evaluate import Columns
+
+LONGEST_TABLE = 200
+_CSV_BLOCK_ROWS = 50_000
+_NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
+_RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL: "K_DH"}
+_ETA = {Device.VERTICAL: "eta_VS", Device.HORIZONTAL: "eta_HS"}
+
+
+def write(columns: Columns, kind: TableFormat, out: Path | None, console: Console, sky_label: str | None) -> None:
+    """Write `columns` to `out`, or to standard output without; `UserError` if that cannot be done."""
+    if kind is TableFormat.TABLE:
+        if out is not None:
+            raise UserError("--out takes a CSV or a Parquet file; add --format csv or --format parquet")
+        show(columns, console, sky_label)
+        return
+    encode = _csv if kind is TableFormat.CSV else _parquet
+    if out is None:
+        if kind is TableFormat.PARQUET and sys.stdout.isatty():
+            raise UserError("Parquet is not for a terminal; give a file with --out")
+        encode(columns, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+        return
+    try:
+        with out.open("wb") as file:
+            encode(columns, file)
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be written: {error.strerror}") from error
+
+
+def show(columns: Columns, console: Console, sky_label: str | None) -> None:
+    """Print one row as a comparison of devices, several as they are."""
+    rows = next(iter(columns.values())).size
+    if rows == 1:
+        _compare({name: float(column[0]) for name, column in columns.items()}, console, sky_label)
+        return
+    texts = [[name, *(_number(name, value) for value in column[:LONGEST_TABLE])] for name, column in columns.items()]
+    _print_aligned(list(zip(*texts, strict=True)), console)
+    if rows > LONGEST_TABLE:
+        _print(f"and {rows - LONGEST_TABLE} rows more: --format csv writes them all", console)
+
+
+def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> None:
+    when = f"day {row['n']:.0f}" if "n" in row else "the year"
+    _print(
+        f"Latitude {row['phi_deg']:g} deg, {when}, in theory: constant beam from sunrise to sunset, no atmosphere.",
+        console,
+    )
+    titles: tuple[str, ...] = ("against", "tilt", "azimuth", "K", "dual gains", "over static")
+    if sky_label:
+        _print(f"Under the sky: {sky_label}.", console)
+        titles = (*titles, "dual gains (sky)", "over static (sky)")
+    lines = [_device(row, device, sky_label) for device in Device if _RATIO[device] in row]
+    _print_aligned([titles, *lines], console)
+    for name, value in row.items():
+        if name.endswith(("_abs", "_min")) or "_eq" in name or "_script" in name:
+            _print(f"{name} = {value:.6g}", console)
+
+
+def _print_aligned(lines: list[tuple[str, ...]], console: Console) -> None:
+    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
+    for line in lines:
+        _print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)), console)
+
+
+def _print(text: str, console: Console) -> None:
+    """Print a line as it is: neither wrapped nor cut where the terminal is narrow."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _device(row: dict[str, float], device: Device, sky_label: str | None) -> tuple[str, ...]:
+    ratio = _RATIO[device]
+    tilt = row.get(f"beta_{device}_deg", row.get("beta_deg", np.nan))
+    tilt = abs(tilt) if device is Device.VERTICAL else tilt
+    azimuth = "sun" if device is Device.VERTICAL else f"{row['lambda_deg']:g}"
+    cells = [_NAMES[device], f"{tilt:.1f}", azimuth, f"{row[ratio]:.4f}", _percent(row[ratio] - 1.0)]
+    suffixes = ("", "_sky") if sky_label else ("",)
+    for suffix in suffixes:
+        if suffix:
+            cells.append(_percent(row[ratio + suffix] - 1.0))
+        eta = _ETA.get(device, "") + suffix
+        cells.append(_percent(row[eta]) if eta in row else "")
+    return tuple(cells)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:+.1f} %" if np.isfinite(share) else str(share)
+
+
+def _number(name: str, value: float) -> str:
+    return f"{value:.0f}" if name == "n" else f"{value:.6g}" if name.endswith("_deg") else f"{value:.5g}"
+
+
+def _csv(columns: Columns, file: BinaryIO) -> None:
+    file.write((",".join(columns) + "\n").encode())
+    rows = next(iter(columns.values())).size
+    typed = list(_typed(columns).values())
+    for begin in range(0, rows, _CSV_BLOCK_ROWS):
+        texts = [map(repr, column[begin : begin + _CSV_BLOCK_ROWS].tolist()) for column in typed]
+        file.write("".join(",".join(row) + "\n" for row in zip(*texts, strict=True)).encode())
+
+
+def _typed(columns: Columns) -> dict[str, NDArray[Any]]:
+    return {name: column.astype(np.int64) if name == "n" else column for name, column in columns.items()}
+
+
+def _parquet(columns: Columns, file: BinaryIO) -> None:
+    import pyarrow as pa  # noqa: PLC0415 - half a second that the other formats need not wait for
+    from pyarrow import parquet  # noqa: PLC0415 - as above
+
+    parquet.write_table(pa.table(_typed(columns)), file)

@@ -1,0 +1,146 @@
+"""What a person asks of `heliocube gain`, read and checked."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from daemon.base.errors import UserError
+from daemon.studies.gain.choices import Device
+from solar.frames import Array
+
+LARGEST_GRID = 20_000_000
+POINT_COLUMNS = {
+    "phi_deg": (-90.0, 90.0),
+    "beta_deg": (-90.0, 90.0),
+    "n": (1.0, 365.0),
+    "lambda_deg": (-180.0, 180.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceTilts:
+    """Tilts [deg] of each device; in a grid of shape (tilts, azimuths, 1)."""
+
+    static: Array
+    vertical: Array
+    horizontal: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A grid of latitudes, tilts, azimuth deviations and days.
+
+    Attributes
+    ----------
+    tilts_deg
+        None: each device has its own best tilt for the year at its latitude.
+    days
+        None: sums over the year.
+    """
+
+    latitudes_deg: Array
+    tilts_deg: Array | None
+    azimuths_deg: Array
+    days: Array | None
+    against: tuple[Device, ...]
+    printed: bool
+
+    def __post_init__(self) -> None:
+        axes = (self.latitudes_deg, self.tilts_deg, self.azimuths_deg, self.days)
+        rows = int(np.prod([axis.size for axis in axes if axis is not None], dtype=np.int64))
+        if rows > LARGEST_GRID:
+            raise UserError(f"this asks for {rows} rows, more than {LARGEST_GRID}; take longer steps or fewer values")
+
+
+def numbers(text: str, option: str, low: float, high: float) -> Array:
+    """Read ``A``, ``A,B,C``, ``FROM:TO`` (step 1) or ``FROM:TO:STEP``, ends included; `UserError` names the option."""
+    try:
+        parts = [float(part) for part in text.replace(",", ":").split(":")]
+    except ValueError:
+        raise UserError(f"{option}: '{text}' is not a number, a list A,B,C or a range FROM:TO:STEP") from None
+    for part in parts[:2] if ":" in text else parts:
+        if not (low <= part <= high):
+            raise UserError(f"{option}: {part:g} is not in {low:g}..{high:g}")
+    if ":" not in text:
+        return np.array(parts)
+    if "," in text or len(parts) > 3:
+        raise UserError(f"{option}: '{text}' is not a number, a list A,B,C or a range FROM:TO:STEP")
+    begin, end, step = (*parts, 1.0)[:3]
+    if not (0.0 < step < np.inf) or begin > end:
+        raise UserError(f"{option}: the range '{text}' must rise by a step above 0")
+    steps = np.floor((end - begin) / step + 1e-9)
+    if not steps < LARGEST_GRID:
+        raise UserError(f"{option}: the range '{text}' has more than {LARGEST_GRID} values; take a longer step")
+    return np.asarray(begin + step * np.arange(int(steps) + 1), dtype=np.float64)
+
+
+def latitudes(lat: float | None, lat_range: str | None) -> Array:
+    """Return the latitudes [deg] that the options give: one, several, or both together in rising order."""
+    if lat is None and lat_range is None:
+        raise UserError("give --lat or --lat-range, such as --lat 48.7 or --lat-range 0:65:1")
+    if lat is not None and not (-90.0 <= lat <= 90.0):
+        raise UserError(f"--lat: {lat:g} is not in -90..90")
+    several = np.array([]) if lat_range is None else numbers(lat_range, "--lat-range", -90.0, 90.0)
+    return several if lat is None else np.union1d(several, [lat])
+
+
+def days(text: str) -> Array:
+    """Read days of the year, 1..365, as :func:`numbers` does."""
+    chosen = numbers(text, "--day", 1.0, 365.0)
+    if np.any(chosen != np.round(chosen)):
+        raise UserError(f"--day: '{text}' must give whole days of the year, 1..365")
+    return chosen
+
+
+def devices(text: str) -> tuple[Device, ...]:
+    """Read a list of devices, each once, in the order of :class:`Device`."""
+    names = {name.strip() for name in text.split(",")}
+    unknown = names - set(Device)
+    if unknown:
+        known = ", ".join(Device)
+        raise UserError(f"--against: there is no device '{min(unknown)}'; choose from {known}, separated by commas")
+    return tuple(device for device in Device if device in names)
+
+
+def read_points(path: Path) -> dict[str, Array]:
+    """Read a CSV with the columns phi_deg, beta_deg, n and lambda_deg, in any order and among others.
+
+    Blank lines are passed over. `UserError` names the file, the line, the column and the value that is wrong.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            if not header:
+                raise UserError(f"points file {path} is empty")
+            missing = [name for name in POINT_COLUMNS if name not in header]
+            if missing:
+                raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
+            rows = [
+                [_cell(path, reader.line_num, name, row[name]) for name in POINT_COLUMNS]
+                for row in reader
+                if any(isinstance(cell, str) and cell.strip() for cell in row.values())
+            ]
+    except FileNotFoundError:
+        raise UserError(f"there is no points file at {path}") from None
+    except (OSError, UnicodeError, csv.Error) as error:
+        raise UserError(f"points file {path} cannot be read: {error}") from error
+    if not rows:
+        raise UserError(f"points file {path} has a header and no data")
+    columns = np.array(rows).T
+    return dict(zip(POINT_COLUMNS, columns, strict=True))
+
+
+def _cell(path: Path, line: int, name: str, text: str | None) -> float:
+    low, high = POINT_COLUMNS[name]
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not (low <= value <= high) or (name == "n" and value != round(value)):
+        kind = "a whole number" if name == "n" else "a number"
+        raise UserError(f"points file {path}, line {line}: {name} is '{text or ''}', not {kind} in {low:g}..{high:g}")
+    return value

@@ -1,0 +1,323 @@
+"""Recorded cube data through the running service's own window, laws, modes, control and motion, under virtual time."""
+
+import asyncio
+import csv
+import gc
+import gzip
+import math
+import sqlite3
+from array import array
+from collections.abc import Callable, Coroutine, Sequence
+from contextlib import closing
+from pathlib import Path
+from random import Random
+from typing import Any, TextIO, cast
+
+import numpy as np
+
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock, iso_utc
+from daemon.base.errors import UserError
+from daemon.base.records import FACES, FaceReading, Mode, Quality, Scan
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.file import on_a_port_of_its_own
+from daemon.config.sections import Cube, Settings, Store
+from daemon.motion.motion import Motion, Polling
+from daemon.rigs.simulated import build_simulated_positioner, site_of
+from daemon.service.service import Rig, Role, Service
+from daemon.store.schema import FILE_NAME, open_for_reading
+from daemon.studies.send_csv import Row
+from daemon.tracker.control import Control
+from solar.ephemeris import DAY_S, sun_direction
+from solar.frames import Angles, Array
+from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.site import Learned, SiteLearning
+
+COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est")
+
+# The service starts so long before the first row, to be connected when it comes.
+_WARM_UP_S = 10.0
+_SLOWEST_S, _QUICKEST_S = 60.0, 0.5
+# Nothing breaks here that a look at a resting tracker would show, and nothing in half a second of a move.
+_POLLING = Polling(idle_s=300.0, moving_s=1.0)
+_STALE_AFTER_ROWS = 2.5
+# What a gap in the night is skipped by, how near to its end, and how deep below the horizon the sun must be.
+_SKIP_S = 600.0
+_AWAKE_S = 120.0
+_DEEP_NIGHT_DEG = -1.0
+_PROGRESS_EVERY_ROWS = 1000
+_ROWS_AT_ONCE = 50_000
+
+
+def replay(settings: Settings, rows: Sequence[Row], out: Path, progress: Callable[[float], None]) -> None:
+    """Run the tracker's role on recorded readings and write one line per row to `out`.
+
+    Parameters
+    ----------
+    settings
+        With the site and the law. The rhythm of the cube is taken from the rows; store, bridge and wind are left out.
+    rows
+        In rising time.
+    out
+        CSV file with `COLUMNS`, compressed if it ends in ``.gz``; replaced if it is there, and only when all is done.
+    progress
+        Called with the share done, 0..1.
+
+    Raises
+    ------
+    UserError
+        The rows are too few or too far apart, or `out` cannot be written.
+    """
+    settings = _fitted(settings, rows)
+    # A folder that cannot be written to is told before the work and not after it.
+    part = out.with_name(f".{out.name}.part")
+    try:
+        with _opened(part, out.suffix) as file:
+            log = _run(settings, rows, progress)
+            _write(file, settings, rows, log)
+        part.replace(out)
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def rows_of_store(directory: Path) -> list[Row]:
+    """Return the scans that the store in `directory` holds; only good readings count. Raises `UserError`."""
+    path = directory / FILE_NAME
+    columns = ", ".join(f"{face}_w_m2, {face}_quality" for face in FACES)
+    found: list[Row] = []
+    with closing(open_for_reading(path)) as connection:
+        try:
+            before_s = -math.inf
+            for time_s, *cells in connection.execute(f"SELECT time, {columns} FROM scans ORDER BY time"):  # noqa: S608 - our own names
+                if not (time_s > before_s):
+                    continue
+                before_s = time_s
+                east, south, west, zenith = (
+                    cells[place] if cells[place] is not None and cells[place + 1] == Quality.OK else math.nan
+                    for place in (0, 2, 4, 6)
+                )
+                found.append(Row(time_s, (east, south, west, zenith)))
+        except sqlite3.Error as error:
+            raise UserError(f"the store {path} cannot be read: {error}") from None
+    if not found:
+        raise UserError(f"the store {path} holds no scans: a tracker's store has those that came over the bridge")
+    return found
+
+
+class _Log:
+    """What the tracker did, row by row."""
+
+    def __init__(self) -> None:
+        self.angles = array("d")
+        self.modes: list[Mode] = []
+        self.learned: list[tuple[int, Learned]] = []
+
+
+def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
+    """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
+    if len(rows) < 2:
+        raise UserError("a replay needs two rows at least, to know how far apart they are")
+    times = np.array([row.time_utc_s for row in rows])
+    every_s = float(np.median(np.diff(times)))
+    if every_s > _SLOWEST_S + 0.5:
+        raise UserError(
+            f"the rows are {every_s:.0f} s apart and a tracker needs one every {_SLOWEST_S:.0f} s at least: "
+            "name the readings themselves, not their means"
+        )
+    stale_s = max(settings.safety.scan_stale_s, _STALE_AFTER_ROWS * every_s)
+    changes = {
+        "cube": settings.cube.model_copy(update={"scan_every_s": max(every_s, _QUICKEST_S)}),
+        "safety": settings.safety.model_copy(update={"scan_stale_s": stale_s}),
+        "store": Store(),
+    }
+    return on_a_port_of_its_own(settings, insecure=True).model_copy(update=changes)
+
+
+def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], None]) -> _Log:
+    log = _Log()
+    # The readings stay until the end: the collector need not look at them again and again.
+    gc.freeze()
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        loop = cast("VirtualTimeLoop", runner.get_loop())
+        clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
+        truth, positioner = build_simulated_positioner(settings, clock)
+        service = Service(
+            settings,
+            Role.TRACKER,
+            Rig(None, None, positioner, None, simulated=True),
+            clock,
+            Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
+            Bus(),
+            None,
+            Notifier({}, 0),
+            polling=_POLLING,
+        )
+        runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
+    return log
+
+
+async def _beside(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
+    """Feed the tracker's parts while they run; a part that dies ends all."""
+    _, motion = _parts(service)
+    async with asyncio.TaskGroup() as group:
+        moving = group.create_task(motion.run())
+        await group.create_task(feeding)
+        moving.cancel()
+
+
+def _parts(service: Service) -> tuple[Control, Motion]:
+    assert service.control is not None  # noqa: S101 - narrowing; the tracker's role has both
+    assert service.motion is not None  # noqa: S101 - as above
+    return service.control, service.motion
+
+
+class _Feeder:
+    """Stands where the bridge hands scans over, and gives control its rhythm without a task and timers of its own."""
+
+    def __init__(
+        self, service: Service, truth: Callable[[float], Angles], loop: VirtualTimeLoop, clock: LoopClock, log: _Log
+    ) -> None:
+        self._control, self._motion = _parts(service)
+        self._cube = service.settings.cube
+        self._sun_elevation_deg = service.sun_elevation_deg
+        self._truth = truth
+        self._loop = loop
+        self._clock = clock
+        self._log = log
+        self._woken_s = -math.inf
+        self._seen = (math.nan,) * 4
+        self._seen_at_rest = False
+        self._gap_s = max(_AWAKE_S, 2.0 * self._cube.scan_every_s)
+
+    async def run(self, rows: Sequence[Row], progress: Callable[[float], None]) -> None:
+        log, control, loop = self._log, self._control, self._loop
+        start_s = _WARM_UP_S - rows[0].time_utc_s
+        for number, row in enumerate(rows):
+            due_s = row.time_utc_s + start_s
+            if due_s - loop.time() > self._gap_s:
+                await self._pass(due_s)
+            await self._live_until(due_s)
+            control.receive(_scan(self._cube, number, row, loop.time()))
+            log.angles.extend(self._look())
+            log.modes.append(control.mode)
+            if control.optimal is not None and (not log.learned or log.learned[-1][1] is not control.optimal.learned):
+                log.learned.append((number, control.optimal.learned))
+            if number % _PROGRESS_EVERY_ROWS == 0:
+                progress(number / len(rows))
+        progress(1.0)
+
+    async def _live_until(self, due_s: float) -> None:
+        """Let control look whenever it would by itself, until it is time for the next reading."""
+        control, loop = self._control, self._loop
+        while True:
+            now_s = loop.time()
+            tick_s = max(control.next_tick_s, now_s)
+            await self._wait(min(tick_s, due_s) - now_s)
+            if tick_s > due_s:
+                return
+            control.tick()
+
+    async def _wait(self, duration_s: float) -> None:
+        """Let time pass; while the tracker is at rest there is nobody else who would use it, but for a look at rest."""
+        if self._motion.resting and self._loop.time() - self._woken_s < _POLLING.idle_s:
+            self._loop.skip(max(duration_s, 0.0))
+        else:
+            # A short move may begin and end in here.
+            self._seen_at_rest = False
+            await asyncio.sleep(max(duration_s, 0.0))
+            self._woken_s = self._loop.time()
+
+    def _look(self) -> tuple[float, float, float, float]:
+        """Return where the tracker was sent last and where it stands; what rests need not be looked at twice."""
+        motion = self._motion
+        if motion.resting and self._seen_at_rest:
+            return self._seen
+        truth = self._truth(self._loop.time())
+        heading, last = motion.target, motion.last_move
+        if heading is not None:
+            a_set, b_set = heading.a_deg, heading.b_deg
+        elif last is not None:
+            a_set, b_set = last.target_a_deg, last.target_b_deg
+        else:
+            # Never sent anywhere: it is meant to be where it is.
+            a_set, b_set = truth
+        seen = (a_set, b_set, *truth)
+        self._seen_at_rest = motion.resting and seen == self._seen
+        self._seen = seen
+        return seen
+
+    async def _pass(self, due_s: float) -> None:
+        """Let a gap pass; at night, with the tracker at rest, nothing happens that would have to be looked at."""
+        while (left_s := due_s - _AWAKE_S - self._loop.time()) > 0:
+            skip_s = min(left_s, _SKIP_S)
+            if left_s > 2.0 * DAY_S:
+                skip_s = (left_s // DAY_S - 1.0) * DAY_S
+            if self._asleep_until(skip_s):
+                self._loop.skip(skip_s)
+                self._control.tick()
+            else:
+                await self._live_until(self._loop.time() + min(left_s, _AWAKE_S))
+
+    def _asleep_until(self, skip_s: float) -> bool:
+        if self._control.mode is not Mode.NIGHT or not self._motion.resting:
+            return False
+        utc_s = self._clock.utc()
+        return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))
+
+
+def _scan(cube: Cube, number: int, row: Row, now_s: float) -> Scan:
+    utc_s = row.time_utc_s
+    low, high = cube.minimum_w_m2, cube.maximum_w_m2
+    faces = []
+    for value in row.irradiances_w_m2:
+        quality = Quality.OK if low <= value <= high else Quality.MISSING if math.isnan(value) else Quality.IMPLAUSIBLE
+        faces.append(FaceReading(value, quality, utc_s, now_s))
+    east, south, west, zenith = faces
+    return Scan(cube.name, "replay", number, utc_s, now_s, east, south, west, zenith, simulated=True)
+
+
+def _opened(path: Path, suffix: str) -> TextIO:
+    if suffix == ".gz":
+        return cast("TextIO", gzip.open(path, "wt", encoding="utf-8", newline=""))
+    return path.open("w", encoding="utf-8", newline="")
+
+
+def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    laws = {Mode.TRACKING: settings.law.name, Mode.FALLBACK: "chronometric"}
+    angles = np.frombuffer(log.angles).reshape(-1, 4)
+    site = site_of(settings)
+    for first in range(0, len(rows), _ROWS_AT_ONCE):
+        some = rows[first : first + _ROWS_AT_ONCE]
+        utc_s = np.array([row.time_utc_s for row in some])
+        faces = np.array([row.irradiances_w_m2 for row in some])
+        estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
+        if log.learned:
+            estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
+        for at, row in enumerate(some):
+            mode = log.modes[first + at]
+            a_set, b_set, a, b = angles[first + at].tolist()
+            texts = [f"{value:.3f}" for value in (a_set, b_set, a, b)]
+            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at]])
+
+
+def _estimates(faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Learned]]) -> list[tuple[str, ...]]:
+    """Return beam, diffuse and albedo for each row, by its own readings and by what was known of the site then."""
+    found: list[tuple[str, ...]] = []
+    ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
+    for (begin, known), end in zip(learned, ends, strict=True):
+        part = slice(max(begin - first, 0), max(min(end - first, len(faces)), 0))
+        readings, towards = SiteLearning(learned=known).corrected(faces[part]), sun[part]
+        usable = usable_faces(readings, towards)
+        light = light_from_faces(readings, towards, known.albedo, usable)
+        good = (usable.sum(axis=-1) >= 3) & (towards[..., 2] > 0.0)
+        albedo = f"{float(known.albedo):.4f}"
+        found += [
+            (f"{beam:.1f}", f"{uniform:.1f}", albedo) if is_good else ("", "", albedo)
+            for beam, uniform, is_good in zip(light.beam.tolist(), light.uniform.tolist(), good.tolist(), strict=True)
+        ]
+    return found

@@ -1,0 +1,161 @@
+"""Days in seconds: the service itself, on the in-process rig, under virtual time."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from random import Random
+from typing import Literal
+
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.errors import UserError
+from daemon.base.records import Decision, Mode, ModeChange, Move, Record, Scan
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.file import on_a_port_of_its_own
+from daemon.config.sections import Settings, Store
+from daemon.cube.calibration import calibration_in_force
+from daemon.motion.motion import SIMULATED
+from daemon.rigs.simulated import build_simulated_rig, build_weather, site_of
+from daemon.service.service import Role, Service
+from daemon.store.tables import TableWriter
+from solar.ephemeris import DAY_S, sun_day
+
+_PROGRESS_EVERY_S = 900.0
+
+
+@dataclass(slots=True)
+class Summary:
+    """What came of a simulation.
+
+    Attributes
+    ----------
+    scans, decisions, moves
+        How many.
+    travel_deg
+        Sum over both axes of what the tracker turned between starts and ends of its moves.
+    mode_s
+        Seconds in each mode.
+    warning
+        About the weather file, or None.
+    """
+
+    scans: int = 0
+    decisions: int = 0
+    moves: int = 0
+    travel_deg: float = 0.0
+    mode_s: dict[Mode, float] = field(default_factory=lambda: dict.fromkeys(Mode, 0.0))
+    warning: str | None = None
+
+
+def simulate(
+    settings: Settings,
+    start: datetime,
+    days: float,
+    out: Path,
+    table_format: Literal["csv", "parquet"],
+    progress: Callable[[float], None],
+) -> Summary:
+    """Run the service in both roles over `days` from `start` (UTC) and write its records to `out`.
+
+    The same settings and seed give byte-identical files.
+
+    Parameters
+    ----------
+    progress
+        Called with the share done, 0..1.
+
+    Raises
+    ------
+    UserError
+        The sun never rises in that time, the weather does not cover it, or `out` cannot be written.
+    """
+    start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
+    end_utc_s = start_utc_s + days * DAY_S
+    _require_daylight(settings, start_utc_s, end_utc_s)
+    calibration = calibration_in_force(settings.cube)
+    weather, warning = build_weather(settings, start_utc_s, end_utc_s)
+    # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
+    tally = _Tally(start_utc_s)
+    with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        loop = runner.get_loop()
+        clock = LoopClock(loop.time, start_utc_s)
+        bus = Bus()
+        bus.subscribe(tables.write)
+        bus.subscribe(tally.count)
+        service = Service(
+            settings,
+            Role.BOTH,
+            build_simulated_rig(settings, Role.BOTH, clock, weather),
+            clock,
+            Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
+            bus,
+            None,
+            Notifier({}, 0),
+            calibration=calibration,
+            polling=SIMULATED,
+        )
+        runner.run(_until_end(service, days * DAY_S, progress))
+    return tally.close(end_utc_s, warning)
+
+
+async def _until_end(service: Service, duration_s: float, progress: Callable[[float], None]) -> None:
+    stop = asyncio.Event()
+
+    async def count_down() -> None:
+        elapsed_s = 0.0
+        while elapsed_s < duration_s:
+            step_s = min(_PROGRESS_EVERY_S, duration_s - elapsed_s)
+            await asyncio.sleep(step_s)
+            elapsed_s += step_s
+            progress(elapsed_s / duration_s)
+        stop.set()
+
+    await service.run(stop, count_down())
+
+
+def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) -> None:
+    site = site_of(settings)
+    utc_s = start_utc_s
+    while True:
+        day = sun_day(utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m)
+        if day.highest_elevation_deg > 0:
+            return
+        utc_s += DAY_S
+        if utc_s > end_utc_s:
+            raise UserError(
+                f"the sun does not rise at latitude {site.latitude_deg:g} deg in the simulated time (its highest "
+                f"elevation is {day.highest_elevation_deg:.1f} deg): choose another --start or another site"
+            )
+
+
+class _Tally:
+    def __init__(self, start_utc_s: float) -> None:
+        self._summary = Summary()
+        self._mode = Mode.STARTING
+        self._since_utc_s = start_utc_s
+
+    def count(self, record: Record) -> None:
+        summary = self._summary
+        if isinstance(record, Scan):
+            summary.scans += 1
+        elif isinstance(record, Decision):
+            summary.decisions += 1
+        elif isinstance(record, Move):
+            summary.moves += 1
+            summary.travel_deg += abs(record.end_a_deg - record.from_a_deg) + abs(record.end_b_deg - record.from_b_deg)
+        elif isinstance(record, ModeChange):
+            self._leave(record.time_utc_s)
+            self._mode = record.after
+
+    def _leave(self, utc_s: float) -> None:
+        self._summary.mode_s[self._mode] += utc_s - self._since_utc_s
+        self._since_utc_s = utc_s
+
+    def close(self, end_utc_s: float, warning: str | None) -> Summary:
+        self._leave(end_utc_s)
+        self._summary.warning = warning
+        return self._summary

@@ -1,0 +1,112 @@
+"""How far and how often the laws may move the tracker in a day: a drive wears by the metre and by the start."""
+
+import logging
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from daemon.base.alarms import Alarms
+from daemon.base.replace_file import replace_file
+from daemon.config.sections import Motion as MotionSettings
+from solar.ephemeris import DAY_S
+
+log = logging.getLogger("heliocube.control")
+
+_FILE_NAME = "day.json"
+_ALARM = "day-budget"
+
+
+class Used(BaseModel):
+    """What the laws have used of a solar day, counted from 1970: degrees, A and B added, and moves."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    day: int
+    travelled_deg: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    moves: int = Field(default=0, ge=0)
+
+
+class DayBudget:
+    """Counts the moves of the laws, and lets none go beyond the day's limits.
+
+    Parameters
+    ----------
+    settings
+        The limits.
+    longitude_deg
+        Of the site, east positive: a day is the sun's, from midnight to midnight.
+    directory
+        Where the count is kept over a restart, or None.
+    alarms
+        Where the end of the budget is told.
+    utc_s
+        The time of construction [s].
+    """
+
+    def __init__(
+        self, settings: MotionSettings, longitude_deg: float, directory: Path | None, alarms: Alarms, utc_s: float
+    ) -> None:
+        self._settings = settings
+        self._longitude_deg = longitude_deg
+        self._path = None if directory is None else directory / _FILE_NAME
+        self._alarms = alarms
+        # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
+        self.used = self._load() or Used(day=self._day_of(utc_s))
+
+    @property
+    def moves_left(self) -> int:
+        """How many more moves the laws may make today."""
+        return max(self._settings.moves_per_day - self.used.moves, 0)
+
+    @property
+    def travel_left_deg(self) -> float:
+        """How much further the laws may go today, A and B added."""
+        return max(self._settings.travel_per_day_deg - self.used.travelled_deg, 0.0)
+
+    def turn(self, utc_s: float) -> None:
+        """Begin a new day when the sun has passed its lowest point since the last call."""
+        today = self._day_of(utc_s)
+        if today != self.used.day:
+            self.used = Used(day=today)
+            self._save()
+            self._alarms.set(_ALARM, None)
+
+    def refusal(self, distance_deg: float) -> str | None:
+        """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
+        if self.moves_left >= 1 and distance_deg <= self.travel_left_deg:
+            return None
+        text = (
+            f"the laws have used up what they may move in a day: {self.used.moves} moves of"
+            f" {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
+            f" {self._settings.travel_per_day_deg:g}; see motion.moves_per_day and motion.travel_per_day_deg"
+        )
+        self._alarms.set(_ALARM, text)
+        return text
+
+    def book(self, distance_deg: float) -> None:
+        """Count a move that was ordered, and note that on disk."""
+        used = self.used
+        self.used = Used(day=used.day, travelled_deg=used.travelled_deg + distance_deg, moves=used.moves + 1)
+        self._save()
+
+    def _day_of(self, utc_s: float) -> int:
+        return int((utc_s + self._longitude_deg * DAY_S / 360.0) // DAY_S)
+
+    def _load(self) -> Used | None:
+        if self._path is None:
+            return None
+        try:
+            return Used.model_validate_json(self._path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError):
+            log.warning("%s cannot be used: the moves of the day are counted anew", self._path)
+            return None
+
+    def _save(self) -> None:
+        if self._path is None:
+            return
+        try:
+            replace_file(self._path, self.used.model_dump_json())
+        except OSError as error:
+            log.warning("%s cannot be written (%s): a restart would forget the moves of the day", self._path, error)

@@ -1,0 +1,379 @@
+"""The tracker's role: from the cube's scans to a target, by way of the state machine."""
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daemon.base.alarms import Alarms
+from daemon.base.clock import Clock
+from daemon.base.clock_watch import ClockWatch
+from daemon.base.records import Decision, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
+from daemon.base.recurrence import Recurrence, Said
+from daemon.base.waiting import wait_at_most
+from daemon.config.sections import Settings
+from daemon.motion.motion import Motion
+from daemon.tracker.budget import DayBudget
+from daemon.tracker.doors import Doors
+from daemon.tracker.modes import Data, Situation, next_mode
+from daemon.tracker.optimal import DECIDE_EVERY_S, OptimalPointing
+from daemon.tracker.orders import RELEASE, Orders
+from daemon.tracker.parking import Parking
+from daemon.tracker.pointing import Pointing
+from daemon.tracker.readings import Readings
+from daemon.tracker.reminders import Reminders
+from daemon.tracker.stow_watch import StowWatch
+from drivers.errors import DeviceError
+from solar.frames import normal_from_angles, separation_deg
+
+log = logging.getLogger("heliocube.control")
+
+_TICK_S = 5.0
+# Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
+_SHORTEST_WAIT_S = 0.001
+# Changes between the same two modes that are told each for itself.
+_FEW_CHANGES = 8
+_BY_THE_CLOCK = ("chronometric", "optimal")
+
+
+@dataclass(frozen=True, slots=True)
+class ControlState:
+    """What control shows of itself.
+
+    Attributes
+    ----------
+    mode, why, since_utc_s
+        The present mode, its reason and its beginning.
+    scan
+        The newest scan that was accepted, good or bad.
+    scan_age_s
+        Age of the newest scan with as many good faces as the law needs; infinite before the first.
+    irradiances
+        Mean over the window, or None.
+    decision
+        The last one.
+    next_decision_s
+        Seconds until the next; NaN in modes that do not decide.
+    """
+
+    mode: Mode
+    why: str
+    since_utc_s: float
+    scan: Scan | None
+    scan_age_s: float
+    irradiances: Irradiances | None
+    decision: Decision | None
+    next_decision_s: float
+
+
+class Control(Doors):
+    """Decides what the tracker does, every few seconds, and where it points, every few minutes.
+
+    Parameters
+    ----------
+    settings
+        The whole configuration.
+    clock
+        The service's time.
+    motion
+        The only way to the axes.
+    pointing
+        The laws, the sun and the limits.
+    sun_elevation_deg
+        Of UTC [s], to tell night from day.
+    stow_watch
+        Everything besides the operator that may ask for stow.
+    orders
+        What persons asked for.
+    publish
+        Called with decisions, mode changes and events.
+    alarms
+        Where what a person has to know is raised.
+    optimal
+        The law `optimal`, where it is the law; the others are in `pointing`.
+    clock_watch
+        Tells whether the time of day may be used.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        motion: Motion,
+        pointing: Pointing,
+        sun_elevation_deg: Callable[[float], float],
+        stow_watch: StowWatch,
+        orders: Orders,
+        publish: Callable[[Record], None],
+        alarms: Alarms,
+        optimal: OptimalPointing | None = None,
+        clock_watch: ClockWatch | None = None,
+    ) -> None:
+        super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order))
+        self.optimal = optimal
+        self._clock = clock
+        self._pointing = pointing
+        self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
+        self._stow_watch = stow_watch
+        self._publish = publish
+        self._alarms = alarms
+        self._reminders = Reminders(clock, settings.site, alarms, publish)
+        self.budget = DayBudget(
+            settings.motion, settings.site.longitude_deg, settings.store.directory, alarms, clock.utc()
+        )
+        self._readings = Readings(settings, clock, sun_elevation_deg, optimal)
+        self._since_utc_s = clock.utc()
+        self._due_s = -math.inf
+        self._decision: Decision | None = None
+        self._data = Data.WAITING
+        self._last_why = ""
+        self._changes: dict[frozenset[Mode], Recurrence] = {}
+        self.last_tick_s = clock.monotonic()
+
+    # Doors for the bridge, for motion and for operators.
+
+    def receive(self, scan: Scan) -> None:
+        """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
+        self._readings.add(scan)
+        if self.optimal is not None and self._clock_watch.trusted:
+            self.optimal.receive(scan, self._clock.utc())
+        self._publish(scan)
+        if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
+            # It may be what was waited for.
+            self._wake.set()
+
+    def note(self, record: Record) -> None:
+        """Take in a record of the bus: each pose comes with the telemetry that may show a pressed button."""
+        if isinstance(record, Pose) and self._orders.heed_buttons(self._motion.telemetry):
+            self._freeze()
+            self._keep_wishes()
+            text = "a button is pressed at the unit: the tracker is held until 'heliocube auto'"
+            log.warning(text)
+            self._tell(text)
+
+    @property
+    def state(self) -> ControlState:
+        """A snapshot for displays."""
+        now_s = self._clock.monotonic()
+        deciding = self.mode in (Mode.TRACKING, Mode.FALLBACK)
+        return ControlState(
+            self.mode,
+            self.why,
+            self._since_utc_s,
+            self._readings.newest,
+            now_s - self._readings.good_s,
+            self._readings.mean(now_s),
+            self._decision,
+            max(self._due_s - now_s, 0.0) if deciding else math.nan,
+        )
+
+    async def run(self) -> None:
+        """Look at the situation every few seconds, and at once when asked to, until cancelled."""
+        while True:
+            self.tick()
+            await wait_at_most(self._wake, self._until_next_tick())
+
+    @property
+    def next_tick_s(self) -> float:
+        """Monotonic time of the next look, unless somebody asks for one before."""
+        return self.last_tick_s + self._until_next_tick()
+
+    @property
+    def _waits_for_data(self) -> bool:
+        """Whether a decision is kept back because the readings are not good at this instant."""
+        return self.mode is Mode.TRACKING and self._data is not Data.FRESH
+
+    def _until_next_tick(self) -> float:
+        if not self._waits_for_data and self.mode in (Mode.TRACKING, Mode.FALLBACK):
+            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), _SHORTEST_WAIT_S))
+        return _TICK_S
+
+    def tick(self) -> None:
+        """Look at the situation once, change mode if it calls for that, and act in the mode."""
+        now_s = self._clock.monotonic()
+        self._watch_clock()
+        if self._clock_watch.trusted:
+            self._turn_days(self._clock.utc())
+        self._freeze()
+        mean = self._readings.mean(now_s)
+        situation = self._situation(now_s, mean)
+        self._data = situation.data
+        mode, why = next_mode(self.mode, situation)
+        if mode is not self.mode:
+            self._enter(mode, why, now_s)
+        self.why = why
+        self._motion.may_rehome = mode is Mode.FAULT  # a reference run tilts the module: not in a stow or hold
+        self._act(now_s, mean)
+        self._alarms.mute(muted=self.wishes.maintenance is not None)
+        self._reminders.look(self.wishes, sun_known=self._clock_watch.trusted)
+        self.last_tick_s = now_s
+
+    def _turn_days(self, utc_s: float) -> None:
+        self.budget.turn(utc_s)
+        if self.optimal is not None:
+            self.optimal.turn(utc_s)
+
+    def _watch_clock(self) -> None:
+        step_s = self._clock_watch.step_s()
+        if step_s is not None:
+            text = f"the clock was set by {step_s:+.1f} s"
+            log.warning(text)
+            self._tell(text)
+
+    def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
+        data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
+        asked = self._orders.stow.reason(now_s)
+        stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
+        self._watch_stow(stow_why)
+        unheard_why = self._stow_watch.unheard_why(now_s)
+        if unheard_why is not None:
+            data, data_why = Data.WAITING, unheard_why
+        wishes = self.wishes
+        return Situation(
+            connected=self._motion.connected,
+            blocked_why=self._motion.blocked,
+            doubt_why=self._motion.doubt,
+            homing=self._motion.homing,
+            maintenance_why=wishes.told("maintenance"),
+            stop_why=wishes.told("stop"),
+            buttons_why=wishes.told("buttons"),
+            stow_why=stow_why,
+            snow_why=wishes.snow.why if wishes.snow else None,
+            hold_why=wishes.hold.why if wishes.hold else None,
+            night_why=night_why,
+            data=data,
+            data_why=data_why,
+        )
+
+    def _watch_stow(self, stow_why: str | None) -> None:
+        """Tell when stow is wanted and a person keeps the tracker from it."""
+        stillness = self.wishes.stillness
+        if stow_why is None or stillness is None:
+            self._alarms.set("stow-wanted", None)
+        else:
+            self._alarms.set("stow-wanted", f"stow is wanted ({stow_why}), but the tracker is {stillness}; {RELEASE}")
+
+    def _enter(self, mode: Mode, why: str, now_s: float) -> None:
+        utc_s = self._clock.utc()
+        self._log_mode(mode, why, now_s)
+        self._publish(ModeChange(utc_s, now_s, self.mode, mode, why))
+        self.mode = mode
+        self._since_utc_s = utc_s
+        self._due_s = now_s
+        self._parking.forget()
+        if mode is Mode.FAULT:
+            # Where an operator wanted to go before the fault may be a wrong place to go to after it.
+            self._orders.hold_at = None
+
+    def _log_mode(self, mode: Mode, why: str, now_s: float) -> None:
+        """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
+        changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES, reminds=False))
+        said = changes.note(now_s)
+        often = f" ({changes.how_often(now_s)} between these two)" if said is Said.OFTEN else ""
+        level = logging.DEBUG if said is Said.QUIETLY else logging.INFO
+        log.log(level, "%s -> %s: %s%s", self.mode, mode, why, often, extra={"fields": {"mode": mode}})
+
+    def _act(self, now_s: float, mean: Irradiances | None) -> None:
+        safety = self._settings.safety
+        if self.mode is Mode.STOW:
+            self._parking.park(Target(safety.stow_a_deg, safety.stow_b_deg, self.why), now_s)
+        elif self.mode is Mode.NIGHT:
+            self._parking.park(Target(safety.night_a_deg, safety.night_b_deg, "night"), now_s)
+        elif self.mode is Mode.SNOW:
+            snow = self._settings.limits.limits().clip(safety.snow_a_deg, safety.snow_b_deg)
+            self._parking.park(Target(*snow, self.why), now_s)
+        elif self.mode is Mode.HOLD:
+            self._hold(now_s)
+        elif self.mode in (Mode.TRACKING, Mode.FALLBACK) and now_s >= self._due_s and not self._waits_for_data:
+            self._decide(now_s, mean)
+
+    def _hold(self, now_s: float) -> None:
+        if self.wishes.stillness is None and self._orders.hold_at is not None:
+            self._parking.park(self._orders.hold_at, now_s)
+        elif self._motion.moving:
+            self._motion.rest()
+
+    def _decide(self, now_s: float, mean: Irradiances | None) -> None:
+        rested_s = now_s - self._motion.last_move_started_s
+        if rested_s < self._settings.motion.minimum_interval_s:
+            self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
+            return
+        law = self._settings.law.name if self.mode is Mode.TRACKING else "chronometric"
+        self._due_s = now_s + (DECIDE_EVERY_S if law == "optimal" else self._settings.windows.decide_every_s)
+        utc_s = self._clock.utc()
+        heading = self._motion.target or self._motion.pose
+        if law == "optimal" and self.optimal is not None and heading is not None:
+            aim = self.optimal.aim(heading.a_deg, heading.b_deg, utc_s)
+        else:
+            aim = self._pointing.aim(law, mean, utc_s, sun_known=self._clock_watch.trusted)
+        if law in _BY_THE_CLOCK and not self._clock_watch.trusted:
+            aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
+        target = aim.target or self._standing(aim.why)
+        moved = aim.target is not None and self._worth_moving(aim.target) and self._order_within_budget(aim.target)
+        log.info("%s", "moving" if moved else "staying", extra={"fields": _told(law, target)})
+        self._decision = Decision(
+            utc_s,
+            now_s,
+            self.mode,
+            law,
+            mean,
+            aim.azimuth_deg,
+            aim.elevation_deg,
+            aim.sun.azimuth_deg,
+            aim.sun.elevation_deg,
+            target,
+            moved,
+            aim.estimate,
+        )
+        self._publish(self._decision)
+
+    def _standing(self, why: str) -> Target:
+        pose = self._motion.pose
+        return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
+
+    def _worth_moving(self, target: Target) -> bool:
+        """Tell whether the target is far enough from where the tracker stands or is already heading."""
+        whence = self._motion.target or self._motion.pose
+        if whence is None:
+            return False
+        apart = separation_deg(
+            normal_from_angles(whence.a_deg, whence.b_deg), normal_from_angles(target.a_deg, target.b_deg)
+        )
+        return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
+
+    def _order_within_budget(self, target: Target) -> bool:
+        """Order a move of a law within the day's limits; the plan of `optimal` holds in fallback too."""
+        heading = self._motion.target or self._motion.pose
+        if heading is None:
+            return self._order(target)
+        distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
+        if self.optimal is not None and not self.optimal.affords(distance_deg):
+            return False
+        if self.budget.refusal(distance_deg) is not None or not self._order(target):
+            return False
+        self.budget.book(distance_deg)
+        if self.optimal is not None:
+            self.optimal.book(distance_deg)
+        return True
+
+    def _order(self, target: Target) -> bool:
+        try:
+            self._motion.order(target, stow=self.mode is Mode.STOW)
+        except (DeviceError, ValueError) as error:
+            text = str(error)
+            if text != self._last_why:
+                log.warning("no move: %s", text)
+                self._tell(f"no move: {text}")
+            self._last_why = text
+            return False
+        self._last_why = ""
+        return True
+
+    def _tell(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "control", text))
+
+
+def _told(law: str, target: Target) -> dict[str, str]:
+    return {"law": law, "a_deg": f"{target.a_deg:.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}

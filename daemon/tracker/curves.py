@@ -1,0 +1,180 @@
+"""The I-V curve of the module on the tracker, every few seconds; it is in open circuit in between."""
+
+import asyncio
+import base64
+import logging
+import math
+from collections.abc import Callable, Sequence
+from random import Random
+
+import numpy as np
+
+from daemon.base.backoff import Backoff
+from daemon.base.clock import Clock
+from daemon.base.reconnect import Outage
+from daemon.base.records import CurveQuality, Event, IvCurve, Quality, Record, Scan
+from daemon.config.instruments import Load
+from drivers.errors import DeviceError
+from drivers.interfaces import ElectronicLoad, SweptCurve
+from solar.iv import measured_maximum, sweep_voltages
+
+log = logging.getLogger("heliocube.load")
+
+_LOWEST_SUN_DEG = -3.0
+# A change by less is the sensor's noise at dusk.
+_LEAST_CHANGE_W_M2 = 5.0
+# With less than this many times the lowest voltage there is nothing to sweep.
+_LEAST_OPEN_CIRCUIT = 2.0
+
+
+class IvAcquisition:
+    """Sweeps, fits, and hands every curve on. While the sun is well below the horizon it does nothing.
+
+    Parameters
+    ----------
+    settings
+        Rhythm and shape of the curves.
+    load
+        The instrument, owned from here on.
+    clock
+        The service's time.
+    random
+        For the jitter of reconnection.
+    publish
+        Called with every curve, and with events worth telling.
+    sun_elevation_deg
+        Of UTC [s].
+    scan_stale_s
+        Age from which the cube's reading is not known any more.
+    """
+
+    def __init__(
+        self,
+        settings: Load,
+        load: ElectronicLoad,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        sun_elevation_deg: Callable[[float], float],
+        scan_stale_s: float,
+    ) -> None:
+        self._settings = settings
+        self._load = load
+        self._clock = clock
+        self._publish = publish
+        self._sun_elevation_deg = sun_elevation_deg
+        self._scan_stale_s = scan_stale_s
+        self._backoff = Backoff(random)
+        self._zenith_w_m2, self._zenith_s = math.nan, -math.inf
+        self.outage = Outage(log, "the load")
+        self._was_open = False
+        self.skipped = 0
+        self.identity: str | None = None
+        self.last: IvCurve | None = None
+
+    def note(self, record: Record) -> None:
+        """Remember what the cube's zenith face reads; a subscriber of the bus."""
+        if isinstance(record, Scan):
+            good = record.zenith.quality is Quality.OK
+            self._zenith_w_m2 = record.zenith.irradiance_w_m2 if good else math.nan
+            self._zenith_s = record.time_monotonic_s
+
+    async def run(self) -> None:
+        """Measure until cancelled; a lost load is opened anew for as long as it takes."""
+        try:
+            while True:
+                try:
+                    await self._open()
+                    await self._measure()
+                except DeviceError as error:
+                    first = not self.outage.is_down
+                    text = self.outage.down(self._clock.monotonic(), str(error))
+                    if first:
+                        self._tell(text)
+                    self.identity = None
+                    await self._load.close()
+                    await asyncio.sleep(self._backoff.next_s())
+        finally:
+            await self._load.close()
+
+    async def _open(self) -> None:
+        self.identity = await self._load.open()
+        if not self._was_open:
+            self._was_open = True
+            log.info("the load is open", extra={"fields": {"load": self.identity}})
+
+    async def _measure(self) -> None:
+        due_s = self._clock.monotonic()
+        while True:
+            curve = None
+            if self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
+                curve = await self._curve()
+            self._tell(self.outage.up(self._clock.monotonic()))
+            self._backoff.reset()
+            if curve is not None:
+                self.last = curve
+                self._publish(curve)
+            due_s += self._settings.period_s
+            now_s = self._clock.monotonic()
+            if due_s <= now_s:
+                missed = math.floor((now_s - due_s) / self._settings.period_s) + 1
+                self.skipped += missed
+                due_s += missed * self._settings.period_s
+            await asyncio.sleep(due_s - now_s)
+
+    async def _curve(self) -> IvCurve:
+        utc_s, start_s, before = self._clock.utc(), self._clock.monotonic(), self._zenith()
+        swept = await self._load.sweep(self._plan, lambda: self._changed(before))
+        return self._judged(swept, utc_s, start_s, before)
+
+    def _plan(self, open_circuit_v: float) -> Sequence[float]:
+        least_v = self._settings.minimum_voltage_v
+        if not open_circuit_v >= _LEAST_OPEN_CIRCUIT * least_v:
+            return ()
+        return [float(voltage_v) for voltage_v in sweep_voltages(open_circuit_v, least_v, self._settings.points)]
+
+    def _zenith(self) -> float:
+        age_s = self._clock.monotonic() - self._zenith_s
+        return self._zenith_w_m2 if age_s <= self._scan_stale_s else math.nan
+
+    def _changed(self, before: float) -> str | None:
+        now = self._zenith()
+        if abs(now - before) > max(self._settings.abort_change * before, _LEAST_CHANGE_W_M2):
+            return f"the zenith irradiance went from {before:.0f} to {now:.0f} W/m2"
+        return None
+
+    def _judged(self, swept: SweptCurve, utc_s: float, start_s: float, before: float) -> IvCurve:
+        voltage_v, current_a = np.array(swept.voltage_v), np.array(swept.current_a)
+        found = measured_maximum(np.append(voltage_v, swept.open_circuit_v), np.append(current_a, 0.0))
+        quality, why = CurveQuality.OK, ""
+        if swept.stopped_why:
+            quality, why = CurveQuality.STOPPED, swept.stopped_why
+        elif not swept.voltage_v and swept.open_circuit_v < _LEAST_OPEN_CIRCUIT * self._settings.minimum_voltage_v:
+            quality, why = CurveQuality.DARK, f"the open-circuit voltage is {swept.open_circuit_v:.2f} V"
+        elif found.why_not:
+            quality, why = CurveQuality.NO_MAXIMUM, found.why_not
+        return IvCurve(
+            time_utc_s=utc_s,
+            time_monotonic_s=start_s,
+            duration_s=self._clock.monotonic() - start_s,
+            pmpp_w=found.pmpp_w,
+            pmpp_sigma_w=found.pmpp_sigma_w,
+            vmpp_v=found.vmpp_v,
+            impp_a=found.impp_a,
+            voc_v=swept.open_circuit_v,
+            isc_a=found.isc_a,
+            zenith_start_w_m2=before,
+            zenith_end_w_m2=self._zenith(),
+            points=len(swept.voltage_v),
+            quality=quality,
+            why=why,
+            curve=_packed(voltage_v, current_a) if self._settings.keep_curves else "",
+        )
+
+    def _tell(self, text: str) -> None:
+        if text:
+            self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
+
+
+def _packed(voltage_v: np.ndarray, current_a: np.ndarray) -> str:
+    return base64.b64encode(np.concatenate([voltage_v, current_a]).astype("<f4").tobytes()).decode("ascii")

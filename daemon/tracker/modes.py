@@ -1,0 +1,103 @@
+"""The state machine of the tracker: which mode follows from the situation, and why.
+
+Maintenance comes first: people work on the tracker. Then a positioner that cannot move at all, because nothing can be
+done; a request to stow stays latched meanwhile and is the first thing carried out after it. A person's stop comes next,
+and a person at the unit's buttons, because somebody may be in reach of the axes. Stow pre-empts everything else, homing
+and doubts included. A reason that is not the mode's but still holds people's hands off or calls for stow is told too.
+"""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from daemon.base.records import Mode
+
+
+class Data(Enum):
+    """What the cube's data is good for."""
+
+    FRESH = auto()
+    WAITING = auto()
+    BAD = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Everything that the choice of mode depends on.
+
+    Attributes
+    ----------
+    connected
+        The positioner sends telemetry.
+    blocked_why
+        Why the positioner can move nothing, or None.
+    doubt_why
+        Why it must not be moved but to stow, or None.
+    homing
+        A reference run is on.
+    maintenance_why
+        Who works on the tracker, or None.
+    stop_why
+        Why an operator has stopped the axes, or None.
+    buttons_why
+        Why the unit's buttons count as somebody's who is there, or None.
+    stow_why
+        The first reason to stow, or None.
+    snow_why
+        Why an operator wants the snow position, or None.
+    hold_why
+        Why an operator holds the tracker, or None.
+    night_why
+        Why it counts as night, or None.
+    data, data_why
+        Whether the cube's scans can be used, and in words.
+    """
+
+    connected: bool
+    blocked_why: str | None
+    doubt_why: str | None
+    homing: bool
+    maintenance_why: str | None
+    stop_why: str | None
+    buttons_why: str | None
+    stow_why: str | None
+    snow_why: str | None
+    hold_why: str | None
+    night_why: str | None
+    data: Data
+    data_why: str
+
+
+def next_mode(current: Mode, situation: Situation) -> tuple[Mode, str]:
+    """Return the mode that the situation calls for, and the reason in words."""
+    s = situation
+    lost_why = s.blocked_why or (None if s.connected else "waiting for the positioner")
+    stow_missed = None if s.stow_why is None else f"stow is wanted and not done ({s.stow_why})"
+    still_why = s.stop_why or s.buttons_why
+    if s.maintenance_why is not None:
+        return Mode.MAINTENANCE, _joined(s.maintenance_why, s.stop_why, lost_why, stow_missed)
+    if lost_why is not None:
+        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why)
+    if still_why is not None:
+        return Mode.HOLD, _joined(still_why, stow_missed)
+    if s.stow_why is not None:
+        return Mode.STOW, s.stow_why
+    if s.homing:
+        return Mode.STARTING, "homing"
+    if s.doubt_why is not None:
+        return Mode.FAULT, s.doubt_why
+    if s.snow_why is not None:
+        return Mode.SNOW, s.snow_why
+    if s.hold_why is not None:
+        return Mode.HOLD, s.hold_why
+    if s.night_why is not None:
+        return Mode.NIGHT, s.night_why
+    if s.data is Data.FRESH:
+        return Mode.TRACKING, s.data_why
+    if s.data is Data.BAD:
+        return Mode.FALLBACK, s.data_why
+    # Data may yet come: what the tracker did with data or without it goes on, anything else waits for it.
+    return (current if current in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING), s.data_why
+
+
+def _joined(*reasons: str | None) -> str:
+    return "; ".join(reason for reason in reasons if reason is not None)

@@ -1,0 +1,100 @@
+"""The orders of persons that are in force: latched, kept, refused while one stands in the way, and released."""
+
+from typing import TYPE_CHECKING
+
+from daemon.base.clock import Clock
+from daemon.tracker.stow import OperatorStow
+from daemon.tracker.wishes import Wish, Wishes, WishFile
+from drivers.errors import RefusedError
+from drivers.interfaces import Telemetry
+
+if TYPE_CHECKING:
+    from daemon.base.records import Target
+
+RELEASE = "only 'heliocube auto' releases it"
+_PRESSED = "a button was pressed at the unit: a person is there"
+
+
+class Orders:
+    """Keeps what persons asked for.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    file
+        Keeps it over a restart.
+
+    Attributes
+    ----------
+    wishes
+        What is in force.
+    stow
+        The person's wish as one reason to stow among others.
+    hold_at
+        Where a hold is, or None for wherever the tracker stands.
+    """
+
+    def __init__(self, clock: Clock, file: WishFile) -> None:
+        self._clock = clock
+        self._file = file
+        self._released_s = float("-inf")
+        self.stow = OperatorStow()
+        self.hold_at: Target | None = None
+        self.wishes = Wishes()
+        self._set(file.load())
+
+    def refuse(self, command: str) -> None:
+        """Raise `RefusedError` where a person's stop, maintenance or a person at the buttons forbids a command."""
+        wishes, stillness = self.wishes, self.wishes.stillness
+        # Who works at a tracker may press its buttons before saying so.
+        from_buttons = command == "maintenance" and wishes.stop is None and wishes.maintenance is None
+        if stillness is None or from_buttons:
+            return
+        raise RefusedError("positioner", f"no {command}: the tracker is {stillness}; {RELEASE}")
+
+    def latch(self, name: str, why: str, by: str, *, instead_of: str | None = None) -> None:
+        """Put a wish in force, in memory; `keep` writes it down.
+
+        Parameters
+        ----------
+        name
+            Of the wish.
+        why, by
+            Reason and person.
+        instead_of
+            A wish that ends by this one.
+        """
+        wish = Wish(why=why, by=by, since_utc_s=self._clock.utc())
+        ended = {} if instead_of is None else {instead_of: None}
+        self._set(self.wishes.model_copy(update={name: wish, **ended}))
+
+    def release(self) -> None:
+        """End all wishes, in memory."""
+        self._released_s = self._clock.monotonic()
+        self.hold_at = None
+        self._set(Wishes())
+
+    def keep(self) -> None:
+        """Write down what is in force."""
+        self._file.save(self.wishes)
+
+    def heed_buttons(self, telemetry: Telemetry | None) -> bool:
+        """Hold, in memory, when somebody presses a button at the unit; return whether that is new.
+
+        What was seen before a person said `auto` is no reason afterwards; in maintenance somebody is known to be there.
+        """
+        if telemetry is None or not telemetry.button_pressed or self.wishes.buttons or self.wishes.maintenance:
+            return False
+        if not telemetry.status_monotonic_s > self._released_s:
+            return False
+        self.latch("buttons", _PRESSED, "")
+        self.hold_at = None
+        return True
+
+    def _set(self, wishes: Wishes) -> None:
+        self.wishes = wishes
+        if wishes.stow is None:
+            self.stow.release()
+        else:
+            self.stow.ask(wishes.stow.why)

@@ -1,0 +1,128 @@
+"""What the cube's scans are good for: their mean, whether it can be steered by, and whether it is night."""
+
+import math
+from collections.abc import Callable
+
+from daemon.base.clock import Clock
+from daemon.base.records import FACES, Irradiances, Quality, Scan
+from daemon.config.sections import Settings
+from daemon.tracker.modes import Data
+from daemon.tracker.optimal import FACES_NEEDED, OptimalPointing
+from daemon.tracker.window import Window
+
+
+class Readings:
+    """The scans that came in, judged.
+
+    Parameters
+    ----------
+    settings
+        The whole configuration.
+    clock
+        The service's time.
+    sun_elevation_deg
+        Of UTC [s], to tell night from day.
+    optimal
+        The law `optimal`, where it is the law: it can do without one of the faces.
+
+    Attributes
+    ----------
+    newest
+        The newest scan, good or bad.
+    good_s
+        Monotonic time of the newest one with as many good faces as the law needs.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        sun_elevation_deg: Callable[[float], float],
+        optimal: OptimalPointing | None,
+    ) -> None:
+        self._safety = settings.safety
+        self._minimum_coverage = settings.windows.minimum_coverage
+        self._clock = clock
+        self._sun_elevation_deg = sun_elevation_deg
+        self._optimal = optimal
+        self._faces_needed = 4 if optimal is None else FACES_NEEDED
+        self._window = Window(
+            settings.windows.mean_s,
+            settings.cube.scan_every_s,
+            settings.safety.scan_stale_s,
+            settings.safety.scan_stale_s,
+        )
+        self._started_s = clock.monotonic()
+        self._night = False
+        self.newest: Scan | None = None
+        self.good_s = -math.inf
+
+    def add(self, scan: Scan) -> None:
+        """Take in a scan; its monotonic times are on our clock."""
+        self.newest = scan
+        self._window.add(scan)
+        if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
+            self.good_s = scan.time_monotonic_s
+
+    def mean(self, now_s: float) -> Irradiances | None:
+        """Return the window's mean, or None while too many faces have nothing in it."""
+        return self._window.mean(now_s, self._faces_needed)
+
+    def judge(self, now_s: float, mean: Irradiances | None, *, sun_known: bool = True) -> tuple[Data, str, str | None]:
+        """Return what the data is good for, why, and why it counts as night (None by day).
+
+        The zenith face tells night from day while it can be believed, with hysteresis; the ephemeris does otherwise.
+        Unless `sun_known` the clock is in doubt: the ephemeris tells nothing then, and only light ends a night.
+        """
+        data, why = self._judge_data(now_s, mean)
+        seen = mean if data is Data.FRESH else None
+        night_why = self._judge_night(seen) if sun_known else self._night_as_it_was(seen)
+        if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
+            return Data.BAD, f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2 in daylight", None
+        return data, why, night_why
+
+    def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
+        age_s = now_s - self.good_s
+        covered = mean is not None and mean.coverage >= self._minimum_coverage
+        if age_s <= self._safety.scan_stale_s and covered:
+            return Data.FRESH, "the cube's readings are good"
+        since_s = now_s - max(self.good_s, self._started_s)
+        if since_s > self._safety.fallback_after_s:
+            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}"
+        return Data.WAITING, "waiting for the cube's readings"
+
+    def _bad_faces(self) -> str:
+        if self.newest is None or self.newest.ok:
+            return ""
+        bad = [f"{n} {f.quality}" for n, f in zip(FACES, self.newest.faces, strict=True) if f.quality != "ok"]
+        return f" ({', '.join(bad)})"
+
+    def _too_dark(self, mean: Irradiances, *, sun_known: bool) -> bool:
+        dark = not (mean.zenith_w_m2 >= self._safety.night_below_w_m2)
+        return dark and (not sun_known or self._sees_zenith(mean))
+
+    def _sees_zenith(self, mean: Irradiances) -> bool:
+        """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
+        zenith = mean.zenith_w_m2
+        if self._optimal is None or zenith >= self._safety.night_above_w_m2:
+            return True
+        if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
+            return True
+        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
+        return self._optimal.believes_zenith(faces, self._clock.utc())
+
+    def _judge_night(self, seen: Irradiances | None) -> str | None:
+        sun_deg = self._sun_elevation_deg(self._clock.utc())
+        if seen is not None and self._sees_zenith(seen):
+            threshold = self._safety.night_above_w_m2 if self._night else self._safety.night_below_w_m2
+            self._night = seen.zenith_w_m2 < threshold and sun_deg <= self._safety.night_highest_sun_deg
+            why = f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2"
+        else:
+            self._night = sun_deg < (0.5 if self._night else 0.0)
+            why = f"the sun stands at {sun_deg:.1f} deg"
+        return why if self._night else None
+
+    def _night_as_it_was(self, seen: Irradiances | None) -> str | None:
+        if seen is not None and seen.zenith_w_m2 >= self._safety.night_above_w_m2:
+            self._night = False
+        return "it was night before the clock was set" if self._night else None

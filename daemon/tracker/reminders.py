@@ -1,0 +1,79 @@
+"""Reminding people of what they asked for: maintenance every day, a hold when the sun is up again."""
+
+import logging
+import math
+from collections.abc import Callable
+
+from daemon.base.alarms import Alarms
+from daemon.base.clock import Clock
+from daemon.base.records import Event, Record
+from daemon.config.sections import Site
+from daemon.tracker.wishes import Wish, Wishes
+from solar.ephemeris import DAY_S, SunDay, sun_day
+
+log = logging.getLogger("heliocube.control")
+
+
+class Reminders:
+    """Looks at the wishes now and then.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    site
+        Where the sun rises.
+    alarms
+        Where a forgotten hold is shown.
+    publish
+        Called with the events of maintenance, whose alarms are muted.
+    """
+
+    def __init__(self, clock: Clock, site: Site, alarms: Alarms, publish: Callable[[Record], None]) -> None:
+        self._clock = clock
+        self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
+        self._alarms = alarms
+        self._publish = publish
+        self._started_utc_s = clock.utc()
+        self._day: SunDay | None = None
+        self._maintenance: Wish | None = None
+        self._due_s = math.inf
+
+    def look(self, wishes: Wishes, *, sun_known: bool) -> None:
+        """Remind where it is time; where the clock is in doubt the sun is not asked."""
+        self._remind_of_maintenance(wishes)
+        name = "snow" if wishes.snow is not None else "hold"
+        wish: Wish | None = getattr(wishes, name)
+        if wish is None:
+            self._alarms.set("hold-forgotten", None)
+        elif sun_known and self._outlasted_a_night(wish):
+            text = f"{wishes.told(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
+            self._alarms.set("hold-forgotten", text)
+
+    def _remind_of_maintenance(self, wishes: Wishes) -> None:
+        now_s, wish = self._clock.monotonic(), wishes.maintenance
+        if wish is not self._maintenance:
+            self._maintenance = wish
+            self._due_s = math.inf if wish is None else now_s + DAY_S - self._age_s(wish) % DAY_S
+        if now_s >= self._due_s:
+            self._due_s += DAY_S
+            text = f"still {wishes.told('maintenance')}; 'heliocube auto' ends it"
+            log.warning(text)
+            self._publish(Event(self._clock.utc(), now_s, "operator", text))
+
+    def _age_s(self, wish: Wish) -> float:
+        return max(self._clock.utc() - self._since(wish), 0.0)
+
+    def _since(self, wish: Wish) -> float:
+        return self._started_utc_s if wish.since_utc_s is None else wish.since_utc_s
+
+    def _outlasted_a_night(self, wish: Wish) -> bool:
+        utc_s = self._clock.utc()
+        if self._day is None or not abs(self._day.noon_utc_s - utc_s) < 0.51 * DAY_S:
+            self._day = sun_day(utc_s, *self._site)
+        rise_s = self._day.sunrise_utc_s
+        if rise_s is None:
+            # Where the sun neither rises nor sets, the day begins at its lowest point.
+            rise_s = self._day.noon_utc_s - DAY_S / 2.0
+        latest_s = rise_s if utc_s >= rise_s else rise_s - DAY_S
+        return self._since(wish) < latest_s

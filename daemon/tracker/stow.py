@@ -1,0 +1,152 @@
+"""Reasons to stow. A source is anything that can be asked whether it wants the tracker in its stow position now."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from daemon.config.sections import Safety
+
+
+@dataclass(frozen=True, slots=True)
+class StowStatus:
+    """How one source stands.
+
+    Attributes
+    ----------
+    name
+        Which source.
+    why
+        Why it wants the tracker stowed, or None.
+    age_s
+        Time since it was last heard; infinite before the first time since the start of the service.
+    speed_m_s, stow_from_m_s, release_below_m_s
+        Wind of the last reading, and what it is compared with; NaN for a source that measures no wind.
+    release_in_s
+        How long it must go on being calm before it lets the tracker go; NaN while it does not stow.
+    """
+
+    name: str
+    why: str | None
+    age_s: float
+    speed_m_s: float = math.nan
+    stow_from_m_s: float = math.nan
+    release_below_m_s: float = math.nan
+    release_in_s: float = math.nan
+
+
+class StowSource(Protocol):
+    """One reason to stow; any number of them may be watched."""
+
+    name: str
+
+    def reason(self, now_s: float) -> str | None:
+        """Return why the tracker must be stowed at this monotonic time, or None; it has to be asked often."""
+
+    def status(self, now_s: float) -> StowStatus:
+        """Return how it stood when it was last asked; takes nothing in, so anybody may look."""
+
+    def resume(self, why: str, now_s: float) -> None:
+        """Begin stowed, as it was before a restart, until it has been heard and was calm for its time."""
+
+
+class OperatorStow:
+    """Stow asked for by a person: latched until a person releases it."""
+
+    def __init__(self) -> None:
+        self._why: str | None = None
+
+    def ask(self, why: str) -> None:
+        """Ask for stow."""
+        self._why = why
+
+    def release(self) -> None:
+        """Withdraw the request."""
+        self._why = None
+
+    def reason(self, now_s: float) -> str | None:  # noqa: ARG002 - asked like the others; a latch needs no time
+        """Return why a person asked, or None."""
+        return self._why
+
+
+class WindStow:
+    """Stow in strong wind, with hysteresis and a minimum stay.
+
+    A wind reading that is missing, not a number or silent for too long counts as strong wind.
+
+    Parameters
+    ----------
+    safety
+        Thresholds and times.
+    wind_speed_m_s
+        Returns the latest wind speed [m/s], or the strongest since the last call; None while there is no reading.
+    name
+        Of the source, for people.
+    """
+
+    def __init__(self, safety: Safety, wind_speed_m_s: Callable[[], float | None], name: str = "wind") -> None:
+        self.name = name
+        self._safety = safety
+        self._wind_speed_m_s = wind_speed_m_s
+        self._begun_s: float | None = None
+        self._heard_s = -math.inf
+        self._speed_m_s = math.nan
+        self._strong_s = -math.inf
+        self._why: str | None = None
+
+    @property
+    def stowing(self) -> bool:
+        """Whether it asked for stow when it was last looked at."""
+        return self._why is not None
+
+    def reason(self, now_s: float) -> str | None:
+        """Return the wind's reason to stow, or None."""
+        safety = self._safety
+        if self._begun_s is None:
+            self._begun_s = now_s
+        wind = self._wind_speed_m_s()
+        if wind is not None and 0 <= wind < math.inf:
+            self._heard_s, self._speed_m_s = now_s, wind
+            self._judge(wind, now_s)
+        elif self._why is not None and self._heard_s == -math.inf:
+            # Calm begins to count when the sensor has been heard, and not at a restart.
+            self._strong_s = now_s
+        silent_s = now_s - max(self._heard_s, self._begun_s)
+        if silent_s > safety.wind_stale_s:
+            self._stow(now_s, f"no wind reading for {silent_s:.0f} s")
+        return self._why
+
+    def status(self, now_s: float) -> StowStatus:
+        """Return how it stood when it was last asked."""
+        safety = self._safety
+        return StowStatus(
+            self.name,
+            self._why,
+            now_s - self._heard_s,
+            self._speed_m_s,
+            safety.stow_wind_m_s,
+            safety.release_wind_m_s,
+            release_in_s(self._why, now_s - self._strong_s, safety.stow_at_least_s),
+        )
+
+    def resume(self, why: str, now_s: float) -> None:
+        """Begin stowed, as before a restart."""
+        self._stow(now_s, why)
+
+    def _judge(self, wind_m_s: float, now_s: float) -> None:
+        safety = self._safety
+        if wind_m_s >= safety.stow_wind_m_s:
+            self._stow(now_s, f"wind {wind_m_s:.1f} m/s, stow from {safety.stow_wind_m_s:g} m/s")
+        elif not wind_m_s < safety.release_wind_m_s:
+            self._strong_s = now_s
+        elif now_s - self._strong_s >= safety.stow_at_least_s:
+            self._why = None
+
+    def _stow(self, now_s: float, why: str) -> None:
+        self._strong_s = now_s
+        self._why = why
+
+
+def release_in_s(why: str | None, calm_s: float, at_least_s: float) -> float:
+    """Return how long a source that stows must still be calm [s]; NaN for one that does not stow."""
+    return math.nan if why is None else max(0.0, at_least_s - calm_s)

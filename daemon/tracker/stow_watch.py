@@ -1,0 +1,166 @@
+"""All sources of stow together: every one is asked at every look, and what they said outlives a restart.
+
+A service that is killed in a storm must not come back tracking because its sensors have not spoken yet.
+"""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Sequence, Set
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from daemon.base.clock import Clock, iso_utc
+from daemon.base.replace_file import replace_file
+from daemon.base.timeloop import call_every
+from daemon.tracker.stow import StowSource, StowStatus
+
+log = logging.getLogger("heliocube.stow")
+
+_FILE_NAME = "safety.json"
+# Shorter than a gust.
+_LOOK_EVERY_S = 1.0
+_SAVE_AGAIN_S = 60.0
+
+
+class KeptSafety(BaseModel):
+    """Which sources stowed, with their reasons, and since when; the time is for people and releases nothing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    stowing: dict[str, str] = {}
+    since_utc: str
+
+
+class SafetyFile:
+    """State of safety in a small file beside the store; without a folder it lives in memory only.
+
+    Parameters
+    ----------
+    directory
+        Of the file, or None.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._path = None if directory is None else directory / _FILE_NAME
+        self._failed = False
+
+    def load(self) -> str | None:
+        """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""
+        if self._path is None:
+            return None
+        try:
+            kept = KeptSafety.model_validate_json(self._path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError):
+            log.warning("%s cannot be read: it counts as stow", self._path)
+            return f"{self._path} cannot be read: nobody knows whether the tracker was stowed before the restart"
+        if not kept.stowing:
+            return None
+        return f"stowed before the restart, since {kept.since_utc}: {'; '.join(kept.stowing.values())}"
+
+    def save(self, stowing: dict[str, str], utc_s: float) -> bool:
+        """Replace the file as a whole and return whether that went well; a disk that fails is told once."""
+        if self._path is None:
+            return True
+        try:
+            replace_file(self._path, KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)).model_dump_json())
+        except OSError as error:
+            if not self._failed:
+                log.warning("%s cannot be written (%s): a restart would forget the storm", self._path, error)
+            self._failed = True
+            return False
+        self._failed = False
+        return True
+
+
+class StowWatch:
+    """Asks every source at every look.
+
+    Parameters
+    ----------
+    sources
+        All that may ask for stow besides a person.
+    file
+        Keeps what they said over a restart.
+    clock
+        The service's time.
+    wake
+        Called when one begins to stow, so that nobody waits for the next look.
+    """
+
+    def __init__(
+        self, sources: Sequence[StowSource], file: SafetyFile, clock: Clock, wake: Callable[[], None] = lambda: None
+    ) -> None:
+        self._sources = tuple(sources)
+        self._file = file
+        self._clock = clock
+        self._wake = wake
+        self._kept: Set[str] | None = None
+        self._save_s = -math.inf
+        self._unheard = {source.name for source in self._sources}
+        before = file.load()
+        if before is not None and self._sources:
+            log.warning("stow goes on: %s", before)
+            for source in self._sources:
+                source.resume(before, clock.monotonic())
+
+    @property
+    def watched(self) -> bool:
+        """Whether there is any source at all."""
+        return bool(self._sources)
+
+    def reasons(self, now_s: float) -> tuple[str, ...]:
+        """Ask every source at this monotonic time and return all reasons to stow, none of them twice."""
+        found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
+        if found.keys() != self._kept:
+            self._keep(found, now_s)
+        return tuple(dict.fromkeys(found.values())) if found else ()
+
+    def unheard_why(self, now_s: float) -> str | None:
+        """Return which sources have not been heard once since the start, in words, or None."""
+        if self._unheard:
+            self._unheard = {status.name for status in self.statuses(now_s) if status.age_s == math.inf}
+        return f"waiting for the first word of {' and '.join(sorted(self._unheard))}" if self._unheard else None
+
+    def statuses(self, now_s: float) -> tuple[StowStatus, ...]:
+        """Return how each source stands."""
+        return tuple(source.status(now_s) for source in self._sources)
+
+    async def run(self) -> None:
+        """Ask the sources between the looks of control too, so that no gust is missed, until cancelled."""
+        loop = asyncio.get_running_loop()
+        failed: asyncio.Future[None] = loop.create_future()
+        stowed = False
+
+        def look() -> bool:
+            # Called back and not a sleeping task: 86,400 looks of a simulated day have to be cheap.
+            nonlocal stowed
+            if failed.done():
+                return True
+            try:
+                stows = bool(self.reasons(self._clock.monotonic()))
+            except Exception as error:  # noqa: BLE001 - it is raised below, where this is waited for
+                failed.set_exception(error)
+                return True
+            begins, stowed = stows and not stowed, stows
+            if begins:
+                self._wake()
+            return begins
+
+        end = call_every(_LOOK_EVERY_S, look)
+        try:
+            look()
+            await failed
+        finally:
+            end()
+
+    def _keep(self, found: dict[str, str], now_s: float) -> None:
+        if not self._sources or now_s < self._save_s:
+            return
+        if self._file.save(found, self._clock.utc()):
+            self._kept, self._save_s = found.keys(), -math.inf
+        else:
+            self._save_s = now_s + _SAVE_AGAIN_S

@@ -1,0 +1,129 @@
+"""What persons have asked for and not yet released, kept over a restart.
+
+A service that is killed in a storm or under repair and comes back must not go to work by itself.
+"""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from daemon.base.clock import iso_utc
+from daemon.base.replace_file import replace_file
+
+log = logging.getLogger("heliocube.control")
+
+_FILE_NAME = "operator.json"
+# What each wish makes of the tracker, as a sentence begins.
+_DONE_TO_IT = {
+    "maintenance": "in maintenance",
+    "stop": "stopped",
+    "buttons": "held",
+    "stow": "stowed",
+    "snow": "in the snow position",
+    "hold": "held",
+}
+
+
+class Wish(BaseModel):
+    """One thing that was asked for.
+
+    Attributes
+    ----------
+    why, by
+        The reason and the person, each one line; `by` is empty where nobody said.
+    since_utc_s
+        When; None where that is not known.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    why: str
+    by: str = ""
+    since_utc_s: float | None = Field(default=None, allow_inf_nan=False, ge=-6e10, le=2.5e11)
+
+    @property
+    def whence(self) -> str:
+        """By whom and since when, in words; empty where neither is known."""
+        by = f" by {self.by}" if self.by else ""
+        return by if self.since_utc_s is None else f"{by} since {_stamp(self.since_utc_s)}"
+
+
+def _from_text(value: Any) -> Any:
+    """Take the form of earlier versions, which kept the reason alone."""
+    return {"why": value} if isinstance(value, str) else value
+
+
+Kept = Annotated[Wish | None, BeforeValidator(_from_text)]
+
+
+class Wishes(BaseModel):
+    """What is asked for; None where it is not. `buttons` is asked by pressing one at the unit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    maintenance: Kept = None
+    stop: Kept = None
+    buttons: Kept = None
+    stow: Kept = None
+    snow: Kept = None
+    hold: Kept = None
+
+    def told(self, name: str) -> str | None:
+        """Return one wish in words, such as ``stopped by ana@lab since 2022-10-12 10:00:03 UTC: repair``, or None."""
+        wish: Wish | None = getattr(self, name)
+        return None if wish is None else f"{_DONE_TO_IT[name]}{wish.whence}: {wish.why}"
+
+    @property
+    def stillness(self) -> str | None:
+        """Why nothing at all may move, or None: the first of maintenance, a person's stop, a person at the buttons."""
+        if self.maintenance is None and self.stop is None and self.buttons is None:
+            return None
+        return self.told("maintenance") or self.told("stop") or self.told("buttons")
+
+    def gone_in(self, later: "Wishes") -> Iterator[str]:
+        """Yield in words what stands here and no longer, or another one, in `later`."""
+        for name in type(self).model_fields:
+            text = self.told(name)
+            if text is not None and getattr(later, name) != getattr(self, name):
+                yield text
+
+
+class WishFile:
+    """Wishes in a small file beside the store; without a folder they live in memory only.
+
+    Parameters
+    ----------
+    directory
+        Of the file, or None.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._path = None if directory is None else directory / _FILE_NAME
+
+    def load(self) -> Wishes:
+        """Return what was wished before the restart; a file that cannot be read counts as a stop."""
+        if self._path is None:
+            return Wishes()
+        try:
+            return Wishes.model_validate_json(self._path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return Wishes()
+        except (OSError, ValueError):
+            log.warning("%s cannot be read: the tracker stays stopped until 'heliocube auto'", self._path)
+            return Wishes(stop=Wish(why=f"{self._path} cannot be read: nobody knows what was asked before the restart"))
+
+    def save(self, wishes: Wishes) -> None:
+        """Replace the file as a whole; a disk that fails is told and does not hinder the command."""
+        if self._path is None:
+            return
+        try:
+            replace_file(self._path, wishes.model_dump_json(exclude_none=True))
+        except OSError as error:
+            log.warning("%s cannot be written (%s): a restart would forget what was asked", self._path, error)
+
+
+def _stamp(utc_s: float) -> str:
+    return iso_utc(utc_s)[:19].replace("T", " ") + " UTC"
