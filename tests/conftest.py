@@ -10,13 +10,38 @@ import pytest
 from hypothesis import settings
 
 from tests.firmware.peer import missing
-from tests.mqtt.broker import LEFT_OUT, MOSQUITTO
+from tests.support import SHARED
+from tests.support.broker import LEFT_OUT, MOSQUITTO
 
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("heliocube")
 
-MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data"
+MEASURED = SHARED / "data"
+
+
+pytest_plugins = ("tests.support.rig", "tests.support.ports", "tests.support.mqtt")
+
+_TIER_OF_FIXTURE = {
+    "run_rig": "rig",
+    "scaled": "broker",
+    "broker": "broker",
+    "make_broker": "broker",
+    "load_host": "protocol",
+    "positioner_host": "protocol",
+    "voltmeter_host": "protocol",
+    "play": "protocol",
+}
+_TIER_OF_FOLDER = {"campaign": "campaign", "system": "system"}
+
+
+def pytest_collection_modifyitems(items):
+    """Mark each test with its tier, by what it asks for and where it lies."""
+    for item in items:
+        tiers = {_TIER_OF_FIXTURE.get(name) for name in item.fixturenames}
+        tiers |= {_TIER_OF_FOLDER.get(part) for part in item.path.parts}
+        for tier in tiers - {None}:
+            item.add_marker(tier)
 
 
 def pytest_report_header():

@@ -12,7 +12,7 @@ from daemon.service.service import Role
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from solar.frames import Angles
-from tests.rig.conftest import Bench, HandWeather
+from tests.support.rig import Bench, HandWeather
 
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""

@@ -3,15 +3,15 @@
 import importlib.util
 import shutil
 from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
 
 from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Setup
 from solar.frames import Angles
+from tests.support import SHARED
 
-FIRMWARE = Path(__file__).resolve().parents[3] / "shared" / "firmware"
+FIRMWARE = SHARED / "firmware"
 """Beside the repository, as the measured data is."""
 EMULATOR = "qemu-arm"
 BUILD = "micro"

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
+from tests.support import ROOT
 from tests.system.processes import BenchProcess, Process
 from tests.system.rig import HIGH_SUN, Rig, brisk
 
-ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(sys.executable).with_name("heliocube")
 
 

@@ -7,15 +7,14 @@ import shutil
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from daemon.api.token import generate_token, write_token
+from tests.support import ROOT
 
 pytestmark = pytest.mark.system
-ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
 
 

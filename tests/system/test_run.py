@@ -6,16 +6,12 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-import daemon
+from tests.support import ROOT
 
 pytestmark = pytest.mark.system
-
-
-ROOT = Path(daemon.__file__).parents[1]
 
 
 def heliocube(*arguments, **options):

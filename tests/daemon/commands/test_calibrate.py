@@ -1,0 +1,224 @@
+import csv
+import sys
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from daemon.base.records import FACES, FaceReading, Quality, Scan
+from daemon.commands.main import main
+from daemon.cube.calibration import read_calibration
+from daemon.store.schema import FILE_NAME, Rows, open_for_writing
+from sim_drivers.scene import FaceGeometry, Scene, SensorModel
+from sim_drivers.weather import GeneratedWeather
+from solar.calibration.attitude import attitude, face_orientations
+from solar.ephemeris import Site, sun_position
+from tests.support.clear_sky import ClearSky
+
+SIRTA = Site(48.717607, 2.209002, 156.0)
+SITE = ("--site", "48.717607,2.209002,156")
+BEGIN = 1_646_956_800.0  # 2022-03-11
+MAY = 1_462_060_800.0  # 2016-05-01
+GAINS = np.array([1.03, 0.97, 1.02, 0.98])
+OFFSETS_MV = np.array([0.05, -0.03, 0.02, 0.0])
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Runs the command line; returns its exit code and what it wrote to either stream."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code or 0, written.out, written.err
+
+    return run
+
+
+def iso(utc_s):
+    return f"{np.datetime64(round(utc_s * 1000), 'ms')}Z"
+
+
+def write(path, header, rows):
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    return path
+
+
+def beside(folder, ahead_s=37.0, weather="variable", days=3):
+    """Write the readings of four sensors beside a reference, their clock `ahead_s` ahead."""
+    clear = Scene(SIRTA, GeneratedWeather("clear", SIRTA, 1), faces=[FaceGeometry(180.0, 0.0)] * 4)
+    cloudy = Scene(SIRTA, GeneratedWeather(weather, SIRTA, 1), faces=[FaceGeometry(180.0, 0.0)] * 4)
+    utc_s = BEGIN + np.arange(0.0, days * 86400.0, 60.0)
+    noon = BEGIN + 43200.0
+    scenes = [cloudy if now < noon else clear for now in utc_s]
+    ghi = [scene.irradiances(now).zenith_w_m2 for scene, now in zip(scenes, utc_s.tolist(), strict=True)]
+    reference = write(
+        folder / "reference.csv", ["time", "ghi"], [(iso(t), f"{g - 2.0:.3f}") for t, g in zip(utc_s, ghi, strict=True)]
+    )
+    sensors = write(
+        folder / "sensors.csv",
+        ["time", *(f"{face}_mv" for face in FACES)],
+        [
+            (iso(t + ahead_s), *(f"{mv:.5f}" for mv in 0.1 * g * GAINS + OFFSETS_MV))
+            for t, g in zip(utc_s, ghi, strict=True)
+        ],
+    )
+    return reference, sensors
+
+
+def in_place(days=4):
+    standing = face_orientations(attitude(2.0, 1.0, 140.0, SIRTA.latitude_deg), SIRTA.latitude_deg)
+    faces = [FaceGeometry(*face) for face in zip(*standing, strict=True)]
+    sensors = SensorModel(gain_error=0.0)
+    scene = Scene(SIRTA, ClearSky(SIRTA), albedo=0.35, sensors=sensors, faces=faces)
+    utc_s = MAY + np.arange(0.0, days * 86400.0, 300.0)
+    utc_s = utc_s[sun_position(utc_s, *SIRTA).elevation_deg > -12.0]
+    return utc_s, np.array([[scene.sensor_voltage(k, now) for k in range(4)] for now in utc_s.tolist()]) * 1e4 * GAINS
+
+
+def fill_store(folder, utc_s, faces, identifier=""):
+    with closing(open_for_writing(folder / FILE_NAME)) as store:
+        store.execute("BEGIN")
+        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '')")
+        rows = Rows(Scan)
+        for number, (now, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
+            readings = [FaceReading(value, Quality.OK, now, now) for value in row]
+            scan = Scan("cube", "s", number, now, now, *readings, calibration=identifier)
+            store.execute(rows.insert, rows.row(1, number, scan))
+        store.execute("COMMIT")
+    return folder
+
+
+def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp_path):
+    out, plot = tmp_path / "calibration.toml", tmp_path / "figure.png"
+    code, told, err = heliocube(
+        "calibrate", "cube", *beside(tmp_path), *SITE, "--out", out, "--plot", plot,
+        "--serial", "zenith=RG7", "--serial", "reference=CMP22 1",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    made = read_calibration(out)
+    for place, name in enumerate(FACES):
+        face = getattr(made, name)
+        assert face.gain_w_m2_per_mv == pytest.approx(10.0 / GAINS[place], rel=0.0005)
+        assert face.offset_mv == pytest.approx(OFFSETS_MV[place], abs=0.003)
+        assert 1.5 <= face.gain_uncertainty_percent < 2.0
+    assert (made.zenith.serial, made.east.serial, made.reference) == ("RG7", "unknown", "CMP22 1")
+    assert made.calibrated_utc.isoformat().startswith("2022-03-13T")
+    assert (made.expires_utc - made.calibrated_utc).days == 730
+    assert plot.stat().st_size > 20_000
+    lines = told.splitlines()
+    lag = float(lines[1].split()[4])
+    assert lag == pytest.approx(37.0, abs=2.0)
+    after = lines.index("After       RG-Z  RG-W  RG-S  RG-E")
+    for line, most in zip(lines[after + 1 : after + 5], (0.1, 0.1, 0.1, 0.1), strict=True):
+        assert all(abs(float(cell)) <= most for cell in line.split()[2:]), line
+    before = next(line for line in lines if line.startswith("rMBE"))
+    assert [float(cell) for cell in before.split()[2:]] == pytest.approx([-2.0, 2.0, -3.0, 3.0], abs=0.2)
+    assert f"# {lines[0]}" in out.read_text()
+
+
+def test_the_service_measures_with_the_calibration_and_names_it_in_every_scan(heliocube, tmp_path):
+    calibration = tmp_path / "calibration.toml"
+    heliocube("calibrate", "cube", *beside(tmp_path), *SITE, "--out", calibration, "--valid-days", "200")
+    identifier = read_calibration(calibration).identifier
+    for name, line in (("plain", ""), ("calibrated", 'calibration_file = "calibration.toml"')):
+        config = tmp_path / f"{name}.toml"
+        config.write_text(f"[cube]\n{line}\n")
+        run = heliocube("simulate", "--config", config, "--start", "2022-10-12T10:00", "--days", "0.01",
+                        "--out", tmp_path / name)  # fmt: skip
+        assert run[0] == 0
+    plain, calibrated = (
+        list(csv.DictReader((tmp_path / name / "scans.csv").read_text().splitlines()))
+        for name in ("plain", "calibrated")
+    )
+    assert {row["calibration"] for row in plain} == {""}
+    assert {row["calibration"] for row in calibrated} == {identifier}
+    east = float(calibrated[50]["east_w_m2"]) / float(plain[50]["east_w_m2"])
+    assert east == pytest.approx(1.0 / GAINS[0], abs=0.01)
+    events = (tmp_path / "calibrated" / "events.csv").read_text()
+    assert f"the calibration {identifier} expired on 2022-09-2" in events
+
+
+def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, tmp_path):
+    utc_s, faces = in_place()
+    fill_store(tmp_path, utc_s, faces)
+    out = tmp_path / "field.toml"
+    code, told, err = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", out)
+    assert (code, err) == (0, "")
+    made = read_calibration(out)
+    assert made.method == "in place"
+    assert made.standing.yaw_deg == pytest.approx(2.0, abs=0.3)
+    assert made.standing.tilt_deg == pytest.approx(1.0, abs=0.3)
+    assert made.east.gain_w_m2_per_mv / made.south.gain_w_m2_per_mv == pytest.approx(0.97 / 1.03, rel=0.005)
+    assert "albedo" in told
+    csv_out = tmp_path / "again.toml"
+    heliocube("export", "--store", tmp_path, "--out", tmp_path / "tables", "--kind", "scans")
+    assert heliocube("calibrate", "field", tmp_path / "tables" / "scans.csv", *SITE, "--out", csv_out)[0] == 0
+    again = read_calibration(csv_out)
+    assert again.standing.yaw_deg == pytest.approx(made.standing.yaw_deg, abs=1e-3)
+
+
+def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
+    utc_s, faces = in_place(1)
+    fill_store(tmp_path, utc_s, faces, "20220320-0123abcd")
+    code, _, err = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "o.toml")
+    assert code == 2
+    assert "was recorded under the calibration 20220320-0123abcd, and the settings have none" in " ".join(err.split())
+
+
+def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missing(heliocube, tmp_path):
+    utc_s, faces = in_place(2)
+    fill_store(tmp_path, utc_s, faces)
+    out = tmp_path / "field.toml"
+    code, _, err = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", out)
+    assert code == 2
+    assert "missing: clear and stable sky on 2 days, where at least 3 are needed" in err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"site": "91,2"}, "--site: '91,2' is not on Earth: LAT is in -90..90"),
+        ({"site": "north"}, "--site: 'north' is not LAT,LON"),
+        ({"site": None}, "give the site of the readings"),
+        ({"reference": ""}, "reference.csv is empty"),
+        ({"reference": "time,ghi\n"}, "reference.csv has a header and no data"),
+        ({"reference": "time,dni\n2022-03-11T12:00Z,1\n"}, "has no column ghi; found: time, dni"),
+        ({"reference": "time,ghi\n2022-03-11T12:00Z,much\n"}, "line 2: ghi is 'much', not a number"),
+        ({"reference": "time,ghi\n2022-03-11T12:00Z,inf\n"}, "line 2: ghi is 'inf', not a number"),
+        ({"reference": "time,ghi\n2022-03-11T12:00Z,nan\n"}, "has no reading in its column ghi"),
+        ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is no time such as"),
+        ({"reference": "time,ghi\n2022-03-11T12:00Z,1\n2022-03-11T12:00Z,2\n"}, "line 3: the time does not come after"),
+        ({"reference": "time,ghi\n2021-03-11T12:00Z,1\n2021-03-11T12:01Z,2\n"}, "reference and sensors do not overlap"),
+        ({"sensors": "time,east_mv\n2022-03-11T12:00Z,1\n"}, "needs the columns east_mv, south_mv, west_mv, zenith_mv"),
+        ({"sensors": "time,east_mv,south_mv,west_mv,zenith_mv\n2022-03-11T12:00Z,1,,1,1\n"}, "has no instant at which"),
+        ({"more": ["--serial", "RG7"]}, "--serial: 'RG7' is not NAME=NUMBER"),
+        ({"more": ["--plot", "figure.txt"]}, "must end in .png, .svg or .pdf"),
+        ({"more": ["--store", "."]}, "give the readings of the cube once"),
+        ({"more": ["--from", "2022-03-11"]}, "--from and --to choose from a store"),
+        ({"more": ["--out", "none/calibration.toml"]}, "--out: there is no folder none"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(heliocube, tmp_path, change, message):
+    reference, sensors = beside(tmp_path, days=1)
+    if "reference" in change:
+        reference.write_text(change["reference"])
+    if "sensors" in change:
+        sensors.write_text(change["sensors"])
+    site = change.get("site", SITE[1])
+    options = [*([] if site is None else ["--site", site]), "--out", tmp_path / "o.toml", *change.get("more", [])]
+    code, out, err = heliocube("calibrate", "cube", reference, sensors, *options)
+    assert (code, out) == (2, "")
+    assert message in " ".join(err.split())
+    assert not (tmp_path / "o.toml").exists()
+
+
+def test_an_overcast_comparison_is_refused(heliocube, tmp_path):
+    reference, sensors = beside(tmp_path, weather="overcast", days=0.5)
+    code, _, err = heliocube("calibrate", "cube", reference, sensors, *SITE, "--out", tmp_path / "o.toml")
+    assert code == 2
+    assert "has a clear and stable sky; measure on cloudless days" in err

@@ -1,0 +1,42 @@
+import re
+
+import pytest
+from typer.main import get_command
+
+from daemon.base.records import Mode, MoveOutcome, Quality
+from daemon.bridge.refusals import Refusal
+from daemon.commands.main import app
+from tests.support import ROOT
+
+PAGE = (ROOT / "docs" / "operate.md").read_text(encoding="utf-8")
+METRICS = (ROOT / "daemon" / "api" / "metrics.py").read_text(encoding="utf-8")
+COUNTED = re.findall(r'_count\("(\w+)"', METRICS)
+MEASURED = re.findall(r'_(?:one|gauge|by_axis)\(\s*"(\w+)"', METRICS)
+
+
+@pytest.mark.parametrize("name", [*Mode, *MoveOutcome, *Refusal, *(q for q in Quality if q is not Quality.OK)])
+def test_every_mode_outcome_refusal_and_quality_is_explained(name):
+    assert f"`{name}`" in PAGE
+
+
+@pytest.mark.parametrize("name", [*(f"{name}_total" for name in COUNTED), *MEASURED])
+def test_every_metric_is_explained(name):
+    assert f"`heliocube_{name}`" in PAGE
+
+
+def test_every_alarm_is_explained():
+    code = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "daemon").rglob("*.py"))
+    names = set(re.findall(r'alarms\.set\(\s*"([\w-]+)"|_ALARM = "([\w-]+)"', code))
+    assert names
+    for name in names:
+        assert f"`{''.join(name)}`" in PAGE
+
+
+def test_no_metric_is_explained_that_is_not_there():
+    known = {f"{name}_total" for name in [*COUNTED, "moves", "bridge_refused"]} | set(MEASURED)
+    assert set(re.findall(r"`heliocube_(\w+)`", PAGE)) == known
+
+
+def test_no_command_is_named_that_is_not_there():
+    named = set(re.findall(r"heliocube ([a-z]+)(?= |`|\n)", re.sub(r"(?m)^heliocube .*", "", PAGE)))
+    assert named - {"heliocube"} <= set(get_command(app).commands), named

@@ -1,0 +1,109 @@
+"""A day with a broken positioner: what is logged, and that nothing runs away."""
+
+import asyncio
+import logging
+
+import pytest
+
+from daemon.motion.motion import Polling
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field
+from tests.daemon.motion.test_rule import quiet
+from tests.daemon.service.test_faults import commands_sent
+from tests.support.motion import A_PACKET, B_PACKET, drive, lose
+
+DAY_S = 24 * 3600.0
+# The log of a healthy day: one line per decision, and one per mode.
+ORDINARY = ("moving", "staying")
+
+
+# So that a day of looks at rest is soon over; what is told does not depend on it.
+SELDOM = Polling(idle_s=5.0)
+
+
+def now(bench):
+    return bench.clock.monotonic()
+
+
+async def flapping(bench):
+    end_s = now(bench) + DAY_S
+    while now(bench) < end_s:
+        bench.unit.inject("a_overcurrent", now(bench))
+        await asyncio.sleep(120)
+        drive(bench, Field.STATUS, wire.CLEAR)
+        await asyncio.sleep(120)
+
+
+async def unplugged(bench):
+    bench.positioner.link_up = False
+
+
+async def deaf(bench):
+    bench.unit.inject("deaf", now(bench))
+
+
+async def undervoltage(bench):
+    bench.unit.inject("undervoltage", now(bench))
+
+
+async def stuck(bench):
+    bench.unit.inject("a_hall_loss", now(bench))
+
+
+async def storm_without_supply(bench):
+    bench.unit.inject("undervoltage", now(bench))
+    bench.wind_m_s = 20.0
+
+
+async def tracking_by_itself(bench):
+    bench.unit.inject("own_tracking", now(bench))
+    await asyncio.sleep(1800)
+    bench.motion.clear_faults()
+    await asyncio.sleep(1800)
+    bench.unit.inject("own_tracking", now(bench))
+
+
+async def brown_out(bench):
+    while bench.mode != "night":
+        bench.unit.power_cycle(now(bench))
+        await asyncio.sleep(600)
+
+
+@pytest.mark.parametrize(
+    "trouble",
+    [unplugged, deaf, undervoltage, stuck, flapping, storm_without_supply, tracking_by_itself, brown_out],
+    ids=lambda trouble: trouble.__name__,
+)
+def test_a_day_of_trouble_is_told_in_at_most_50_lines(run_rig, caplog, trouble):
+    async def scenario(bench):
+        await quiet(bench)
+        bench.motion._polling = SELDOM
+        caplog.clear()
+        end_s = now(bench) + DAY_S
+        try:
+            async with asyncio.timeout(DAY_S):
+                await trouble(bench)
+        except TimeoutError:
+            pass
+        await asyncio.sleep(max(end_s - now(bench), 0))
+
+    with caplog.at_level(logging.INFO):
+        run_rig(scenario, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130, "fallback_after_s": 600})
+    lines = [record.getMessage() for record in caplog.records if record.getMessage() not in ORDINARY]
+    assert len(lines) <= 50, "\n".join(lines)
+
+
+def test_a_day_of_refusals_is_told_in_at_most_50_lines(run_rig, caplog, monkeypatch):
+    async def scenario(bench):
+        await quiet(bench)
+        bench.motion._polling = SELDOM
+        lose(bench, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(bench, monkeypatch)
+        caplog.clear()
+        await asyncio.sleep(DAY_S)
+        assert len([data for _, data in sent if data[:2] == B_PACKET]) < 100
+
+    with caplog.at_level(logging.INFO):
+        run_rig(scenario, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130, "fallback_after_s": 600})
+    lines = [record.getMessage() for record in caplog.records if record.getMessage() not in ORDINARY]
+    assert len(lines) <= 50, "\n".join(lines)

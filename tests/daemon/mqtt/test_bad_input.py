@@ -1,0 +1,223 @@
+"""What cannot work: one clear sentence in the log, in the state and as an event, and the service tracks on."""
+
+import asyncio
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.base.records import Decision, Event, Mode
+from daemon.config.file import ConfigError, check_file, load_settings
+from daemon.service.service import Role
+from tests.support.broker import CERTIFICATES
+from tests.support.mqtt import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
+
+PROGRAM = Path(sys.executable).with_name("heliocube")
+BASE = "heliocube/tracker"
+OWN = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
+
+
+def bench(port, role=Role.BOTH, **sections):
+    return MqttBench(asyncio.get_running_loop(), settings_for(port, **sections), SPEED, role)
+
+
+def told(rig):
+    """Return what the state shows of the link."""
+    status = rig.mqtt.status
+    return [*([] if status.connected else [status.down_why]), *status.troubles]
+
+
+async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
+    await until(lambda: any(sentence in text for text in told(rig)), sentence)
+    await rig.until_mode(mode, 400)
+    assert any(sentence in text for text in told(rig))
+    assert sum(sentence in line.getMessage() for line in log_lines()) == 1
+    assert sum(sentence in record.text for record in rig.of(Event)) == 1
+
+
+@pytest.mark.parametrize(
+    ("mqtt", "sentence"),
+    [
+        ({}, "nothing listens at 127.0.0.1:1"),
+        ({"host": "no-such-host.invalid"}, "mqtt.host: the name no-such-host.invalid is not known here"),
+        ({"tls": True, "ca_file": Path("/none.pem")}, "mqtt.ca_file: there is no file /none.pem"),
+        (
+            {"credentials_file": Path("/none")},
+            "mqtt.credentials_file: there is no file /none: write user:password into it",
+        ),
+        ({"prefix": "lab/#"}, "mqtt.prefix: 'lab/#' has a wildcard, and a topic has none; so there is no link"),
+        ({"name": "a/b"}, "mqtt.name: 'a/b' is more than one level of a topic; so there is no link"),
+    ],
+)
+def test_a_link_that_cannot_be_is_told_once_and_the_service_tracks_on(scaled, log_lines, mqtt, sentence):
+    async def scenario():
+        rig = bench(1, mqtt=mqtt)
+        async with serving(rig):
+            await is_told_once_and_tracks(rig, log_lines, sentence)
+        assert rig.mqtt.status.connections == 0
+
+    scaled(scenario)
+
+
+@needs_mosquitto
+@pytest.mark.parametrize(
+    ("file", "sentence"),
+    [
+        ("other-ca.pem", "has a certificate that mqtt.ca_file does not stand for"),
+        ("broker.key", "has no certificates in PEM form"),
+    ],
+)
+def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, scaled, log_lines, file, sentence):
+    broker = make_broker(tls=True).start()
+
+    async def scenario():
+        rig = bench(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / file, **OWN})
+        async with serving(rig):
+            await is_told_once_and_tracks(rig, log_lines, sentence)
+
+    scaled(scenario)
+
+
+def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_lines):
+    async def scenario():
+        rig = bench(broker.port, mqtt={"discovery_prefix": "ha/+"})
+        async with observer(broker.port) as lab, serving(rig):
+            await is_told_once_and_tracks(
+                rig, log_lines, "so Home Assistant is told nothing: correct it and start again"
+            )
+            state = await lab.until(f"{BASE}/state", lambda found: found["mode"]["name"] == "tracking")
+            assert "'ha/+' has a wildcard" in state["mqtt"]["troubles"][0]
+            assert "'ha/+' has a wildcard" in (await lab.until(f"{BASE}/event"))["text"]
+
+    scaled(scenario)
+
+
+def test_a_wrong_topic_of_the_bridge_costs_its_scans_only(broker, scaled, log_lines):
+    bridge = {"transport": "mqtt", "topic": "a/#", "insecure": False, "key_file": "bridge.key"}
+
+    async def scenario():
+        cube, both = bench(broker.port, Role.CUBE, bridge=bridge), bench(broker.port, bridge=bridge)
+        async with observer(broker.port) as lab, serving(cube, both):
+            await lab.until("heliocube/cube/state", lambda found: found["scan"])
+            assert "so no scan goes over the broker" in cube.mqtt.status.troubles[0]
+            await both.until_mode(Mode.TRACKING, 400)
+
+    scaled(scenario)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "sentence"),
+    [
+        ({"wind": {"topic": "dome/#"}}, "mqtt.wind.topic: 'dome/#' has a wildcard"),
+        ({"wind": {"topic": "dome/one", "json_path": "a..b"}}, "mqtt.wind.json_path: 'a..b' is no path"),
+        ({"safe": {"topic": "dome/+", "stale_s": 150}}, "mqtt.safe.topic: 'dome/+' has a wildcard"),
+        ({"safe": {"topic": "dome/one", "stale_s": 150, "json_path": "."}}, "mqtt.safe.json_path: '.' is no path"),
+        (
+            {"safe": {"topic": "dome/one", "stale_s": 150, "json_path": "no.where"}},
+            "the message has nothing at no.where",
+        ),
+    ],
+)
+def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_not_before(
+    broker, scaled, log_lines, inputs, sentence
+):
+    async def scenario():
+        rig = bench(broker.port, mqtt=inputs, safety={"wind_stale_s": 150})
+        async with observer(broker.port) as lab, serving(rig):
+
+            async def repeat():
+                while True:
+                    await lab.say("dome/one", {"safe": "safe", "wind": 1, "a": {"b": 1}})
+                    await asyncio.sleep(5)
+
+            repeating = asyncio.create_task(repeat())
+            try:
+                await is_told_once_and_tracks(rig, log_lines, sentence, Mode.STARTING)
+                await rig.until_mode(Mode.STOW, 200)
+                assert not rig.of(Decision), "nothing is tracked before the input has been heard"
+                assert rig.clock.monotonic() >= 150
+                (status,) = rig.mqtt.status.inputs
+                assert (status.age_s, status.stowing) == (None, True)
+            finally:
+                repeating.cancel()
+                await asyncio.gather(repeating, return_exceptions=True)
+
+    scaled(scenario)
+
+
+@pytest.mark.system
+def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_check_lists_them(broker, tmp_path):
+    config = tmp_path / "heliocube.toml"
+    config.write_text(
+        f"[bridge]\nlisten = '127.0.0.1:0'\n[api]\nlisten = '127.0.0.1:{_free_port()}'\n"
+        f"[safety]\nwind_stale_s = 86400\n[mqtt]\nenabled = true\nport = {broker.port}\n"
+        "[mqtt.wind]\ntopic = 'weather/#'\n[mqtt.safe]\ntopic = 'dome'\njson_path = 'a.'\nstale_s = 86400\n"
+    )
+    ends = "and silence of 86400 s stows: correct it and start again"
+    no_wind, no_word = f"no wind is heard over MQTT, {ends}", f"no word for safe is heard, {ends}"
+    sentences = [
+        f"mqtt.wind.topic: 'weather/#' has a wildcard, and a topic has none; so {no_wind}",
+        f"mqtt.safe.json_path: 'a.' is no path such as wind.speed or sensors.0.speed; so {no_word}",
+    ]
+
+    async def scenario():
+        async with observer(broker.port, f"{BASE}/#") as lab:
+            state = await lab.until(
+                f"{BASE}/state", lambda found: "waiting for the first word" in found["mode"]["why"], within_s=60
+            )
+            assert state["mqtt"]["troubles"] == sentences
+            for sentence in sentences:
+                await lab.until(f"{BASE}/event", lambda found, text=sentence: found["text"] == text)
+
+    with (tmp_path / "log").open("w") as log:
+        process = subprocess.Popen([PROGRAM, "run", "--config", str(config)], stdout=log, stderr=log)
+    try:
+        asyncio.run(scenario())
+        shown = subprocess.run(
+            [PROGRAM, "status", "--config", str(config)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={"COLUMNS": "400"},
+        ).stdout
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+    log = (tmp_path / "log").read_text()
+    for sentence in sentences:
+        assert sentence in shown
+        assert log.count(sentence) == 1
+    assert f"127.0.0.1:{broker.port} since" in shown
+    checked = subprocess.run([PROGRAM, "config", "check", str(config)], capture_output=True, text=True, check=False)
+    assert checked.returncode == 2
+    assert 'mqtt.wind.topic = "weather/#": must be a topic without wildcards' in checked.stderr
+    assert 'mqtt.safe.json_path = "a.": must be names with full stops between' in checked.stderr
+
+
+def test_the_check_lists_wrong_topics_together_with_everything_else(tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text("[site]\nlatitude_deg = 95\n[mqtt]\nprefix = 'a/#'\n[law]\nname = 'mu'\n")
+    with pytest.raises(ConfigError) as caught:
+        check_file(path)
+    assert [problem.partition(" ")[0] for problem in caught.value.problems] == [
+        "site.latitude_deg",
+        "mqtt.prefix",
+        "law.name",
+    ]
+    path.write_text("[mqtt]\nprefix = 'a/#'\n")
+    assert load_settings(path).mqtt.prefix == "a/#"
+    path.write_text("[mqtt]\nprefix = 5\n")
+    with pytest.raises(ConfigError):
+        load_settings(path)
+
+
+def _free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

@@ -1,0 +1,99 @@
+"""Scans from a cube in one network to a tracker in another, over the broker."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Mode, Quality, Scan
+from daemon.config.file import ConfigError, check_file
+from daemon.service.service import Role
+from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
+
+TOPIC = "site/cube/bridge"
+KEYED = {"transport": "mqtt", "topic": TOPIC, "insecure": False, "key_file": "bridge.key"}
+
+
+def bench(port, role, **bridge):
+    settings = settings_for(port, bridge=KEYED | bridge)
+    return MqttBench(asyncio.get_running_loop(), settings, SPEED, role)
+
+
+def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_before(broker, scaled):
+    async def scenario():
+        cube, tracker = bench(broker.port, Role.CUBE), bench(broker.port, Role.TRACKER)
+        async with observer(broker.port) as lab:
+            async with serving(cube, tracker):
+                await tracker.until_mode(Mode.TRACKING, 500)
+                assert len(tracker.of(Scan)) >= 3
+                assert tracker.of(Scan)[0].session == cube.of(Scan)[0].session
+                assert cube.service.sender is None
+                sent = lab.on(TOPIC)
+                assert all(message.payload.count(b".") == 2 and not message.retain for message in sent)
+                for name, payload in [
+                    ("duplicate", sent[-1].payload),
+                    ("forged", sent[-1].payload[:-4] + b"AAAA"),
+                    ("malformed", b"{}"),
+                    ("oversized", b"x" * 3000),
+                ]:
+                    await lab.say(TOPIC, payload)
+                    refused = tracker.service.receiver
+                    await until(lambda name=name, seen=refused: getattr(seen.statistics, name), name)
+                assert "the topic site/cube/bridge" in tracker.service.receiver.statistics.last_refusal
+            await until(
+                lambda: {m.payload for m in lab.on("heliocube/cube/status")} == {b"online", b"offline"}, "offline"
+            )
+
+    scaled(scenario)
+
+
+def test_a_retained_scan_is_not_taken(broker, scaled):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            async with serving(bench(broker.port, Role.CUBE)):
+                await lab.until(TOPIC)
+            await lab.say(TOPIC, lab.on(TOPIC)[-1].payload, retain=True)
+            tracker = bench(broker.port, Role.TRACKER)
+            async with serving(tracker):
+                await until(lambda: tracker.mqtt.status.connected, "the link")
+                await asyncio.sleep(SPEED)
+                assert not tracker.of(Scan)
+                assert tracker.service.receiver.statistics.refused == 0
+
+    scaled(scenario)
+
+
+def test_a_tracker_beside_its_cube_needs_no_broker_to_hear_it(broker, scaled):
+    broker.kill()
+
+    async def scenario():
+        rig = bench(broker.port, Role.BOTH)
+        async with serving(rig):
+            await rig.until_mode(Mode.TRACKING, 500)
+            assert all(face.quality is Quality.OK for face in rig.of(Scan)[-1].faces)
+
+    scaled(scenario)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[bridge]\ntransport = 'mqtt'\nkey_file = 'k'", 'bridge.transport = "mqtt": needs mqtt.enabled = true'),
+        ("[bridge]\ntransport = 'mqtt'\n[mqtt]\nenabled = true", "bridge.key_file must name a key"),
+        ("[bridge]\ntopic = 'site/#'", 'bridge.topic = "site/#": must be a topic without wildcards'),
+        ("[mqtt]\nprefix = 'lab/+'", 'mqtt.prefix = "lab/+": must be a topic without wildcards'),
+        ("[mqtt]\nname = 'a/b'", 'mqtt.name = "a/b": must be one level of a topic'),
+        ("[mqtt]\nhost = 'mqtt://x'", 'mqtt.host = "mqtt://x": must be a name or an address'),
+        ("[mqtt.wind]\ntopic = 'wind'", 'mqtt.wind.topic = "wind": protects nothing without mqtt.enabled'),
+        ("[mqtt.wind]\njson_path = 'a..b'", 'mqtt.wind.json_path = "a..b": must be names with full stops'),
+        ("[mqtt]\nca_file = 'ca.pem'", "has no effect without mqtt.tls"),
+        ("[mqtt.safe]\nunsafe = 'safe'", "must differ from mqtt.safe.safe"),
+        ("[mqtt]\nenabled = true\n[mqtt.wind]\ntopic = 'w/#'", 'mqtt.wind.topic = "w/#": must be a topic without'),
+    ],
+)
+def test_a_setting_that_cannot_work_is_one_sentence_with_the_remedy(tmp_path, text, part):
+    path = tmp_path / "heliocube.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        check_file(path)
+    (problem,) = caught.value.problems
+    assert part in problem

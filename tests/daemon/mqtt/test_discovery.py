@@ -1,0 +1,169 @@
+"""Home Assistant's view: what appears, that it is well-formed, and that nothing stays behind."""
+
+import asyncio
+import json
+import re
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.mqtt.discovery import discovery
+from daemon.mqtt.topics import Topics
+from tests.support import home_assistant
+from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for
+
+TOPICS = Topics("lab/rig", "roof tracker")
+TOPIC = "homeassistant/device/lab_rig_roof_tracker/config"
+
+
+def document(**what):
+    whole = {"enabled": True, "commands": True, "tracker": True, "simulated": True} | what
+    (message,) = discovery("homeassistant", TOPICS, **whole)
+    assert (message.topic, message.retain) == (TOPIC, True)
+    return json.loads(message.payload)
+
+
+@pytest.mark.parametrize("what", [{}, {"commands": False}, {"tracker": False}, {"simulated": False}])
+def test_the_document_is_of_the_form_that_home_assistant_documents(what):
+    assert home_assistant.faults(TOPIC, document(**what)) == []
+
+
+def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
+    components = document()["components"]
+    names = [component["unique_id"] for component in components.values()]
+    assert len(set(names)) == len(names)
+    assert {component["platform"] for component in components.values()} == {
+        "sensor",
+        "binary_sensor",
+        "select",
+        "button",
+    }
+    assert components["mode"]["options"] == [mode.value for mode in Mode]
+    assert components["command"]["options"] == ["auto", "hold", "stow", "snow", "maintenance"]
+    for name in ("stow", "stop", "hold", "auto"):
+        button = components[f"press_{name}"]
+        assert button["command_topic"] == TOPICS.command(name)
+        assert json.loads(button["payload_press"]).keys() == {"why"}
+    assert {key for key, component in components.items() if component.get("entity_category") == "diagnostic"} == {
+        "simulated",
+        "dropped",
+        "why",
+        "supply",
+        "motor_current_a",
+        "motor_current_b",
+        "alarm_text",
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda d: d.pop("origin"), "origin is missing"),
+        (lambda d: d.update(colour="red"), "colour is not documented"),
+        (lambda d: d["device"].pop("identifiers"), "device has neither identifiers nor connections"),
+        (lambda d: d["components"]["dropped"].pop("unique_id"), "dropped.unique_id is missing"),
+        (lambda d: d["components"]["supply"].update(unit_of_measurement="A"), "supply.unit_of_measurement"),
+        (lambda d: d["components"]["supply"].update(entity_category="config"), "supply.entity_category"),
+        (lambda d: d["components"]["supply"].update(device_class="tension"), "supply.device_class"),
+        (lambda d: d["components"]["mode"].update(state_class="measurement"), "mode.options"),
+        (lambda d: d["components"]["command"].pop("command_topic"), "command.command_topic is missing"),
+        (lambda d: d["components"]["command"].update(retain=True), "command.retain"),
+        (lambda d: d["components"]["press_stow"].update(command_topic="a/#"), "press_stow.command_topic"),
+        (lambda d: d["components"]["fault"].update(platform="lamp"), "fault.platform"),
+        (lambda d: d.pop("state_topic"), "dropped.state_topic is missing"),
+    ],
+)
+def test_the_check_of_the_form_finds_what_home_assistant_would_refuse(change, part):
+    found = document()
+    change(found)
+    assert part in "\n".join(home_assistant.faults(TOPIC, found))
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_simulation_bears_its_name(simulated):
+    assert ("SIMULATED" in document(simulated=simulated)["device"]["name"]) is simulated
+
+
+def test_without_commands_or_without_a_tracker_their_entities_are_removed_and_not_forgotten():
+    all_of_them = document()["components"]
+    without = document(commands=False)["components"]
+    assert set(without) == set(all_of_them)
+    gone = {key for key, component in without.items() if set(component) == {"platform"}}
+    assert gone == {key for key, component in all_of_them.items() if component["platform"] in ("select", "button")}
+    cube = document(tracker=False)["components"]
+    assert set(cube["mode"]) == {"platform"}
+    assert set(cube["command"]) == {"platform"}
+    assert cube["irradiance_east"]["device_class"] == "irradiance"
+
+
+def test_it_appears_by_itself_and_vanishes_when_it_is_switched_off(broker, scaled):
+    topic = "homeassistant/device/heliocube_tracker/config"
+
+    async def scenario():
+        for switched_on in (True, False):
+            settings = settings_for(broker.port, mqtt={"discovery": switched_on})
+            rig = MqttBench(asyncio.get_running_loop(), settings, SPEED)
+            async with observer(broker.port) as lab, serving(rig):
+                await lab.until("heliocube/tracker/scan")
+            async with observer(broker.port) as late:
+                await late.until("heliocube/tracker/status")
+                await asyncio.sleep(SPEED / 2)
+                assert bool(late.on(topic)) is switched_on
+
+    scaled(scenario)
+
+
+def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_command(broker, scaled):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
+            async with serving(rig):
+                found = await lab.until("homeassistant/device/heliocube_tracker/config")
+                tracking = await lab.until("heliocube/tracker/state", lambda s: s["mode"]["name"] == "tracking")
+                first = await lab.until("heliocube/tracker/state")
+                components = found["components"]
+                for component in components.values():
+                    for path in re.findall(r"value_json((?:\.\w+)+)", component.get("value_template", "")):
+                        _follow(tracking, path)
+                values = {key: _rendered(component, tracking) for key, component in components.items()}
+                assert values["mode"] == "tracking"
+                assert values["command"] == "auto"
+                assert values["connected"] == "ON"
+                assert (values["alarm"], values["alarm_text"]) == ("OFF", "none")
+                for mode in ("hold", "stow", "snow", "maintenance", "fault"):
+                    found_mode = _rendered(components["command"], {**tracking, "mode": {"name": mode}})
+                    assert found_mode == ("auto" if mode == "fault" else mode)
+                assert values["readings"] == "OFF"
+                assert 0 < values["irradiance_zenith"] < 1500
+                assert values["angle_b"] == pytest.approx(tracking["tracker"]["pose"]["b_deg"])
+                assert _rendered(components["irradiance_east"], {**first, "scan": None}) is None
+                assert _rendered(components["readings"], {**first, "scan": None}) == "ON"
+                button = components["press_stow"]
+                await lab.say(button["command_topic"], button["payload_press"])
+                assert (await lab.until("heliocube/tracker/reply"))["accepted"] is True
+                await rig.until_mode(Mode.STOW, 100)
+
+    scaled(scenario)
+
+
+def _follow(found, path):
+    for name in path.strip(".").split("."):
+        assert name in found, path
+        found = found[name]
+    return found
+
+
+class _Dotted(dict):
+    """Lets Python read the templates, whose expressions are Python's as well but for dots and `none`."""
+
+    def __getattr__(self, name):
+        value = self[name]
+        return _Dotted(value) if isinstance(value, dict) else value
+
+
+def _rendered(component, state):
+    template = component.get("value_template")
+    if template is None:
+        return None
+    expression = re.fullmatch(r"\{\{ (.*) \}\}", template)[1]
+    return eval(expression, {"value_json": _Dotted(state), "none": None})

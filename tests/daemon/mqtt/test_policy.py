@@ -1,0 +1,193 @@
+"""What the link does about losses, in virtual time and against a broker that a test scripts byte by byte."""
+
+import asyncio
+import contextlib
+import logging
+import socket
+import tracemalloc
+from random import Random
+
+import pytest
+
+from daemon.base.bus import Bus
+from daemon.base.clock import LoopClock
+from daemon.base.records import Decision
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.mqtt.link import Link
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.topics import Topics
+from tests.support.mqtt import MqttBench, settings_for, until
+
+CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
+
+
+class ScriptedBroker:
+    """Says what MQTT 3.1.1 asks for, and ends each connection after as long as the test wants."""
+
+    def __init__(self, lifetimes_s):
+        self._lifetimes_s = iter(lifetimes_s)
+        self.connected_s = []
+        self.ended_s = []
+
+    async def serve(self, bound):
+        self._server = await asyncio.start_server(self._talk, sock=bound)
+
+    async def close(self):
+        self._server.close()
+        await self._server.wait_closed()
+
+    async def _talk(self, reader, writer):
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(None) as limit:
+                while True:
+                    kind, body = await _packet(reader)
+                    if kind == CONNECT:
+                        self.connected_s.append(loop.time())
+                        limit.reschedule(loop.time() + next(self._lifetimes_s))
+                        writer.write(b"\x20\x02\x00\x00")
+                    elif kind == SUBSCRIBE:
+                        writer.write(b"\x90\x03" + body[:2] + b"\x01")
+                    elif kind == PING:
+                        writer.write(b"\xd0\x00")
+                    elif kind & 0x0F == PUBLISH and body is not None:
+                        length = int.from_bytes(body[:2], "big")
+                        writer.write(b"\x40\x02" + body[2 + length : 4 + length])
+        except (TimeoutError, asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self.ended_s.append(loop.time())
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+
+async def _packet(reader):
+    first = (await reader.readexactly(1))[0]
+    length, shift = 0, 0
+    while True:
+        byte = (await reader.readexactly(1))[0]
+        length |= (byte & 0x7F) << shift
+        shift += 7
+        if byte < 0x80:
+            break
+    body = await reader.readexactly(length)
+    return first >> 4, body if first >> 4 != PUBLISH or first & 6 else None
+
+
+def bound_socket():
+    bound = socket.socket()
+    bound.bind(("127.0.0.1", 0))
+    bound.listen()
+    return bound
+
+
+def link_to(port, bus, loop, **mqtt):
+    settings = settings_for(port, mqtt=mqtt).mqtt
+    clock = LoopClock(loop.time, 1.6e9)
+    return Link(settings, Topics("heliocube", "tracker"), clock, Random(1), bus.publish, 1.0)
+
+
+def delays_after(lifetimes_s):
+    """Return the delays between each end of a connection and the next one."""
+    bound = bound_socket()
+
+    async def scenario():
+        loop = asyncio.get_running_loop()
+        broker = ScriptedBroker(lifetimes_s)
+        await broker.serve(bound)
+        link = link_to(bound.getsockname()[1], Bus(), loop)
+        running = asyncio.create_task(link.run())
+        await until(lambda: len(broker.connected_s) == len(lifetimes_s), "all connections", within_s=86400)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        await broker.close()
+        await until(lambda: len(broker.ended_s) == len(lifetimes_s), "their ends")
+        return [begun - ended for ended, begun in zip(broker.ended_s, broker.connected_s[1:], strict=False)]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(scenario())
+
+
+def test_the_delay_grows_with_jitter_to_a_minute_when_the_broker_ends_young_connections():
+    delays_s = delays_after([5.0] * 10)
+    for count, delay_s in enumerate(delays_s):
+        longest_s = min(2.0**count, 60.0)
+        assert 0.8 * longest_s <= delay_s <= longest_s + 0.5
+    assert len({round(delay_s / 60, 4) for delay_s in delays_s[-3:]}) == 3
+
+
+@pytest.mark.parametrize(("lifetime_s", "short"), [(25.0, False), (35.0, True)])
+def test_the_delay_is_short_again_only_after_30_s_of_health(lifetime_s, short):
+    *_, last_s = delays_after([5.0] * 5 + [lifetime_s, 5.0])
+    assert (last_s <= 1.5) is short
+    assert last_s >= (0.8 if short else 25.0)
+
+
+def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+    bound = bound_socket()
+    port = bound.getsockname()[1]
+    bound.close()
+
+    async def scenario():
+        loop = asyncio.get_running_loop()
+        bus = Bus()
+        link = link_to(port, bus, loop, queue_messages=100)
+        running = asyncio.create_task(link.run())
+        await asyncio.sleep(3600)
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(23 * 60):
+            for _ in range(12):
+                link.send(Message("heliocube/tracker/scan", b"x" * 700))
+            await asyncio.sleep(60)
+        grown = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        assert link.status.waiting == 100
+        assert link.status.dropped == 23 * 60 * 12 - 100
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        return grown
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        grown = runner.run(scenario())
+    assert grown < 500_000
+    lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
+    assert 1 <= len(lines) <= 20
+    assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
+
+
+def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_broker(caplog):
+    caplog.set_level(logging.INFO, "heliocube.mqtt")
+    bound = bound_socket()
+    port = bound.getsockname()[1]
+    bound.close()
+    # Fewer scans make a day short.
+    settings = settings_for(port, cube={"scan_every_s": 30}, safety={"scan_stale_s": 90})
+
+    def decisions(enabled):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+
+            async def scenario():
+                rig = MqttBench(asyncio.get_running_loop(), settings, 1.0)
+                stop = asyncio.Event()
+                serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
+                await asyncio.sleep(86400)
+                stop.set()
+                await serving
+                return [record.time_monotonic_s for record in rig.of(Decision)]
+
+            return runner.run(scenario())
+
+    without, with_a_dead_one = decisions(enabled=False), decisions(enabled=True)
+    assert len(without) >= 80
+    assert with_a_dead_one == pytest.approx(without, abs=0.1)
+    assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 20
+
+
+def test_a_link_that_comes_and_goes_is_told_as_few_outages(caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+    delays_after([40.0] * 200)
+    lines = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
+    assert 2 <= len(lines) <= 10

@@ -1,0 +1,213 @@
+"""Wind and safety over the broker: silent, garbled and old messages never count as safe."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.config.sections import SafeInput, Safety, WindInput
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.tracker.stow import WindStow
+from tests.support.mqtt import SPEED, MqttBench, calm, observer, serving, settings_for, until
+
+
+class Told:
+    def __init__(self):
+        self.now = {}
+
+    def __call__(self, subject, sentence):
+        if sentence is None:
+            self.now.pop(subject, None)
+        else:
+            self.now[subject] = sentence
+
+
+def wind(**settings):
+    told, woken = Told(), []
+    readings = WindReadings(
+        WindInput(topic="lab/wind", **settings), Safety().stow_wind_m_s, lambda: 0.0, lambda: woken.append(1), told
+    )
+    return readings, WindStow(Safety(), readings.since_last_asked), told, woken
+
+
+def said(payload, retained=False):
+    return Incoming("lab/wind", payload if isinstance(payload, bytes) else payload.encode(), retained)
+
+
+def test_wind_stows_from_the_threshold_and_releases_below_another_after_the_minimum_stay():
+    readings, stow, _, woken = wind()
+    readings.take(said("14.9"))
+    assert stow.reason(0.0) is None
+    assert not woken
+    readings.take(said("15"))
+    assert woken
+    assert "wind 15.0 m/s" in stow.reason(5.0)
+    for now_s in range(10, 905, 5):
+        readings.take(said("12"))
+        assert stow.reason(float(now_s)) is not None, "between the thresholds stow goes on"
+    for now_s in range(905, 1800, 5):
+        readings.take(said("9"))
+        assert stow.reason(float(now_s)) is not None, "the minimum stay begins when the wind has become calm"
+    readings.take(said("9"))
+    assert stow.reason(1805.0) is None
+
+
+def test_a_gust_between_two_looks_is_not_missed():
+    readings, stow, _, _ = wind()
+    for speed in ("3", "22", "3"):
+        readings.take(said(speed))
+    assert "22.0" in stow.reason(5.0)
+
+
+@pytest.mark.parametrize(
+    ("payload", "part"),
+    [
+        (b"", "no wind speed"),
+        (b"calm", "no wind speed"),
+        (b"NaN", "no wind speed"),
+        (b"-1", "no wind speed"),
+        (b"1e400", "no wind speed"),
+        (b"true", "no wind speed"),
+        (b"[3]", "no wind speed"),
+        (b'{"speed": 3}', "no wind speed"),
+        (b"\xff\xfe", "no wind speed"),
+        (b"1" * 70_000, "longer"),
+    ],
+)
+def test_a_garbled_wind_is_one_sentence_and_counts_as_silence(payload, part):
+    readings, stow, told, _ = wind()
+    assert stow.reason(0.0) is None
+    for now_s in range(5, 305, 5):
+        readings.take(said(payload))
+        stow.reason(float(now_s))
+    assert part in told.now["mqtt.wind of lab/wind"]
+    assert "no wind reading" in stow.reason(305.0)
+    readings.take(said("3"))
+    assert not told.now
+    assert stow.reason(310.0) is not None, "one good reading is no calm"
+
+
+@pytest.mark.parametrize(
+    ("path", "payload", "speed"),
+    [
+        ("wind.speed", '{"wind": {"speed": 20}}', 20.0),
+        ("sensors.1.v", '{"sensors": [{"v": 1}, {"v": "21.5"}]}', 21.5),
+    ],
+)
+def test_a_path_finds_its_value(path, payload, speed):
+    readings, _, _, _ = wind(json_path=path)
+    readings.take(said(payload))
+    assert readings.since_last_asked() == speed
+
+
+@pytest.mark.parametrize("payload", ['{"wind": {}}', '{"wind": 3}', "[]", "3", "{"])
+def test_a_path_that_finds_nothing_is_one_sentence(payload):
+    readings, _, told, _ = wind(json_path="wind.speed")
+    readings.take(said(payload))
+    assert readings.since_last_asked() is None
+    (sentence,) = told.now.values()
+    assert sentence.endswith(("nothing at wind.speed", "not JSON"))
+
+
+def test_units_are_converted():
+    readings, _, _, _ = wind(unit="km/h")
+    readings.take(said("54"))
+    assert readings.since_last_asked() == pytest.approx(15.0)
+
+
+def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows():
+    readings, stow, _, _ = wind()
+    readings.take(said("2", retained=True))
+    assert readings.since_last_asked() is None
+    readings.take(said("30", retained=True))
+    assert stow.reason(0.0) is not None
+
+
+def safe(**settings):
+    told, woken = Told(), []
+    return SafeStow(SafeInput(topic="lab/safe", **settings), lambda: 0.0, lambda: woken.append(1), told), told, woken
+
+
+def test_unsafe_stows_at_once_and_safe_releases_after_the_minimum_stay():
+    source, _, woken = safe(stow_at_least_s=60.0)
+    source.take(said("safe"))
+    assert source.reason(0.0) is None
+    source.take(said("unsafe"))
+    assert woken
+    assert source.reason(5.0) == "lab/safe says unsafe"
+    assert source.reason(500.0) is not None, "silence after it does not release"
+    source.take(said("safe"))
+    assert source.reason(505.0) is not None
+    for now_s in range(510, 565, 5):
+        source.take(said("safe"))
+        assert source.reason(float(now_s)) is not None
+    source.take(said("safe"))
+    assert source.reason(566.0) is None
+
+
+def test_a_short_unsafe_between_two_looks_is_not_missed():
+    source, _, _ = safe()
+    for word in ("safe", "unsafe", "safe"):
+        source.take(said(word))
+    assert source.reason(0.0) is not None
+
+
+@pytest.mark.parametrize("noise", [None, b"", b"Safe", b"perhaps", b'{"x": 1}', b"null"])
+def test_silence_and_noise_are_unsafe_after_the_time_limit(noise):
+    source, told, _ = safe(stale_s=100.0)
+    source.take(said("safe"))
+    assert source.reason(0.0) is None
+    for now_s in range(5, 105, 5):
+        if noise is not None:
+            source.take(said(noise))
+        assert source.reason(float(now_s)) is None
+    assert "has not said safe for 105 s" in source.reason(105.0)
+    assert bool(told.now) is (noise is not None)
+
+
+def test_one_who_never_says_a_word_is_unsafe_after_the_time_limit_and_a_retained_safe_is_no_word():
+    source, _, _ = safe(stale_s=100.0)
+    assert source.reason(0.0) is None
+    source.take(said("safe", retained=True))
+    assert source.reason(90.0) is None
+    assert source.reason(101.0) is not None
+
+
+def test_truth_values_and_numbers_are_words():
+    source, _, _ = safe(json_path="ok", safe="true", unsafe="false")
+    source.take(said('{"ok": false}'))
+    assert source.reason(0.0) == "lab/safe says false"
+
+
+def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broker, scaled):
+    async def scenario():
+        inputs = {"wind": {"topic": "weather/roof", "json_path": "wind.speed"}, "safe": {"topic": "dome/safe"}}
+        async with observer(broker.port) as lab:
+            rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
+            async with serving(rig):
+                await calm(rig, lab, {"weather/roof": {"wind": {"speed": 3}}, "dome/safe": "safe"})
+                await rig.until_mode(Mode.TRACKING, 400)
+                await lab.say("weather/roof", {"gust": 3})
+                troubles = await until(lambda: rig.mqtt.status.troubles, "a sentence")
+                assert "mqtt.wind of weather/roof cannot be used: the message has nothing at wind.speed" in troubles
+                await lab.say("weather/roof", {"wind": {"speed": 25}})
+                await rig.until_mode(Mode.STOW, 100)
+                assert "wind 25.0 m/s" in rig.control.why
+                await until(lambda: not rig.mqtt.status.troubles, "its end")
+
+    scaled(scenario)
+
+
+def test_a_word_that_stowed_before_a_restart_counts_from_its_first_safe():
+    source, _, _ = safe(stow_at_least_s=60.0)
+    source.resume("stowed before the restart", 0.0)
+    for now_s in range(0, 200, 5):
+        assert source.reason(float(now_s)) == "stowed before the restart"
+    for now_s in range(200, 255, 5):
+        source.take(said("safe"))
+        assert source.reason(float(now_s)) is not None
+    assert source.status(250.0).release_in_s == 5.0
+    source.take(said("safe"))
+    assert source.reason(255.0) is None
+    assert source.status(255.0).age_s == 255.0

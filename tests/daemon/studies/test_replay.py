@@ -1,0 +1,213 @@
+"""Recorded readings through the code that runs live."""
+
+import csv
+import gzip
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from daemon.base.clock import SystemClock, iso_utc
+from daemon.base.records import FaceReading, Pose, Quality, Scan
+from daemon.commands.main import main
+from daemon.store.store import Origin, Store
+from daemon.studies.replay import COLUMNS
+from solar.ephemeris import sun_direction
+from solar.frames import normal_from_angles, separation_deg
+from solar.sky import sky
+from tests.daemon.tracker.test_optimal import Blinking, one_hour
+from tests.support.rig import SITE
+
+PLACE = ",".join(str(value) for value in SITE)
+NORMALS = ([0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1])
+NOON = datetime(2022, 10, 12, 12, tzinfo=UTC).timestamp()
+
+
+def readings(times, dni=700.0, dhi=90.0):
+    """Return the lines of a file with what the faces read at these times."""
+    light = sky("isotropic", sun_direction(np.array(times), *SITE), dni, dhi, 1360.0)
+    faces = np.stack([light.irradiance_on(np.array(normal)) for normal in NORMALS], axis=-1)
+    return [[iso_utc(at), *(f"{value:.2f}" for value in row)] for at, row in zip(times, faces, strict=True)]
+
+
+def write(path, lines, header="time,east,south,west,zenith"):
+    text = "\n".join([header, *(",".join(line) for line in lines)]) + "\n"
+    path.write_bytes(gzip.compress(text.encode()) if path.suffix == ".gz" else text.encode())
+    return path
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Run the command in this process; returns its exit code and what it said."""
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        said = capsys.readouterr()
+        return end.value.code or 0, said.out + said.err
+
+    return run
+
+
+@pytest.fixture
+def replayed(heliocube, tmp_path):
+    """Replay lines by a law; returns the rows that came out."""
+
+    def run(lines, law, *more, name="faces.csv"):
+        source, out = write(tmp_path / name, lines), tmp_path / "positions.csv"
+        code, said = heliocube("replay", source, "--site", PLACE, "--law", law, "--out", out, *more)
+        assert code == 0, said
+        with out.open(newline="") as file:
+            reader = csv.DictReader(file)
+            found = list(reader)
+        assert tuple(reader.fieldnames) == COLUMNS
+        assert [row["time"] for row in found] == [line[0] for line in lines]
+        return found
+
+    return run
+
+
+def off_sun_deg(row):
+    utc_s = datetime.fromisoformat(row["time"]).timestamp()
+    normal = normal_from_angles(float(row["a"]), float(row["b"]))
+    return float(separation_deg(normal, sun_direction(utc_s, *SITE)))
+
+
+@pytest.mark.parametrize("every_s", [1, 5, 60])
+@pytest.mark.parametrize("law", ["mu-prime", "optimal"])
+def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
+    found = replayed(readings(NOON - 1800 + np.arange(0, 3600, every_s)), law)
+    last = found[-1]
+    assert (last["mode"], last["law"]) == ("tracking", law)
+    assert off_sun_deg(last) < (4.0 if law == "optimal" else 8.0)
+    assert float(last["a"]) == pytest.approx(float(last["a_set"]), abs=1.0)
+    if law == "optimal":
+        assert float(last["dni_est"]) == pytest.approx(700.0, rel=0.02)
+        assert float(last["dhi_est"]) == pytest.approx(90.0, rel=0.05)
+        assert float(last["albedo_est"]) == 0.2
+    else:
+        assert (last["dni_est"], last["dhi_est"], last["albedo_est"]) == ("", "", "")
+
+
+@pytest.mark.parametrize("law", ["mu-prime", "optimal"])
+def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
+    # Decisions lie well away from the edges of the clouds, where one scan more turns the mean by degrees.
+    bench = run_rig(one_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
+    scans = bench.of(Scan)
+    lines = [[iso_utc(scan.time_utc_s), *(f"{face.irradiance_w_m2}" for face in scan.faces)] for scan in scans]
+    found = replayed(lines, law)
+    poses = bench.of(Pose)
+    times = np.array([pose.time_utc_s for pose in poses])
+    moving = np.array([pose.time_utc_s for pose in poses if pose.moving])
+    compared = 0
+    for scan, row in zip(scans, found, strict=True):
+        # A decision may come a scan earlier or later: what counts is where a tracker at rest stands.
+        if scan.time_utc_s < times[0] + 420 or (np.abs(moving - scan.time_utc_s) < 12).any():
+            continue
+        live = poses[int(np.searchsorted(times, scan.time_utc_s, side="right")) - 1]
+        assert float(row["a"]) == pytest.approx(live.a_deg, abs=1.5), row["time"]
+        assert float(row["b"]) == pytest.approx(live.b_deg, abs=1.5), row["time"]
+        compared += 1
+    assert compared > 300
+
+
+def test_a_gap_by_day_is_bridged_by_the_sun_and_one_by_night_at_the_night_position(replayed):
+    before = NOON + np.arange(0, 1800, 5.0)
+    after = NOON + 3 * 3600 + np.arange(0, 600, 5.0)
+    tomorrow = NOON + 86400.0 + np.arange(0, 600, 5.0)
+    next_week = NOON + 8 * 86400.0 + np.arange(0, 600, 5.0)
+    found = replayed(readings(np.concatenate([before, after, tomorrow, next_week])), "optimal")
+    modes = [row["mode"] for row in found]
+    at = len(before)
+    assert off_sun_deg(found[at]) < 3.0, "it followed the sun through the gap"
+    assert modes[at] == "fallback"
+    for first in (at + len(after), at + len(after) + len(tomorrow)):
+        assert modes[first] in ("fallback", "tracking")
+        assert off_sun_deg(found[first]) < 3.0, "after the night the gap went on by day"
+        assert modes[first + 100] == "tracking"
+
+
+def test_a_night_in_the_readings_is_a_night(replayed):
+    dusk = datetime(2022, 10, 12, 17, tzinfo=UTC).timestamp()
+    times = dusk + np.arange(0, 7200, 30.0)
+    up = sun_direction(times, *SITE)[:, 2]
+    found = replayed(readings(times, dni=np.where(up > 0, 300.0, 0.0), dhi=np.maximum(up, 0.0) * 100), "optimal")
+    last = found[-1]
+    assert last["mode"] == "night"
+    assert last["law"] == ""
+    assert (float(last["a"]), float(last["b"])) == (pytest.approx(0, abs=1), pytest.approx(90, abs=1))
+
+
+def test_an_implausible_or_missing_face_is_left_out(replayed):
+    lines = readings(NOON + np.arange(0, 1800, 5.0))
+    for number, line in enumerate(lines):
+        line[1] = "" if number % 2 else "1900"
+    assert replayed(lines, "mu-prime")[-1]["mode"] == "fallback"
+    last = replayed(lines, "optimal")[-1]
+    assert last["mode"] == "tracking"
+    assert off_sun_deg(last) < 6.0
+
+
+def test_compressed_files_do_as_well(replayed):
+    assert replayed(readings(NOON + np.arange(0, 600, 5.0)), "mu-prime", name="faces.csv.gz")
+
+
+def test_the_store_of_a_tracker_can_be_replayed(heliocube, tmp_path):
+
+    store = Store(tmp_path / "store", 60.0, 400, Origin(NOON, "both", "0", True, "x", *SITE), SystemClock(), print)
+    for number, (_, *values) in enumerate(readings(NOON + np.arange(0, 900, 5.0))):
+        utc_s = NOON + 5.0 * number
+        faces = [FaceReading(float(value), Quality.OK, utc_s, 5.0 * number) for value in values]
+        store.keep(Scan("cube", "s", number, utc_s, 5.0 * number, *faces))
+    store.close()
+    out = tmp_path / "positions.csv"
+    code, said = heliocube("replay", "--store", tmp_path / "store", "--site", PLACE, "--law", "optimal", "--out", out)
+    assert code == 0, said
+    with out.open(newline="") as file:
+        found = list(csv.DictReader(file))
+    assert len(found) == 180
+    assert found[-1]["mode"] == "tracking"
+
+
+GOOD = readings(NOON + np.arange(0, 60, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "sentence"),
+    [
+        ([], (), "has no readings below its header"),
+        (GOOD[:1], (), "two rows at least"),
+        ([GOOD[1], GOOD[0]], (), "not later than that of the line before"),
+        ([["yesterday", "1", "1", "1", "1"]], (), "'yesterday' is not ISO 8601"),
+        ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], (), "east is 'x'"),
+        ([["2022-10-12T12:00:00Z", "1", "1"]], (), "3 cells where the header has 5"),
+        (readings(NOON + np.arange(0, 3600, 600.0)), (), "600 s apart"),
+        (GOOD, ("--law", "best"), "law.name"),
+        (GOOD, ("--site", "here"), "--site"),
+        (GOOD, ("--store", "x"), "either FACES.csv or --store"),
+        (GOOD, ("--config", "missing.toml"), "missing.toml"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_nothing_is_written(heliocube, tmp_path, lines, options, sentence):
+    source, out = write(tmp_path / "faces.csv", lines), tmp_path / "out" / "positions.csv"
+    out.parent.mkdir()
+    code, said = heliocube("replay", source, "--site", PLACE, "--law", "optimal", "--out", out, *options)
+    assert code == 2
+    assert sentence in said
+    assert "Traceback" not in said
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_file_that_is_not_there_or_cannot_be_written_is_told(heliocube, tmp_path):
+    out = tmp_path / "positions.csv"
+    code, said = heliocube("replay", tmp_path / "no.csv", "--site", PLACE, "--law", "flat", "--out", out)
+    assert code == 2
+    assert "does not exist" in said
+    source = write(tmp_path / "faces.csv", GOOD)
+    code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", tmp_path / "no" / "x.csv")
+    assert code == 2
+    assert "cannot be written" in said
+    code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", source)
+    assert code == 2
+    assert "name another" in said

@@ -1,0 +1,194 @@
+"""The law `optimal` in the running service."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+from daemon.base.records import Decision, Mode, Move, MoveOutcome, Quality, Scan
+from solar.ephemeris import sun_direction
+from solar.frames import normal_from_angles, separation_deg
+from tests.daemon.api.test_api import serve
+from tests.support.rig import SITE, HandWeather
+
+__all__ = ["serve"]
+
+OPTIMAL = {"name": "optimal"}
+
+
+async def one_hour(_bench):
+    await asyncio.sleep(3600)
+
+
+def off_sun_deg(bench):
+    return float(separation_deg(normal_from_angles(*bench.truth()), sun_direction(bench.clock.utc(), *SITE)))
+
+
+def break_faces(bench, *broken):
+    """Let some faces of the cube read far beyond anything that is plausible."""
+    sensor = bench.scene.sensor_voltage
+
+    def voltage(face, utc_s):
+        return 0.4 if face in broken else sensor(face, utc_s)
+
+    bench.scene.sensor_voltage = voltage
+
+
+def without(*broken):
+    async def scenario(bench):
+        break_faces(bench, *broken)
+        await asyncio.sleep(3600)
+
+    return scenario
+
+
+def test_a_clear_sky_is_followed_with_few_moves(run_rig):
+    bench = run_rig(one_hour, law=OPTIMAL)
+    assert off_sun_deg(bench) < 5.0
+    assert bench.mode is Mode.TRACKING
+    moves = bench.of(Move)
+    assert 4 <= len(moves) <= 15
+    assert all(move.outcome is MoveOutcome.ARRIVED for move in moves)
+    decisions = bench.of(Decision)
+    times = [decision.time_monotonic_s for decision in decisions]
+    assert np.diff(times) == pytest.approx(60.0, abs=0.2)
+    estimate = decisions[-1].estimate
+    assert estimate.dni_w_m2 == pytest.approx(700.0, rel=0.02)
+    assert estimate.dhi_w_m2 == pytest.approx(90.0, rel=0.1)
+    assert estimate.albedo == 0.2
+
+
+def test_an_overcast_sky_is_met_flat(run_rig):
+    bench = run_rig(one_hour, law=OPTIMAL, weather=HandWeather(dni=0, dhi=150))
+    assert bench.truth().b_deg == pytest.approx(90, abs=2.0)
+    assert bench.truth().a_deg == pytest.approx(0, abs=2.0)
+
+
+@pytest.mark.parametrize("face", range(4))
+def test_with_one_face_broken_it_goes_on_tracking(run_rig, face):
+    bench = run_rig(without(face), law=OPTIMAL)
+    assert bench.of(Scan)[-1].faces[face].quality is not Quality.OK
+    assert bench.mode is Mode.TRACKING
+    assert bench.of(Decision)[-1].law == "optimal"
+    assert off_sun_deg(bench) < 6.0
+
+
+def test_a_dead_zenith_face_is_no_night(run_rig):
+    async def scenario(bench):
+        sensor = bench.scene.sensor_voltage
+        bench.scene.sensor_voltage = lambda face, utc_s: 0.0 if face == 3 else sensor(face, utc_s)
+        await asyncio.sleep(3600)
+
+    bench = run_rig(scenario, law=OPTIMAL)
+    assert bench.mode is Mode.TRACKING
+    assert off_sun_deg(bench) < 6.0
+
+
+def test_with_two_faces_broken_it_falls_back_on_the_sun(run_rig):
+    bench = run_rig(without(0, 3), law=OPTIMAL)
+    assert bench.mode is Mode.FALLBACK
+    assert bench.of(Decision)[-1].law == "chronometric"
+    assert off_sun_deg(bench) < 2.0
+
+
+def test_the_paper_s_law_still_needs_four_faces(run_rig):
+    bench = run_rig(without(0), law={"name": "mu-prime"})
+    assert bench.mode is Mode.FALLBACK
+
+
+class Blinking(HandWeather):
+    """Sun and cloud in turn, ten minutes each."""
+
+    def at(self, utc_s):
+        conditions = super().at(utc_s)
+        conditions.dni_w_m2[:] = 800.0 * (utc_s // 600 % 2)
+        conditions.dhi_w_m2[:] = 200.0
+        return conditions
+
+
+def ordered_deg(bench):
+    return sum(
+        abs(move.target_a_deg - move.from_a_deg) + abs(move.target_b_deg - move.from_b_deg) for move in bench.of(Move)
+    )
+
+
+@pytest.mark.parametrize(("key", "limit"), [("travel_per_day_deg", 90.0), ("moves_per_day", 4)])
+def test_the_budget_of_the_day_holds_and_a_restart_opens_no_new_one(run_rig, tmp_path, key, limit):
+    law = OPTIMAL | {"thrift": 0.1, key: limit}
+    store = {"directory": tmp_path}
+    first = run_rig(one_hour, law=law, weather=Blinking(), store=store)
+    second = run_rig(one_hour, law=law, weather=Blinking(), store=store, start="2022-10-12T11:00")
+    used = {
+        "travel_per_day_deg": ordered_deg(first) + ordered_deg(second),
+        "moves_per_day": len(first.of(Move)) + len(second.of(Move)),
+    }[key]
+    # The positioner's telemetry tells tenths of a degree.
+    assert 0 < used <= limit + (0.0 if key == "moves_per_day" else 1.0)
+
+
+def test_the_budget_holds_in_fallback_too(run_rig):
+    bench = run_rig(without(0, 3), law=OPTIMAL | {"moves_per_day": 2})
+    assert len(bench.of(Move)) == 2
+
+
+async def until_tomorrow(_bench):
+    await asyncio.sleep(20 * 3600)
+
+
+class ClearDays(HandWeather):
+    def at(self, utc_s):
+        conditions = super().at(utc_s)
+        up = sun_direction(utc_s, *SITE)[:, 2].clip(0)
+        conditions.dni_w_m2[:] = 800.0 * (up > 0)
+        conditions.dhi_w_m2[:] = 100.0 * up
+        return conditions
+
+
+def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, serve, tmp_path):
+    store = {"directory": tmp_path}
+    taught = run_rig(until_tomorrow, law=OPTIMAL, weather=ClearDays(), store=store, start="2022-10-12T08:00")
+    learned = taught.control.optimal.kept.learned
+    assert learned.albedo != 0.2
+
+    async def again(bench, call):
+        await bench.until_mode(Mode.TRACKING, 120)
+        found = (await call.get("/api/state")).json["law"]
+        assert found["name"] == "optimal"
+        assert found["learned"] == learned.to_dict()
+        assert found["today"] == {"travelled_deg": 0.0, "moves": 0} or found["today"]["moves"] <= 1
+        assert (await call.post("relearn")).status == 200
+        assert (await call.get("/api/state")).json["law"]["learned"]["albedo"] == 0.2
+        assert json.loads((tmp_path / "learned.json").read_text())["albedo"] == 0.2
+
+    serve(again, law=OPTIMAL, weather=ClearDays(), store=store, start="2022-10-14T10:00")
+
+
+def test_a_damaged_file_is_learned_anew(run_rig, tmp_path):
+    (tmp_path / "learned.json").write_text('{"albedo": 7, "day": 1}')
+
+    async def scenario(bench):
+        assert bench.control.optimal.kept.albedo == 0.2
+
+    run_rig(scenario, law=OPTIMAL, store={"directory": tmp_path})
+
+
+def test_a_law_that_learns_nothing_has_nothing_to_forget(serve):
+    async def scenario(bench, call):
+        await bench.until_mode(Mode.TRACKING, 120)
+        assert (await call.get("/api/state")).json["law"] == {"name": "mu-prime"}
+        assert (await call.post("relearn")).status == 409
+
+    serve(scenario)
+
+
+def test_after_a_step_of_the_clock_it_stays_where_it_is(run_rig):
+    async def scenario(bench):
+        await asyncio.sleep(600)
+        bench.clock.step_s = 7200.0
+        before = len(bench.of(Move))
+        await asyncio.sleep(600)
+        assert len(bench.of(Move)) == before
+        assert "clock was set" in bench.of(Decision)[-1].target.why
+
+    run_rig(scenario, law=OPTIMAL)

@@ -1,0 +1,397 @@
+"""A person's stop, maintenance and the unit's buttons: nothing moves until `auto`, whoever asks for what."""
+
+import asyncio
+import json
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.records import Event, Mode, Move
+from daemon.motion.motion import Polling
+from daemon.service.operator import CommandError, Operator
+from daemon.tracker.wishes import Wishes
+from drivers.errors import DeviceError, RefusedError
+from tests.daemon.api.test_api import serve
+from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
+
+__all__ = ["serve"]
+
+OTHERS = ("stow", "snow", "hold", "goto", "home", "clear", "relearn", "maintenance")
+
+
+def operator(bench):
+    return Operator(bench.service, 1.0)
+
+
+async def call(bench, name, why="x"):
+    place = (10.0, 60.0) if name == "goto" else ()
+    return await getattr(operator(bench), name)(*place, why, "eve")
+
+
+def alarms(bench):
+    return {alarm.name: alarm.text for alarm in bench.service.alarms.active}
+
+
+def look_seldom(bench):
+    """Let the positioner be looked at every five minutes at rest: a day of looks is no test's business."""
+    bench.motion._polling = Polling(idle_s=300.0)
+
+
+def press_a_button(bench):
+    """Press a button at the unit; return what lets it go."""
+    read, pressed = bench.positioner.read_telemetry, [True]
+
+    async def with_button():
+        seen = await read()
+        return replace(seen, button_pressed=pressed[0], status_monotonic_s=bench.clock.monotonic())
+
+    bench.positioner.read_telemetry = with_button
+    return lambda: pressed.__setitem__(0, False)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends(run_rig, name):
+    async def scenario(bench):
+        await under_way(bench)
+        await operator(bench).stop("a hand near the actuator", "ana@lab")
+        stands, before = bench.truth(), len(bench.of(Move))
+        with pytest.raises(CommandError) as refused:
+            await call(bench, name)
+        assert not refused.value.wrong
+        assert str(refused.value).startswith(f"no {name}: the tracker is stopped by ana@lab since 2022-10-12 10:0")
+        assert str(refused.value).endswith(" UTC: a hand near the actuator; only 'heliocube auto' releases it")
+        await asyncio.sleep(3600)
+        assert bench.truth() == stands
+        assert len(bench.of(Move)) == before
+        assert bench.control.wishes.stow is bench.control.wishes.hold is bench.control.wishes.snow is None
+        answer = await call(bench, "auto")
+        assert "; released: stopped by ana@lab since " in answer.text
+        await bench.until_mode(Mode.TRACKING, 30)
+
+    run_rig(scenario)
+
+
+def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        await bench.control.stop("repair")
+        control = bench.control
+        for ask in (
+            lambda: control.stow("x"),
+            lambda: control.snow("x"),
+            lambda: control.hold("x"),
+            lambda: control.goto(0, 60, "x"),
+            control.home,
+            control.clear_faults,
+            bench.motion.home,
+        ):
+            with pytest.raises(RefusedError, match=r"stopped since .*: repair; only 'heliocube auto' releases it"):
+                ask()
+
+    run_rig(scenario)
+
+
+def test_a_restarted_box_is_not_homed_under_a_stop_and_is_afterwards(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        await operator(bench).stop("supply off and on", "ana")
+        bench.unit.power_cycle(bench.clock.monotonic(), keep_position=True)
+        await bench.until_mode(Mode.HOLD, 15)
+        stands = bench.truth()
+        await asyncio.sleep(1800)
+        assert bench.truth() == stands
+        await operator(bench).auto("done")
+        await bench.until(lambda: bench.motion.homing, 30, "homing")
+
+    run_rig(scenario, motion={"rehome": "automatic"})
+
+
+def test_a_second_stop_is_taken_sent_and_says_whose_it_replaces(run_rig, monkeypatch):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        await operator(bench).stop("first", "ana")
+        sent = commands_sent(bench, monkeypatch)
+        answer = await operator(bench).stop("second", "bob")
+        assert sent[0][1].startswith(b"$9s")
+        assert answer.done
+        assert "; this replaces: stopped by ana since " in answer.text
+        assert bench.control.wishes.stop.by == "bob"
+
+    run_rig(scenario)
+
+
+def test_wind_under_a_stop_is_an_alarm_that_ends_with_the_stop(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        await operator(bench).stop("repair", "ana")
+        stands = bench.truth()
+        bench.wind_m_s = 20.0
+        await bench.until(lambda: "stow-wanted" in alarms(bench), 6, "the alarm")
+        text = alarms(bench)["stow-wanted"]
+        assert text.startswith(
+            "stow is wanted (wind 20.0 m/s, stow from 15 m/s), but the tracker is stopped by ana since"
+        )
+        assert text.endswith("; only 'heliocube auto' releases it")
+        await asyncio.sleep(600)
+        assert bench.truth() == stands
+        await operator(bench).auto("clear of the axes")
+        assert bench.mode is Mode.STOW
+        assert not alarms(bench)
+        told = [event.text for event in bench.of(Event) if event.subject == "alarm"]
+        assert len(told) == 2
+
+    run_rig(scenario)
+
+
+def test_who_stopped_it_when_and_why_survives_a_restart(run_rig, tmp_path):
+    async def first(bench):
+        await tracking(bench)
+        await operator(bench).stop("repair", "ana@lab")
+
+    async def second(bench):
+        await asyncio.sleep(60)
+        assert bench.mode is Mode.HOLD
+        assert bench.control.why.startswith("stopped by ana@lab since 2022-10-12 10:0")
+        with pytest.raises(CommandError, match="no goto: the tracker is stopped by ana@lab since"):
+            await call(bench, "goto")
+
+    for scenario in (first, second):
+        run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_a_file_of_an_earlier_version_is_in_force(run_rig, tmp_path):
+    (tmp_path / "operator.json").write_text('{"stop": "repair", "stow": null, "hold": "test"}')
+
+    async def scenario(bench):
+        await asyncio.sleep(300)
+        assert (bench.mode, bench.control.why) == (Mode.HOLD, "stopped: repair")
+        assert bench.control.wishes.hold.why == "test"
+        assert not bench.of(Move)
+
+    run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
+    async def first(bench):
+        await under_way(bench)
+        bench.positioner.link_up = False
+        with pytest.raises(DeviceError):
+            await bench.control.stop("a hand", "ana")
+
+    run_rig(first, store={"directory": tmp_path})
+    assert Wishes.model_validate_json((tmp_path / "operator.json").read_text()).stop.by == "ana"
+
+
+def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_return(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        bench.positioner.link_up = False
+        await bench.until_mode(Mode.FAULT, 15)
+        with pytest.raises(CommandError, match="stop could not be sent"):
+            await operator(bench).stop("repair", "ana")
+        assert bench.mode is Mode.FAULT
+        assert "unplugged; stopped by ana since " in bench.control.why
+        bench.positioner.link_up = True
+        await bench.until_mode(Mode.HOLD, 60)
+        await asyncio.sleep(5)
+        stands = bench.truth()
+        await asyncio.sleep(900)
+        assert bench.truth() == stands
+
+    run_rig(scenario)
+
+
+def test_a_unit_that_does_not_hear_stop_is_never_called_done(run_rig, monkeypatch):
+    async def scenario(bench):
+        await under_way(bench)
+        feed = bench.unit.feed
+        monkeypatch.setattr(bench.unit, "feed", lambda data, now: None if data.startswith(b"$9s") else feed(data, now))
+        answer = await operator(bench).stop("a hand")
+        assert (answer.done, answer.seen) == (False, "not-seen")
+
+    run_rig(scenario, start="2022-10-12T10:00")
+
+
+def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        await asyncio.sleep(11)
+        assert (await operator(bench).hold("test")).done
+        bench.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+        asked_s = bench.clock.monotonic()
+        assert (await operator(bench).hold("test")).seen == "not-seen"
+        assert bench.clock.monotonic() - asked_s == pytest.approx(3.0, abs=0.1)
+        asked_s = bench.clock.monotonic()
+        await Operator(bench.service, 10.0).hold("test")
+        assert bench.clock.monotonic() - asked_s == pytest.approx(30.0, abs=1.0)
+
+    run_rig(scenario)
+
+
+# A person at the unit
+
+
+def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_rig):
+    async def scenario(bench):
+        await under_way(bench)
+        let_go = press_a_button(bench)
+        await bench.until_mode(Mode.HOLD, 2)
+        assert "a button was pressed at the unit: a person is there" in bench.control.why
+        await at_rest(bench)
+        stands = bench.truth()
+        let_go()
+        with pytest.raises(CommandError, match=r"no goto: the tracker is held since .*a person is there; only"):
+            await call(bench, "goto")
+        await asyncio.sleep(1800)
+        assert bench.truth() == stands
+        answer = await call(bench, "auto")
+        assert "released: held since" in answer.text
+        await bench.until_mode(Mode.TRACKING, 30)
+        await asyncio.sleep(60)
+        assert bench.mode is Mode.TRACKING
+
+    run_rig(scenario)
+
+
+def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        press_a_button(bench)
+        await bench.until_mode(Mode.HOLD, 11)
+        stands = bench.truth()
+        await call(bench, "auto")
+        await asyncio.sleep(11)
+        assert bench.mode is Mode.HOLD
+        await call(bench, "maintenance")
+        assert bench.mode is Mode.MAINTENANCE
+        assert bench.truth() == pytest.approx(stands, abs=0.3)
+
+    run_rig(scenario)
+
+
+def test_a_press_that_was_seen_before_the_release_does_not_hold_again(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        await at_rest(bench)
+        read, pressed_s = bench.positioner.read_telemetry, bench.clock.monotonic()
+
+        async def with_an_old_screen():
+            return replace(await read(), button_pressed=True, status_monotonic_s=pressed_s)
+
+        bench.positioner.read_telemetry = with_an_old_screen
+        await bench.until_mode(Mode.HOLD, 11)
+        await call(bench, "auto")
+        await asyncio.sleep(11)
+        assert bench.mode is Mode.TRACKING
+
+    run_rig(scenario)
+
+
+# Maintenance
+
+
+def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_every_day(run_rig, tmp_path):
+    async def first(bench):
+        await under_way(bench)
+        answer = await operator(bench).maintenance("greasing", "ana@lab")
+        assert answer.done
+        assert bench.mode is Mode.MAINTENANCE
+        for name in OTHERS:
+            with pytest.raises(CommandError, match=f"no {name}: the tracker is in maintenance by ana@lab since"):
+                await call(bench, name)
+        stands = bench.truth()
+        bench.wind_m_s = 20.0
+        look_seldom(bench)
+        await asyncio.sleep(2.5 * 86400)
+        assert bench.truth() == stands
+        assert not alarms(bench)
+        assert "stow is wanted and not done (wind" in bench.control.why
+        reminders = [event for event in bench.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
+        assert len(reminders) == 2
+
+    async def second(bench):
+        await asyncio.sleep(600)
+        assert bench.mode is Mode.MAINTENANCE
+        assert (await operator(bench).stop("wait", "bob")).done
+        assert bench.mode is Mode.MAINTENANCE
+        await operator(bench).auto("done")
+        assert bench.mode not in (Mode.MAINTENANCE, Mode.HOLD)
+
+    slow = {"store": {"directory": tmp_path}, "cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130}}
+    for scenario in (first, second):
+        run_rig(scenario, **slow)
+
+
+def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
+    async def scenario(bench):
+        await tracking(bench)
+        bench.positioner.link_up = False
+        await bench.until_mode(Mode.FAULT, 15)
+        with pytest.raises(CommandError, match="maintenance is noted, but stop could not be sent"):
+            await operator(bench).maintenance("cable", "ana")
+        assert bench.mode is Mode.MAINTENANCE
+        assert "cable; positioner: is unplugged" in bench.control.why
+
+    run_rig(scenario)
+
+
+# One parser, one answer
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_over_http_a_refusal_is_the_same_sentence_and_never_an_error_of_the_service(serve, name):
+    async def scenario(bench, call_http):
+        await tracking(bench)
+        await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
+        body = {"a_deg": 10, "b_deg": 60} if name == "goto" else {}
+        reply = await call_http.post(name, json.dumps(body).encode())
+        assert reply.status == 409
+        with pytest.raises(CommandError) as refused:
+            await call(bench, name)
+        assert reply.json == {"error": str(refused.value)}
+
+    serve(scenario)
+
+
+def test_goto_in_mode_starting_is_refused_in_one_sentence(serve):
+    async def scenario(bench, call_http):
+        await bench.until(lambda: bench.motion.connected, 10, "the positioner")
+        assert bench.mode is Mode.STARTING
+        reply = await call_http.post("goto", b'{"a_deg": 10, "b_deg": 60}')
+        assert (reply.status, reply.json) == (
+            409,
+            {"error": "no goto in mode starting: waiting for the cube's readings"},
+        )
+        assert bench.control.wishes == Wishes()
+
+    serve(scenario)
+
+
+def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
+    async def scenario(bench, call_http):
+        await tracking(bench)
+        await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')
+        await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
+        found = (await call_http.get("/api/state")).json
+        wishes = found["wishes"]
+        assert (wishes["stop"]["by"], wishes["stop"]["why"]) == ("ana", "repair")
+        assert wishes["stop"]["since"].startswith("2022-10-12T10:0")
+        assert wishes["hold"]["by"] == "bob"
+        assert {name for name, wish in wishes.items() if wish is None} == {"maintenance", "buttons", "stow", "snow"}
+        assert found["mode"]["name"] == "hold"
+        assert found["alarms"] == []
+        bench.wind_m_s = 20.0
+        await asyncio.sleep(6)
+        (alarm,) = (await call_http.get("/api/state")).json["alarms"]
+        assert (alarm["name"], alarm["since"][:14]) == ("stow-wanted", "2022-10-12T10:")
+        lines = (await call_http.get("/metrics")).body.decode().splitlines()
+        assert "heliocube_alarms 1.0" in lines
+        assert 'heliocube_alarm{name="stow-wanted"} 1.0' in lines
+
+    serve(scenario)

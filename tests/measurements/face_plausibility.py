@@ -1,0 +1,82 @@
+"""How often a sound cube is taken for a broken one, on measured weather, and how soon a broken one is found.
+
+Usage: python tests/measurements/face_plausibility.py FOLDER...
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.config.sections import Cube, Settings
+from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
+from daemon.studies.energy_weather import measured_minutes
+from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.frames import Array
+from solar.plausible import Doubt, doubts
+from solar.sky import SkyModel, sky
+
+LYNGBY = Site(55.79064, 12.52505, 50.0)
+NOISE_MV = 0.02
+SCANS_PER_MINUTE = 12
+SEEDS = 3
+SKIES: tuple[SkyModel, ...] = ("isotropic", "haydavies", "perez1990")
+ALBEDOS = (0.05, 0.2, 0.8)
+
+
+def cube_of(utc_s: Array, dni: Array, dhi: Array, model: SkyModel, albedo: float, seed: int) -> tuple[Array, Array]:
+    """Return faces [W/m2] and voltages [mV], shape (n, 4), of sensors with 3 % of gain error and noise."""
+    random = np.random.default_rng(seed)
+    sun = sun_direction(utc_s, *LYNGBY)
+    light = sky(model, sun, dni, dhi, extraterrestrial_dni(utc_s))
+    faces = np.stack([light.irradiance_on(n, albedo) for n in face_normals(Cube(), LYNGBY.latitude_deg)], axis=-1)
+    noise = random.normal(0.0, NOISE_MV / np.sqrt(SCANS_PER_MINUTE), faces.shape)
+    voltages = 0.1 * faces * (1.0 + 0.03 * random.standard_normal(4)) + noise
+    return 10.0 * voltages, voltages
+
+
+def five_minutes(utc_s: Array, values: Array) -> Array:
+    """Return the mean of each minute and the four before it; NaN where they are not all there."""
+    sums = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), values]), axis=0)
+    means = np.full(values.shape, np.nan)
+    means[BLOCKS - 1 :] = (sums[BLOCKS:] - sums[:-BLOCKS]) / BLOCKS
+    together = np.zeros(utc_s.size, dtype=np.bool_)
+    together[BLOCKS - 1 :] = utc_s[BLOCKS - 1 :] - utc_s[: 1 - BLOCKS] <= 60.0 * BLOCKS
+    means[~together] = np.nan
+    return means
+
+
+def alarms(utc_s: Array, doubtful: NDArray[np.bool_]) -> int:
+    """Return how many alarms the minutes in doubt make: so many together, ten sound ones between two alarms."""
+    run = np.logical_and.reduce([np.roll(doubtful, shift) for shift in range(BAD_LOOKS)])
+    run[: BAD_LOOKS - 1] = False
+    return int(np.sum(np.diff(utc_s[run], prepend=-np.inf) > 600.0))
+
+
+def main() -> None:
+    """Print alarms and minutes in doubt for each sky and albedo."""
+    files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
+    utc_s, dni, dhi, _ = measured_minutes(files, LYNGBY)
+    sun = sun_direction(utc_s, *LYNGBY)
+    # Zero irradiance in daylight is the station's outage and no weather.
+    day = (sun[:, 2] > np.sin(np.radians(5.0))) & (dni * sun[:, 2] + dhi > 0.1)
+    utc_s, dni, dhi, sun = utc_s[day], dni[day], dhi[day], sun[day]
+    normals = face_normals(Settings().cube, LYNGBY.latitude_deg)
+    print(f"{len(files)} months, {day.sum()} minutes with the sun above 5 deg")
+    for model in SKIES:
+        for albedo in ALBEDOS:
+            found = np.zeros((utc_s.size, 4), dtype=np.int64)
+            raised, minutes = 0, dict.fromkeys(list(Doubt)[1:], 0)
+            for seed in range(SEEDS):
+                faces, voltages = cube_of(utc_s, dni, dhi, model, albedo, seed)
+                found = doubts(five_minutes(utc_s, faces), five_minutes(utc_s, voltages), sun, normals)
+                raised += alarms(utc_s, (found != Doubt.NONE).any(axis=1))
+                for kind in minutes:
+                    minutes[kind] += int((found == kind).any(axis=1).sum())
+            told = ", ".join(f"{kind.name.lower()} {count}" for kind, count in minutes.items())
+            print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {told}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""How soon both axes truly stand after a person's stop, with real processes on pseudo-terminals.
+
+Usage: python tests/measurements/stop_latency.py [--runs N] [--load N] [--firmware DIR]
+
+In each run the tracker is sent somewhere far; in mid-move the stop is given, first in all runs as a POST to the service
+and then in all runs as `heliocube stop` from a shell. The time is from just before the command's start to when the
+truth no longer changes. --load keeps so many processes busy beside it; --firmware takes the maker's firmware, whose
+server is in DIR, in place of the bench.
+"""
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.campaign.peers import NotThereError, unit_and_tracker
+
+LOOK_EVERY_S = 0.01
+SAME_DEG = 0.004
+STANDS_FOR_S = 0.6
+GIVES_UP_S = 20.0
+TARGETS = ((-40.0, 70.0), (40.0, 60.0), (-35.0, 40.0), (30.0, 75.0))
+BUSY = "import time\nend = time.monotonic() + {seconds}\nwhile time.monotonic() < end: sum(range(10000))"
+
+
+def turned(one, other):
+    return max(abs(one[0] - other[0]), abs(one[1] - other[1]))
+
+
+def wait_until_it_moves(unit):
+    deadline_s, before = time.monotonic() + 60, unit.truth()
+    while turned(before, unit.truth()) < 3.0:
+        if time.monotonic() > deadline_s:
+            raise NotThereError("the tracker does not move")
+        time.sleep(0.05)
+
+
+def standstill_s(unit, begun_s):
+    """Return when the truth last changed, in seconds after `begun_s`."""
+    last, changed_s = unit.truth(), time.monotonic()
+    while time.monotonic() - changed_s < STANDS_FOR_S and changed_s - begun_s < GIVES_UP_S:
+        time.sleep(LOOK_EVERY_S)
+        at = unit.truth()
+        if turned(last, at) > SAME_DEG:
+            last, changed_s = at, time.monotonic()
+    return changed_s - begun_s
+
+
+def one_run(unit, tracker, turn, way):
+    tracker.until_it_takes(*TARGETS[turn % len(TARGETS)])
+    wait_until_it_moves(unit)
+    # Another instant of the service's looks each time.
+    time.sleep(0.13 * (turn % 7))
+    begun_s = time.monotonic()
+    if way == "shell":
+        with tracker.shell("stop"):
+            return standstill_s(unit, begun_s)
+    with tracker.send_stop():
+        return standstill_s(unit, begun_s)
+
+
+def measure(unit, tracker, runs):
+    for way in ("HTTP", "shell"):
+        latencies_s = [one_run(unit, tracker, turn, way) for turn in range(runs)]
+        print(
+            f"{way}: {runs} stops in mid-move, median {statistics.median(latencies_s):.2f} s,"
+            f" worst {max(latencies_s):.2f} s; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+            flush=True,
+        )
+        print("   " + " ".join(f"{latency_s:.2f}" for latency_s in latencies_s), flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--load", type=int, default=0, help="busy processes beside it")
+    parser.add_argument("--firmware", type=Path, help="directory of the firmware's server")
+    chosen = parser.parse_args()
+    # They end by themselves, whatever becomes of this process.
+    script = BUSY.format(seconds=60 + 25 * chosen.runs)
+    busy = [subprocess.Popen([sys.executable, "-c", script]) for _ in range(chosen.load)]
+    try:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            unit_and_tracker(Path(folder), chosen.firmware) as (unit, tracker),
+        ):
+            measure(unit, tracker, chosen.runs)
+    except NotThereError as error:
+        sys.exit(str(error))
+    finally:
+        for process in busy:
+            process.terminate()
+            process.wait(10)
+
+
+if __name__ == "__main__":
+    main()

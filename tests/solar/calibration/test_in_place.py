@@ -1,0 +1,180 @@
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_drivers.scene import FaceGeometry, Scene, SensorModel
+from sim_drivers.weather import GeneratedWeather
+from sim_drivers.weather_files import load_weather
+from solar.calibration.attitude import Attitude, attitude, face_orientations, rotation, to_site
+from solar.calibration.in_place import UndeterminedError, calibrate_in_place, jackknife_error
+from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
+from solar.frames import azimuth_from_direction
+from tests.support.clear_sky import ClearSky
+
+LYNGBY = Site(55.79064, 12.52505, 50.0)
+SIRTA = Site(48.717607, 2.209002, 156.0)
+CANBERRA = Site(-35.3, 149.1, 580.0)
+GAINS = np.array([1.03, 0.97, 1.02, 0.98])
+MAY = 1_462_060_800.0  # 2016-05-01
+
+angles = st.floats(-20, 20)
+
+
+def readings(site, weather, begin_utc_s, days, *, model="perez1990", step_s=300.0, standing=None):
+    standing = attitude(2.0, 1.0, 140.0, site.latitude_deg) if standing is None else standing
+    faces = [FaceGeometry(*face) for face in zip(*face_orientations(standing, site.latitude_deg), strict=True)]
+    sensors = SensorModel(gain_error=0.0)
+    scene = Scene(site, weather, sky_model=model, albedo=0.35, sensors=sensors, faces=faces)
+    utc_s = begin_utc_s + np.arange(0.0, days * DAY_S, step_s)
+    utc_s = utc_s[weather.covers(utc_s)]
+    utc_s = utc_s[sun_position(utc_s, *site).elevation_deg > 8.0]
+    volts = np.array([[scene.sensor_voltage(face, now) for face in range(4)] for now in utc_s.tolist()])
+    return utc_s, volts * 1e4 * GAINS
+
+
+@cache
+def clear(site, days=4, model="perez1990"):
+    begin_utc_s = MAY if site.latitude_deg > 0 else MAY + 184 * DAY_S
+    return readings(site, ClearSky(site), begin_utc_s, days, model=model)
+
+
+@given(angles, st.floats(0.01, 20), st.floats(0, 359.99), st.sampled_from([-50.0, 50.0]))
+def test_the_zenith_face_leans_where_it_is_said_to(yaw_deg, tilt_deg, azimuth_deg, latitude_deg):
+    azimuth, tilt = face_orientations(attitude(yaw_deg, tilt_deg, azimuth_deg, latitude_deg), latitude_deg)
+    assert tilt[3] == pytest.approx(tilt_deg, abs=1e-9)
+    assert np.cos(np.radians(azimuth[3] - azimuth_deg)) == pytest.approx(1.0, abs=1e-9)
+
+
+@given(angles, st.sampled_from([-50.0, 50.0]))
+def test_yaw_is_clockwise_in_both_hemispheres(yaw_deg, latitude_deg):
+    azimuth, tilt = face_orientations(Attitude(yaw_deg, 0.0, 0.0), latitude_deg)
+    equator = 180.0 if latitude_deg > 0 else 0.0
+    np.testing.assert_allclose((azimuth[:3] - [90.0, equator, 270.0] - yaw_deg + 180.0) % 360.0, 180.0, atol=1e-9)
+    np.testing.assert_allclose(tilt, [90.0, 90.0, 90.0, 0.0], atol=1e-9)
+
+
+@given(angles, angles, angles, st.sampled_from([-50.0, 50.0]))
+def test_a_rotation_keeps_lengths_and_angles(yaw_deg, equator_deg, east_deg, latitude_deg):
+    turned = rotation(Attitude(yaw_deg, equator_deg, east_deg), latitude_deg)
+    np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turned) == pytest.approx(1.0)
+
+
+def test_what_a_turned_cube_sees_is_turned_back():
+    seen = to_site([0.0, 1.0, 0.0], Attitude(2.0, 0.0, 0.0), 50.0)
+    azimuth, elevation = azimuth_from_direction(seen, 50.0)
+    assert (float(azimuth), float(elevation)) == pytest.approx((92.0, 0.0))
+
+
+def test_the_jackknife_by_hand():
+    # Means of two of the three numbers 1, 2, 6: the jackknife of a mean is its standard error.
+    each = np.array([[4.0], [3.5], [1.5]])
+    assert jackknife_error(each)[0] == pytest.approx(np.std([1.0, 2.0, 6.0], ddof=1) / np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("site", [SIRTA, CANBERRA], ids=["north", "south"])
+def test_attitude_albedo_and_relative_gains_are_found_in_both_hemispheres(site):
+    found = calibrate_in_place(*clear(site), site)
+    truth = attitude(2.0, 1.0, 140.0, site.latitude_deg)
+    relative = found.response / GAINS
+    np.testing.assert_allclose(relative[:3] / relative[:3].mean(), 1.0, atol=0.006)
+    np.testing.assert_allclose(relative, 1.0, atol=0.015)
+    np.testing.assert_allclose(found.attitude, truth, atol=0.15)
+    assert found.albedo == pytest.approx(0.35, abs=0.03)
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize("model", ["perez1990", "haydavies", "isotropic"])
+def test_ten_mixed_days_of_measured_weather_give_gains_yaw_tilt_and_albedo(measured, model):
+    weather = load_weather(measured / "dtu_lyngby_2016" / "2016-05.csv.gz")
+    found = calibrate_in_place(*readings(LYNGBY, weather, MAY, 10, model=model, step_s=60.0), LYNGBY, model=model)
+    truth = attitude(2.0, 1.0, 140.0, LYNGBY.latitude_deg)
+    np.testing.assert_allclose(found.response, GAINS, rtol=0.01 if model == "perez1990" else 0.0125)
+    assert found.attitude.yaw_deg == pytest.approx(2.0, abs=0.3)
+    assert np.hypot(*np.subtract(found.attitude[1:], truth[1:])) < 0.3
+    assert found.albedo == pytest.approx(0.35, abs=0.05)
+    assert (np.abs(found.response - GAINS) < 2.0 * found.errors.response).all()
+
+
+def test_a_face_that_reads_more_has_that_much_more_response_and_nothing_else_changes():
+    utc_s, faces = clear(SIRTA)
+    before = calibrate_in_place(utc_s, faces, SIRTA)
+    after = calibrate_in_place(utc_s, faces * [1.04, 1.0, 1.0, 1.0], SIRTA)
+    ratios = after.response / before.response
+    assert ratios[0] / ratios[1] == pytest.approx(1.04, abs=1e-3)
+    assert ratios[2] == pytest.approx(ratios[1], abs=1e-3)
+    assert after.attitude.yaw_deg == pytest.approx(before.attitude.yaw_deg, abs=0.05)
+
+
+def test_a_wrong_sky_model_shows_in_what_is_left_and_in_the_horizon():
+    isotropic = clear(SIRTA, model="isotropic")
+    assumed = calibrate_in_place(*isotropic, SIRTA, model="perez1990")
+    right = calibrate_in_place(*isotropic, SIRTA, model="isotropic")
+    assert assumed.shape.horizon < 0.5
+    assert right.shape.residual < assumed.shape.residual
+    assert assumed.attitude.yaw_deg == pytest.approx(2.0, abs=0.1)
+
+
+def missing(utc_s, faces, site=SIRTA):
+    with pytest.raises(UndeterminedError) as refused:
+        calibrate_in_place(utc_s, faces, site)
+    return refused.value.missing
+
+
+def test_overcast_days_are_refused():
+    utc_s, faces = readings(SIRTA, GeneratedWeather("overcast", SIRTA, 1), MAY, 2)
+    assert missing(utc_s, faces) == ("clear and stable sky on 0 days, where at least 3 are needed",)
+    assert missing(utc_s[:0], faces[:0]) == ("clear and stable sky on 0 days, where at least 3 are needed",)
+
+
+def test_haze_from_which_the_level_cannot_be_told_is_refused():
+    (clause,) = missing(*readings(SIRTA, ClearSky(SIRTA, (0.3,)), MAY, 4))
+    assert clause.startswith("clear sky that tells the level of the gains: it is known to ")
+
+
+def test_more_days_are_surer_but_never_surer_than_a_percent():
+    few = calibrate_in_place(*clear(SIRTA, days=3), SIRTA)
+    more = calibrate_in_place(*clear(SIRTA, days=8), SIRTA)
+    assert (more.errors.response > 0.01).all()
+    assert (more.errors.response < few.errors.response).all()
+    assert more.errors.albedo < few.errors.albedo
+
+
+def test_two_days_are_refused():
+    utc_s, faces = clear(SIRTA)
+    early = utc_s < MAY + 2 * DAY_S
+    assert missing(utc_s[early], faces[early]) == ("clear and stable sky on 2 days, where at least 3 are needed",)
+
+
+def test_mornings_alone_lack_the_west_face():
+    utc_s, faces = clear(SIRTA)
+    morning = sun_direction(utc_s, *SIRTA)[:, 1] > 0.0
+    (clause,) = missing(utc_s[morning], faces[morning])
+    assert clause.startswith("clear sky with the sun on the west face (afternoons): 0 min")
+
+
+def test_noons_alone_lack_three_things():
+    utc_s, faces = clear(SIRTA)
+    noon = np.abs(sun_direction(utc_s, *SIRTA)[:, 1]) < 0.3
+    assert [clause.split(":")[0] for clause in missing(utc_s[noon], faces[noon])] == [
+        "clear sky with the sun on the east face (mornings)",
+        "clear sky with the sun on the west face (afternoons)",
+        "clear sky with the sun both high and low",
+    ]
+
+
+def test_faces_exchanged_fit_no_sky():
+    utc_s, faces = clear(SIRTA)
+    (clause,) = missing(utc_s, faces[:, [2, 1, 0, 3]])
+    assert "faces exchanged" in clause or "fit no clear sky" in clause
+
+
+def test_readings_without_a_number_are_left_out():
+    utc_s, faces = clear(SIRTA)
+    holed = faces.copy()
+    holed[::7, 0] = np.nan
+    found, whole = calibrate_in_place(utc_s, holed, SIRTA), calibrate_in_place(utc_s, faces, SIRTA)
+    np.testing.assert_allclose(found.response, whole.response, rtol=0.005)

@@ -1,0 +1,192 @@
+"""Fixtures: a broker, an observer who hears everything, and the service between them on a fast clock."""
+
+import asyncio
+import contextlib
+import json
+import logging
+from datetime import UTC, datetime
+from random import Random
+
+import aiomqtt
+import pytest
+
+from daemon.base.sd_notify import Notifier
+from daemon.base.timeloop import ScaledTimeLoop
+from daemon.config.sections import Settings
+from daemon.mqtt.companion import Mqtt
+from daemon.service.recent import Recent
+from daemon.service.service import Rig, Role, Service
+from daemon.service.state import state
+from tests.support.broker import LEFT_OUT, MOSQUITTO, Broker
+from tests.support.rig import KEY, Bench, HandWeather
+
+# Fast enough for minutes to pass in seconds, slow enough for a busy machine to answer in time.
+SPEED = 20.0
+WITHIN_S = 25.0
+
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason=f"amqtt has no {LEFT_OUT}")
+
+
+@pytest.fixture
+def broker(tmp_path):
+    made = Broker(tmp_path).start()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def make_broker(tmp_path):
+    """Make a broker with users, an access list or TLS."""
+    made = []
+
+    def make(**how):
+        made.append(Broker(tmp_path, **how))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+class Observer:
+    """Another client of the broker, who hears all and says some."""
+
+    def __init__(self, client):
+        self.client = client
+        self.heard = []
+
+    async def listen(self):
+        with contextlib.suppress(aiomqtt.MqttError):
+            async for message in self.client.messages:
+                self.heard.append(message)
+
+    async def say(self, topic, payload=b"", retain=False):
+        if not isinstance(payload, bytes | str):
+            payload = json.dumps(payload)
+        await self.client.publish(topic, payload, qos=1, retain=retain, timeout=10 * SPEED)
+
+    def on(self, topic):
+        return [message for message in self.heard if message.topic.value == topic]
+
+    async def until(self, topic, holds=lambda _: True, after=0, within_s=WITHIN_S):
+        """Return the first payload on a topic, as JSON if it is any, for which `holds`."""
+
+        def found():
+            for message in self.on(topic)[after:]:
+                if holds(told := _read(message.payload)):
+                    return [told]
+            return None
+
+        return (await until(found, f"a message on {topic} in {[m.topic.value for m in self.heard][-20:]}", within_s))[0]
+
+
+def _read(payload):
+    try:
+        return json.loads(payload)
+    except ValueError:
+        return payload.decode()
+
+
+async def until(condition, what, within_s=WITHIN_S):
+    """Wait for a condition, in the machine's time, and return what it found."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + within_s * getattr(loop, "_speed", 1.0)
+    while not (found := condition()):
+        assert loop.time() < deadline, f"{what} did not come within {within_s} s"
+        await asyncio.sleep(0.02)
+    return found
+
+
+async def calm(rig, lab, messages):
+    """Say what is safe again and again, by topic, until every safety input has heard it: nothing is tracked before."""
+    for _ in range(100):
+        for topic, payload in messages.items():
+            await lab.say(topic, payload)
+        await asyncio.sleep(0.1 * SPEED)
+        if all(item.age_s is not None for item in rig.mqtt.status.inputs):
+            return
+    raise AssertionError(f"nothing was heard: {rig.mqtt.status}")
+
+
+@contextlib.asynccontextmanager
+async def observer(port, topic="#", **how):
+    async with aiomqtt.Client("127.0.0.1", port, timeout=10 * SPEED, **how) as client:
+        await client.subscribe(topic, qos=1, timeout=10 * SPEED)
+        made = Observer(client)
+        listening = asyncio.create_task(made.listen())
+        try:
+            yield made
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+
+class MqttBench(Bench):
+    """The rig with a broker."""
+
+    def __init__(self, loop, settings, speed, role=Role.BOTH, start="2022-10-12T10:00"):
+        super().__init__(loop, settings, datetime.fromisoformat(start).replace(tzinfo=UTC), HandWeather(), role)
+        self.mqtt = Mqtt(settings, role, self.clock, Random(1), self.bus.publish, speed)
+        recent = Recent()
+        self.bus.subscribe(recent.note)
+        tracker, cube = role is not Role.CUBE, role is not Role.TRACKER
+        self.service = Service(
+            settings,
+            role,
+            Rig(
+                self.multiplexer if cube else None,
+                self.voltmeter if cube else None,
+                self.positioner if tracker else None,
+                lambda: self.wind_m_s,
+                simulated=True,
+            ),
+            self.clock,
+            Random(1),
+            self.bus,
+            KEY,
+            Notifier({}, 0),
+            1.0,
+            stow_sources=self.mqtt.stow_sources(),
+            send_beyond=self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
+        )
+        self.mqtt.attach(self.service, lambda: state(self.service, recent, speed, None, self.mqtt.status))
+
+    async def run_until(self, stop):
+        await self.service.run(stop, self.mqtt.run())
+
+
+def settings_for(port, **sections):
+    """Return settings with a broker; keys of [mqtt] may be given beside it."""
+    mqtt = {"enabled": True, "port": port, "keepalive_s": 2} | sections.pop("mqtt", {})
+    bridge = {"listen": "127.0.0.1:0", "send_to": ()} | sections.pop("bridge", {})
+    return Settings.model_validate({"mqtt": mqtt, "bridge": bridge, **sections})
+
+
+@contextlib.asynccontextmanager
+async def serving(*benches):
+    """Run services, and end them as a signal does."""
+    stop = asyncio.Event()
+    tasks = [asyncio.create_task(bench.run_until(stop)) for bench in benches]
+    try:
+        yield
+    finally:
+        stop.set()
+        await asyncio.gather(*tasks)
+
+
+@pytest.fixture
+def scaled():
+    """Run a scenario on a loop that is `SPEED` times as fast as the machine."""
+
+    def run(scenario):
+        with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
+            runner.run(scenario())
+
+    return run
+
+
+@pytest.fixture
+def log_lines(caplog):
+    """The lines of the log that an operator sees, of INFO and above."""
+    caplog.set_level(logging.INFO, "heliocube")
+    return lambda: [record for record in caplog.records if record.name.startswith("heliocube")]
