@@ -204,3 +204,60 @@ def _refined(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m
     step_s = 30.0 * (RISE_ELEVATION_DEG - now) / (then - now)
     # Where the sun only grazes the horizon the slope vanishes, and the first estimate is the better one.
     return utc_s + float(step_s) if abs(step_s) < 60.0 else utc_s
+
+
+_SUN_EVERY_S = 60.0
+_SUN_AT_ONCE = 60
+
+
+class SunElevation:
+    """The sun's apparent elevation [deg] for decisions by the minute, computed for an hour at once.
+
+    Parameters
+    ----------
+    site
+        Where.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        self._first_minute = 0
+        self._elevation_deg: list[float] = []
+
+    def __call__(self, utc_s: float) -> float:
+        """Return the elevation at the beginning of the minute that this UTC [s] lies in (0.25 deg of its path)."""
+        minute = int(utc_s // _SUN_EVERY_S)
+        at = minute - self._first_minute
+        if not (0 <= at < len(self._elevation_deg)):
+            self._first_minute, at = minute, 0
+            site = self._site
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE, dtype=np.float64)
+            sun = sun_position(instants, site.latitude_deg, site.longitude_deg, site.altitude_m)
+            self._elevation_deg = sun.elevation_deg.tolist()
+        return self._elevation_deg[at]
+
+
+class SunDirection:
+    """The unit vector towards the apparent sun, computed for an hour at once and interpolated within the minutes.
+
+    Parameters
+    ----------
+    site
+        Where.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
+        self._first_minute = 0
+        self._suns = np.empty((0, 3))
+
+    def __call__(self, utc_s: float) -> Array:
+        """Return the direction at an instant [s UTC], shape (3,), to a hundred thousandth of its length."""
+        minute, share = divmod(utc_s / _SUN_EVERY_S, 1.0)
+        at = int(minute) - self._first_minute
+        if not (0 <= at < len(self._suns) - 1):
+            self._first_minute, at = int(minute), 0
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE + 1)
+            self._suns = sun_direction(instants, *self._site)
+        now: Array = self._suns[at] + share * (self._suns[at + 1] - self._suns[at])
+        return now

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.api.token import check_token, load_token
-from daemon.base.addresses import Address, parse_address
-from daemon.base.api_address import DEFAULT_LISTEN
+from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
 from daemon.base.errors import UserError
 
 TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it

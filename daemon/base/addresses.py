@@ -79,3 +79,6 @@ def require_key(key: bytes | None, *, insecure: bool) -> None:
             "bridge.key_file is not set: make a key with 'heliocube config init', or, in a closed lab only, set"
             " bridge.insecure = true"
         )
+
+
+DEFAULT_LISTEN = "127.0.0.1:20572"

@@ -1,5 +1,6 @@
-"""Files that hold a secret: written for their owner alone, and read only where no stranger can do the same."""
+"""Small files: replaced as a whole so that a crash leaves no part, and secrets that only their owner can read."""
 
+import contextlib
 import os
 import stat
 from pathlib import Path
@@ -58,3 +59,19 @@ def read_secret(
             reason = f"can be read by others than its owner: run chmod 600 {path}"
         raise error(f"{called} {reason}")
     return content
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
+    part = path.with_suffix(".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise

@@ -4,6 +4,7 @@ Every record carries UTC [s since 1970] for stamps; those that time a measuremen
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -289,3 +290,22 @@ class Event:
 
 
 Record = Scan | Decision | Move | Pose | IvCurve | ModeChange | Event
+
+
+Subscriber = Callable[[Record], None]
+
+
+class Bus:
+    """Hands every record to every subscriber, at once and in order; subscribers must not block."""
+
+    def __init__(self) -> None:
+        self._subscribers: list[Subscriber] = []
+
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Add a subscriber for all records from now on."""
+        self._subscribers.append(subscriber)
+
+    def publish(self, record: Record) -> None:
+        """Hand one record on."""
+        for subscriber in self._subscribers:
+            subscriber(record)

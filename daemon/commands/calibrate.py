@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.options import instant
+from daemon.studies.inputs import instant
 
 app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
 

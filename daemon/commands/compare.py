@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.options import instant, parse_site, site_values, weather_choice
+from daemon.studies.inputs import instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,7 +68,7 @@ def simulate(
 
     from daemon.commands.simulate import progress_bar
     from daemon.config.file import load_settings, override
-    from daemon.config.sections import Settings
+    from daemon.config.settings import Settings
     from daemon.rigs.simulated import build_simulated_pair, build_weather
     from daemon.studies.compare.measurements import writer
     from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
@@ -216,8 +216,8 @@ def paper(
     from typing import get_args
 
     from daemon.commands.simulate import progress_bar
-    from daemon.config.sections import LawName, Settings, WeatherName
-    from daemon.rigs.simulated import site_of
+    from daemon.config.sections import LawName, WeatherName
+    from daemon.config.settings import Settings
     from daemon.studies.compare.paper import as_text, notes, run_paper, verdicts, write_paper
     from solar.sky import SKY_MODELS, SkyModel
 
@@ -231,7 +231,7 @@ def paper(
     with progress_bar(Console(stderr=True), "repeating") as progress:
         runs = list(run_paper(settings, chosen, seeds, weather, cube_law, progress))
     found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
-    write_paper(runs, found, paragraphs, site_of(settings), out)
+    write_paper(runs, found, paragraphs, settings.site.place(), out)
     typer.echo(as_text(found))
     typer.echo("\n\n".join(paragraphs))
     typer.echo(f"\nfigures and page: {out / 'paper.html'}")

@@ -1,15 +1,20 @@
 """`heliocube config`: check a configuration file, write a commented one."""
 
+import contextlib
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.config.sections import Mqtt, Settings
+from daemon.config.sections import Mqtt
+from daemon.config.settings import Settings
+
+KEY_NAME = "bridge.key"
+TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
     help="Check a configuration file, or write a commented one.", no_args_is_help=True, rich_markup_mode="rich"
@@ -27,7 +32,6 @@ class RoleChoice(StrEnum):
 @app.command()
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
-    from daemon.config.file import check_file
     from daemon.config.stuck_lines import self_test_gaps
 
     settings = check_file(file)
@@ -48,13 +52,102 @@ def init(
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
 ) -> None:
     """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
-    from daemon.config.template import write_example
-
     *first, last = write_example(directory, role.value)
     console = Console(highlight=False, soft_wrap=True)
     names = Text(", ").join(Text(str(path), "bold") for path in first)
     console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
     console.print(_NEXT[role], markup=False)
+
+
+def check_file(path: Path) -> Settings:
+    """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
+    from daemon.api.token import TokenError, load_token
+    from daemon.base.errors import UserError
+    from daemon.bridge.signing import KeyFileError, load_key
+    from daemon.config.file import ConfigError, load_settings_with_topics
+    from daemon.cube.calibration import calibration_in_force
+    from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
+    from daemon.mqtt.topics import unusable
+
+    settings = load_settings_with_topics(path, unusable)
+    problems = []
+    try:
+        calibration_in_force(settings.cube)
+    except UserError as error:
+        problems.append(f"cube.calibration_file: {error}")
+    if settings.bridge.key_file is not None:
+        try:
+            load_key(settings.bridge.key_file)
+        except KeyFileError as error:
+            problems.append(f"bridge.key_file: {error}")
+    if settings.api.token_file is not None:
+        try:
+            load_token(settings.api.token_file)
+        except TokenError as error:
+            problems.append(f"api.token_file: {error}")
+    mqtt = settings.mqtt
+    try:
+        if mqtt.credentials_file is not None:
+            load_user(mqtt.credentials_file)
+        if mqtt.tls:
+            tls_context(mqtt)
+    except CredentialsError as error:
+        problems.append(str(error))
+    weather = settings.simulation.weather
+    if isinstance(weather, Path) and not weather.is_file():
+        problems.append(f"simulation.weather: there is no file {weather}")
+    if problems:
+        raise ConfigError(str(path), problems)
+    return settings
+
+
+def write_example(directory: Path, role: Literal["both", "cube", "tracker"]) -> tuple[Path, Path, Path]:
+    """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
+
+    Raises
+    ------
+    UserError
+        One of the files is there already, or cannot be written. Nothing has been written then.
+    """
+    from daemon.api.token import generate_token, write_token
+    from daemon.base.errors import UserError
+    from daemon.bridge.signing import generate_key, write_key
+    from daemon.config.template import FILE_NAME, example
+
+    file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
+    values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
+    if role == "tracker":
+        values["bridge.listen"] = "0.0.0.0:20571"
+    written: list[Path] = []
+    made: list[Path] = []
+    try:
+        _refuse_taken(file, key, token)
+        made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
+        directory.mkdir(parents=True, exist_ok=True)
+        with file.open("x", encoding="utf-8", newline="\n") as stream:
+            written.append(file)
+            stream.write(example(role, values))
+        write_key(key, generate_key())
+        written.append(key)
+        write_token(token, generate_token())
+    except (OSError, UserError) as error:
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{directory} cannot take the files: {error.strerror}") from None
+    return file, key, token
+
+
+def _refuse_taken(*paths: Path) -> None:
+    from daemon.base.errors import UserError
+
+    for path in paths:
+        if path.exists():
+            raise UserError(f"{path} is there already and is not overwritten; name another folder or move it away")
 
 
 _NEXT = {

@@ -27,11 +27,10 @@ def energy(
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
     from daemon.base.errors import UserError
-    from daemon.commands.options import parse_site
     from daemon.commands.simulate import progress_bar
-    from daemon.studies.energy import IDEAL, Terms, as_text, check_names, run_benchmark, write_csv
+    from daemon.studies.energy import IDEAL, Terms, as_text, check_names, measured_minutes, run_benchmark, write_csv
     from daemon.studies.energy_plot import plot
-    from daemon.studies.energy_weather import measured_minutes
+    from daemon.studies.inputs import parse_site
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
     from solar.frames import Limits

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.options import FILES, instant
+from daemon.commands.options import FILES
+from daemon.studies.inputs import instant
 
 app = typer.Typer()
 

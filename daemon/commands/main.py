@@ -10,19 +10,12 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands import bench as cli_bench
-from daemon.commands import calibrate as cli_calibrate
-from daemon.commands import compare as cli_compare
-from daemon.commands import config as cli_config
-from daemon.commands import energy as cli_energy
-from daemon.commands import export as cli_export
-from daemon.commands import gain as cli_gain
-from daemon.commands import operate as cli_operate
-from daemon.commands import probe as cli_probe
-from daemon.commands import replay as cli_replay
-from daemon.commands import tools as cli_bridge
-from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, instant, site_values, weather_choice
-from daemon.config.sections import Settings
+from daemon.commands import calibrate, compare, energy, export, gain, operate, probe, tools
+from daemon.commands import config as config_commands
+from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE
+from daemon.commands.simulate import progress_bar, replay, report
+from daemon.config.settings import Settings
+from daemon.studies.inputs import instant, site_values, weather_choice
 
 app = typer.Typer(
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
@@ -31,14 +24,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(cli_operate.app)
-app.add_typer(cli_config.app, name="config", rich_help_panel=FILES)
-app.add_typer(cli_bridge.app, name="bridge", rich_help_panel=FILES)
-app.add_typer(cli_calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
-app.add_typer(cli_compare.app, name="compare", rich_help_panel=SCIENCE)
-app.add_typer(cli_probe.app, name="probe", rich_help_panel=BENCH)
-app.command("bench-ctl", rich_help_panel=BENCH)(cli_bench.control)
-app.add_typer(cli_export.app)
+app.add_typer(operate.app)
+app.add_typer(config_commands.app, name="config", rich_help_panel=FILES)
+app.add_typer(tools.app, name="bridge", rich_help_panel=FILES)
+app.add_typer(calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
+app.add_typer(compare.app, name="compare", rich_help_panel=SCIENCE)
+app.add_typer(probe.app, name="probe", rich_help_panel=BENCH)
+app.command("bench-ctl", rich_help_panel=BENCH)(tools.control)
+app.add_typer(export.app)
 
 
 class RoleChoice(StrEnum):
@@ -138,7 +131,6 @@ def simulate(
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
-    from daemon.commands.simulate import progress_bar, report
     from daemon.studies.simulate import simulate as run_simulation
 
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None)
@@ -148,9 +140,9 @@ def simulate(
     report(summary, settings, out, console, Console())
 
 
-app.command(rich_help_panel=SERVICE)(cli_replay.replay)
-app.command(rich_help_panel=SCIENCE)(cli_gain.gain)
-app.command(rich_help_panel=SCIENCE)(cli_energy.energy)
+app.command(rich_help_panel=SERVICE)(replay)
+app.command(rich_help_panel=SCIENCE)(gain.gain)
+app.command(rich_help_panel=SCIENCE)(energy.energy)
 
 
 @app.command(rich_help_panel=BENCH)
@@ -169,7 +161,7 @@ def bench(
     The configuration that is given is the basis of the one that is written.
     """
     settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
-    cli_bench.serve(settings, directory)
+    tools.serve(settings, directory)
 
 
 def _settings(

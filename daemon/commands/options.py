@@ -1,11 +1,4 @@
-"""What several commands read from the command line in one way."""
-
-from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any, get_args
-
-from daemon.base.errors import UserError
-from daemon.config.sections import WeatherName
+"""What several commands share."""
 
 # Headings of the list of commands.
 SERVICE = "The service"
@@ -13,38 +6,3 @@ OPERATION = "To the running service"
 FILES = "Files and tools"
 SCIENCE = "Science"
 BENCH = "Instruments and the bench"
-
-
-def parse_site(text: str) -> tuple[float, float, float]:
-    """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
-    latitude, longitude, altitude = (*numbers, 0.0)[:3]
-    # Written so that NaN fails.
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -430.0 <= altitude <= 9000.0):
-        raise UserError(f"--site: '{text}' is not on Earth: LAT is in -90..90, LON in -180..180, ALT in -430..9000")
-    return latitude, longitude, altitude
-
-
-def instant(text: str, option: str) -> datetime:
-    """Return the UTC instant that an option gives as a date or time; raises `UserError`."""
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        raise UserError(f"{option}: '{text}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
-
-
-def site_values(text: str) -> dict[str, Any]:
-    """Return the site section's values that LAT,LON or LAT,LON,ALT means; raises `UserError`."""
-    latitude, longitude, altitude = parse_site(text)
-    return {"name": text, "latitude_deg": latitude, "longitude_deg": longitude, "altitude_m": altitude}
-
-
-def weather_choice(text: str) -> str | Path:
-    """Return the built-in weather of that name, or the file."""
-    return text if text in get_args(WeatherName) else Path(text)

@@ -13,7 +13,7 @@ from rich.console import Console
 from daemon.base.errors import UserError
 
 if TYPE_CHECKING:
-    from daemon.config.sections import Settings
+    from daemon.config.settings import Settings
     from drivers.transcript import Direction, Tap
 
 app = typer.Typer(
@@ -100,7 +100,7 @@ def load(
     """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
     from daemon.base.clock import SystemClock
     from daemon.config.file import load_settings, override
-    from daemon.config.sections import Settings
+    from daemon.config.settings import Settings
     from daemon.rigs.probe_load import probe_load
 
     settings = load_settings(config) if config is not None else Settings()
@@ -112,7 +112,7 @@ def load(
 
 def _settings(config: Path | None, instrument: str, given: dict[str, str | None]) -> "Settings":
     from daemon.config.file import load_settings, override
-    from daemon.config.sections import Settings
+    from daemon.config.settings import Settings
 
     settings = load_settings(config) if config is not None else Settings()
     changes = settings.instruments.model_dump()

@@ -4,9 +4,8 @@ import asyncio
 import contextlib
 import logging
 import os
-import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC
 from importlib.metadata import version
 from random import SystemRandom
@@ -16,18 +15,17 @@ from rich.console import Console
 from daemon.api.server import ApiServer
 from daemon.api.token import generate_token, load_token
 from daemon.base import process as logs
-from daemon.base.bus import Bus
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.records import Event
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier, on_signals
+from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
 from daemon.bridge.signing import generate_key, load_key
 from daemon.commands.live_view import LiveView
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.mqtt.companion import Mqtt
-from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather, is_real
+from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather
 from daemon.service.recent import Recent
 from daemon.service.service import Rig, Role, Service
 from daemon.service.state import state
@@ -49,7 +47,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     journal = "JOURNAL_STREAM" in os.environ
     logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
     # Real instruments have real time; what the simulation's table says is not for them.
-    speed = 1.0 if is_real(settings) else settings.simulation.speed
+    speed = 1.0 if settings.real else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
         loop = runner.get_loop()
         clock = _clock(settings, loop)
@@ -113,7 +111,7 @@ def bridge_key(settings: Settings, role: Role) -> bytes | None:
 
 
 def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
-    if is_real(settings):
+    if settings.real:
         return build_real_rig(settings, role, clock)
     weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s)
     if warning:
@@ -124,11 +122,11 @@ def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     simulation = settings.simulation
     system = SystemClock()
-    if is_real(settings) and (simulation.start_utc is None or simulation.anchor_utc is None):
+    if settings.real and (simulation.start_utc is None or simulation.anchor_utc is None):
         return system
     if simulation.start_utc is None and simulation.speed == 1.0:
         return system
-    speed = 1.0 if is_real(settings) else simulation.speed
+    speed = 1.0 if settings.real else simulation.speed
     start = simulation.start_utc or DEFAULT_START
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     if simulation.anchor_utc is not None:
@@ -212,15 +210,3 @@ async def _run(
         loop.call_later(for_s * speed, stop.set)
     with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
         await service.run(stop, *(companion.run() for companion in (view, api, mqtt) if companion is not None))
-
-
-@contextlib.contextmanager
-def on_signals(stop: Callable[[], object]) -> Iterator[None]:
-    """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,12 +3,17 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from daemon.config.sections import Settings
-from daemon.studies.simulate import Summary
+from daemon.config.settings import Settings
+
+if TYPE_CHECKING:
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.studies.simulate import Summary
 
 
 @contextlib.contextmanager
@@ -24,7 +29,7 @@ def progress_bar(console: Console, what: str = "simulating") -> Iterator[Callabl
         yield advance
 
 
-def report(summary: Summary, settings: Settings, out: Path, errors: Console, console: Console) -> None:
+def report(summary: "Summary", settings: "Settings", out: Path, errors: Console, console: Console) -> None:
     """Print what was simulated and where the tables are; a warning goes to `errors`."""
     if summary.warning:
         errors.print(f"heliocube: warning: {summary.warning}", markup=False, highlight=False, soft_wrap=True)
@@ -44,3 +49,57 @@ def report(summary: Summary, settings: Settings, out: Path, errors: Console, con
     )
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def replay(
+    out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")],
+    faces: Annotated[
+        Path | None,
+        typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
+    ] = None,
+    site: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres. Or in --config."),
+    ] = None,
+    law: Annotated[
+        str | None, typer.Option(metavar="LAW", help="mu-prime, sun-vector, optimal, chronometric or flat.")
+    ] = None,
+    store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
+    config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
+) -> None:
+    """Let recorded cube data drive a simulated tracker, through the code that runs live."""
+    from rich.console import Console
+
+    from daemon.base.errors import UserError
+    from daemon.config.file import load_settings, override
+    from daemon.studies.inputs import parse_site
+    from daemon.studies.replay import replay as run_replay
+    from daemon.studies.replay import rows_of_store
+    from daemon.studies.send_csv import read_csv
+
+    if (faces is None) is (store is None):
+        raise UserError("replay needs either FACES.csv or --store DIR")
+    if site is None and config is None:
+        raise UserError("replay needs --site LAT,LON[,ALT], or --config FILE with a site")
+    changes: dict[str, dict[str, Any]] = {}
+    if site is not None:
+        latitude, longitude, altitude = parse_site(site)
+        changes["site"] = {
+            "name": site,
+            "latitude_deg": latitude,
+            "longitude_deg": longitude,
+            "altitude_m": altitude,
+        }
+    if law is not None:
+        changes["law"] = {"name": law}
+    settings = override(Settings() if config is None else load_settings(config), changes)
+    if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
+        raise UserError(f"--out: {out} is the file with the readings; name another")
+    if faces is not None:
+        rows = read_csv(faces)
+    else:
+        assert store is not None  # noqa: S101 - narrowing; one of the two is there
+        rows = rows_of_store(store)
+    with progress_bar(Console(stderr=True), "replaying") as progress:
+        run_replay(settings, rows, out, progress)
+    typer.echo(f"{len(rows)} rows by {settings.law.name}: {out}")

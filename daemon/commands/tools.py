@@ -1,10 +1,13 @@
 """`heliocube bridge`: tools for whoever writes or tests a sender."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+
+from daemon.config.settings import Settings
 
 app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no_args_is_help=True)
 
@@ -34,7 +37,7 @@ def send_csv(
     from daemon.bridge.signing import load_key
     from daemon.commands.simulate import progress_bar
     from daemon.config.file import load_settings, override
-    from daemon.config.sections import Settings
+    from daemon.config.settings import Settings
     from daemon.studies.send_csv import send_csv as send
 
     settings = load_settings(config) if config is not None else Settings()
@@ -59,3 +62,27 @@ def send_csv(
             )
         )
     Console().print(f"{sent} scans sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
+
+
+def serve(settings: Settings, directory: Path) -> None:
+    """Run the bench."""
+    from daemon.rigs.bench import serve_bench
+
+    serve_bench(settings, directory)
+
+
+def control(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The bench's folder.", show_default=False)],
+    verb: Annotated[str, typer.Argument(help="The command; 'help' lists them.", show_default=False)],
+    arguments: Annotated[list[str] | None, typer.Argument(help="What the command takes.", show_default=False)] = None,
+) -> None:
+    """Change or ask the bench that runs in DIR."""
+    from daemon.rigs.simulated import ask_bench, bench_verbs
+
+    if verb == "help":
+        for name, (usage, meaning) in bench_verbs().items():
+            typer.echo(f"{f'{name} {usage}'.rstrip():<36}  {meaning}")
+        return
+    result = ask_bench(directory.absolute(), verb, arguments or [])
+    if result is not None:
+        typer.echo(json.dumps(result, indent=2))

@@ -3,21 +3,16 @@
 import difflib
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
-from daemon.api.token import TokenError, load_token
 from daemon.base.errors import UserError
-from daemon.bridge.signing import KeyFileError, load_key
 from daemon.config import keys as config_keys
 from daemon.config import rules as config_rules
-from daemon.config.sections import Settings
-from daemon.cube.calibration import calibration_in_force
-from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
-from daemon.mqtt.unusable import unusable
+from daemon.config.settings import Settings
 
 if TYPE_CHECKING:
     from daemon.config.section import Section
@@ -75,7 +70,7 @@ class _Problem(NamedTuple):
 def load_settings(path: Path) -> Settings:
     """Read the settings from a TOML file; relative paths in it are meant from the file's folder.
 
-    Topics and JSON paths may be such that they cannot be used: see `daemon.mqtt.unusable`.
+    Topics and JSON paths may be such that they cannot be used: see `daemon.mqtt.topics`.
 
     Raises
     ------
@@ -85,38 +80,9 @@ def load_settings(path: Path) -> Settings:
     return _resolved(_settings(_read(path), str(path)), path.parent)
 
 
-def check_file(path: Path) -> Settings:
-    """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
-    settings = _resolved(_settings(_read(path), str(path), topics=True), path.parent)
-    problems = []
-    try:
-        calibration_in_force(settings.cube)
-    except UserError as error:
-        problems.append(f"cube.calibration_file: {error}")
-    if settings.bridge.key_file is not None:
-        try:
-            load_key(settings.bridge.key_file)
-        except KeyFileError as error:
-            problems.append(f"bridge.key_file: {error}")
-    if settings.api.token_file is not None:
-        try:
-            load_token(settings.api.token_file)
-        except TokenError as error:
-            problems.append(f"api.token_file: {error}")
-    mqtt = settings.mqtt
-    try:
-        if mqtt.credentials_file is not None:
-            load_user(mqtt.credentials_file)
-        if mqtt.tls:
-            tls_context(mqtt)
-    except CredentialsError as error:
-        problems.append(str(error))
-    weather = settings.simulation.weather
-    if isinstance(weather, Path) and not weather.is_file():
-        problems.append(f"simulation.weather: there is no file {weather}")
-    if problems:
-        raise ConfigError(str(path), problems)
-    return settings
+def load_settings_with_topics(path: Path, unusable: Callable[[Settings], Iterable[str]]) -> Settings:
+    """Read a file like `load_settings`; the keys that `unusable` names are problems too. Raises `ConfigError`."""
+    return _resolved(_settings(_read(path), str(path), unusable), path.parent)
 
 
 def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Settings:
@@ -178,7 +144,9 @@ def _syntax_problem(message: str, text: str) -> str:
     return f"line {line}, column {column}: {reason} in: {_shortened(_printable(lines[line - 1].strip()))}{hint}"
 
 
-def _settings(raw: dict[str, Any], source: str, *, topics: bool = False) -> Settings:
+def _settings(
+    raw: dict[str, Any], source: str, unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
+) -> Settings:
     problems = [_unknown("", name, value) for name, value in raw.items() if name not in Settings.model_fields]
     sections: dict[str, Any] = {}
     for name, field in Settings.model_fields.items():
@@ -192,8 +160,7 @@ def _settings(raw: dict[str, Any], source: str, *, topics: bool = False) -> Sett
             # The rules between keys are still worth checking for all that is right.
             sections[name] = kind.model_validate(_without(given, name, found.keys()))
     settings = Settings.model_construct(**sections)
-    if topics:
-        problems += [_Problem(key, _wrong(key, _value_of(settings, key))) for key in unusable(settings)]
+    problems += [_Problem(key, _wrong(key, _value_of(settings, key))) for key in unusable(settings)]
     wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in config_rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):

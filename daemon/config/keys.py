@@ -11,7 +11,7 @@ from inspect import cleandoc
 from typing import Any
 
 from daemon.config.section import Section
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _UNITS = {

@@ -2,13 +2,11 @@
 
 import ipaddress
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
-
-if TYPE_CHECKING:
-    from daemon.config.sections import Settings
+from daemon.config.sections import Sections
 
 # The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
 _OVER_RANGE = 1.2
@@ -28,12 +26,12 @@ class Conflict(NamedTuple):
     others: tuple[str, ...] = ()
 
 
-def conflicts(settings: "Settings") -> list[Conflict]:
+def conflicts(settings: Sections) -> list[Conflict]:
     """Return every breach of a rule; empty when the settings are consistent."""
     return [conflict for rule in RULES for conflict in rule(settings)]
 
 
-def limits_are_ordered(settings: "Settings") -> Iterator[Conflict]:
+def limits_are_ordered(settings: Sections) -> Iterator[Conflict]:
     """`limits.a_min_deg` is below `limits.a_max_deg`, and `limits.b_min_deg` below `limits.b_max_deg`."""
     for axis in "ab":
         low, high = getattr(settings.limits, f"{axis}_min_deg"), getattr(settings.limits, f"{axis}_max_deg")
@@ -42,7 +40,7 @@ def limits_are_ordered(settings: "Settings") -> Iterator[Conflict]:
             yield Conflict(f"limits.{axis}_min_deg", f"must be below {other} ({high:g} deg)", (other,))
 
 
-def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
+def positions_are_inside_limits(settings: Sections) -> Iterator[Conflict]:
     """Night, stow and snow positions lie inside `limits`; only the default of the last one is cut to them."""
     for position in ("night", "stow", "snow"):
         for axis in "ab":
@@ -56,7 +54,7 @@ def positions_are_inside_limits(settings: "Settings") -> Iterator[Conflict]:
                 yield Conflict(f"safety.{position}_{axis}_deg", reason, ends)
 
 
-def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
+def each_face_has_its_channel(settings: Sections) -> Iterator[Conflict]:
     """Each face has a multiplexer input of its own, and the self-tests have two others."""
     owner: dict[int, str] = {}
     for name in FACES:
@@ -75,7 +73,7 @@ def each_face_has_its_channel(settings: "Settings") -> Iterator[Conflict]:
         owner.setdefault(test, key)
 
 
-def each_channel_has_an_address(settings: "Settings") -> Iterator[Conflict]:
+def each_channel_has_an_address(settings: Sections) -> Iterator[Conflict]:
     """Every input that is read is one that `instruments.multiplexer.addresses` knows."""
     count = len(settings.instruments.multiplexer.addresses)
     channels = {f"cube.{name}.channel": getattr(settings.cube, name).channel for name in FACES}
@@ -86,7 +84,7 @@ def each_channel_has_an_address(settings: "Settings") -> Iterator[Conflict]:
             yield Conflict(key, f"is not among the inputs 0 to {count - 1} that {other} selects", (other,))
 
 
-def the_enable_line_is_free(settings: "Settings") -> Iterator[Conflict]:
+def the_enable_line_is_free(settings: Sections) -> Iterator[Conflict]:
     """`instruments.multiplexer.enable_line` is no line that an address uses."""
     multiplexer = settings.instruments.multiplexer
     line = multiplexer.enable_line
@@ -95,7 +93,7 @@ def the_enable_line_is_free(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("instruments.multiplexer.enable_line", f"is used by {other} as well", (other,))
 
 
-def the_triangle_holds(settings: "Settings") -> Iterator[Conflict]:
+def the_triangle_holds(settings: Sections) -> Iterator[Conflict]:
     """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limit."""
     positioner = settings.instruments.positioner
     if positioner.position_unit != "mm":
@@ -110,7 +108,7 @@ def the_triangle_holds(settings: "Settings") -> Iterator[Conflict]:
             yield Conflict(f"{path}.apex_deg", reason, others)
 
 
-def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
     settle_s = settings.instruments.multiplexer.settle_s
     meter = settings.instruments.voltmeter
@@ -132,7 +130,7 @@ def a_scan_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
         )
 
 
-def the_range_reaches_bright_sun(settings: "Settings") -> Iterator[Conflict]:
+def the_range_reaches_bright_sun(settings: Sections) -> Iterator[Conflict]:
     """With its gain, each face stays within 1.2 times `instruments.voltmeter.range_v` up to 1000 W/m2."""
     largest_mv = _OVER_RANGE * settings.instruments.voltmeter.range_v * 1e3
     for name in FACES:
@@ -147,7 +145,7 @@ def the_range_reaches_bright_sun(settings: "Settings") -> Iterator[Conflict]:
             yield Conflict(key, reason, others)
 
 
-def windows_hold_scans(settings: "Settings") -> Iterator[Conflict]:
+def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
     """`windows.mean_s` is at least `cube.scan_every_s` and at most `windows.decide_every_s`."""
     mean_s, scan_s, decide_s = (
         settings.windows.mean_s,
@@ -162,7 +160,7 @@ def windows_hold_scans(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
 
 
-def staleness_spans_two_scans(settings: "Settings") -> Iterator[Conflict]:
+def staleness_spans_two_scans(settings: Sections) -> Iterator[Conflict]:
     """`safety.scan_stale_s` is at least twice `cube.scan_every_s`, so that one lost scan is no alarm."""
     scan_s = settings.cube.scan_every_s
     if settings.safety.scan_stale_s < 2 * scan_s:
@@ -170,7 +168,7 @@ def staleness_spans_two_scans(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("safety.scan_stale_s", reason, ("cube.scan_every_s",))
 
 
-def thresholds_have_hysteresis(settings: "Settings") -> Iterator[Conflict]:
+def thresholds_have_hysteresis(settings: Sections) -> Iterator[Conflict]:
     """`safety.night_above_w_m2` is not below `safety.night_below_w_m2`; `release_wind_m_s` is below `stow_wind_m_s`."""
     safety = settings.safety
     if safety.night_above_w_m2 < safety.night_below_w_m2:
@@ -183,7 +181,7 @@ def thresholds_have_hysteresis(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("safety.release_wind_m_s", reason, (other,))
 
 
-def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
+def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
     """`bridge.insecure` stands without `bridge.key_file`; beyond this machine one of the two is set."""
     bridge = settings.bridge
     if bridge.insecure and bridge.key_file is not None:
@@ -205,14 +203,14 @@ def the_bridge_is_signed_or_not(settings: "Settings") -> Iterator[Conflict]:
             return
 
 
-def an_interface_has_a_group(settings: "Settings") -> Iterator[Conflict]:
+def an_interface_has_a_group(settings: Sections) -> Iterator[Conflict]:
     """`bridge.multicast_interface` stands only with `bridge.multicast_group`."""
     if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
         reason = "has no effect without bridge.multicast_group"
         yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
 
 
-def what_needs_a_broker_has_one(settings: "Settings") -> Iterator[Conflict]:
+def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
     """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` stand only with `mqtt.enabled`."""
     if settings.mqtt.enabled:
         return
@@ -224,7 +222,7 @@ def what_needs_a_broker_has_one(settings: "Settings") -> Iterator[Conflict]:
             yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
 
 
-def the_broker_is_known_as_asked(settings: "Settings") -> Iterator[Conflict]:
+def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
     """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
     mqtt = settings.mqtt
     for name in ("ca_file", "certificate_file", "certificate_key_file"):
@@ -234,13 +232,13 @@ def the_broker_is_known_as_asked(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
 
 
-def the_two_words_differ(settings: "Settings") -> Iterator[Conflict]:
+def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
     """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two words."""
     if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
         yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
 
 
-def a_curve_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
+def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
     load = settings.load
     needed_s = load.points * (load.settle_s + _LOAD_EXCHANGE_S) + _SWEEP_ENDS_S
@@ -249,7 +247,7 @@ def a_curve_fits_its_period(settings: "Settings") -> Iterator[Conflict]:
         yield Conflict("load.period_s", reason, ("load.points", "load.settle_s"))
 
 
-def a_real_rig_has_no_simulated_load(settings: "Settings") -> Iterator[Conflict]:
+def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
     """`load.driver = "simulated"` stands only with simulated instruments."""
     if settings.load.driver == "simulated" and settings.instruments.kind == "real":
         reason = 'cannot be on a real rig; name the load, or set "none"'

@@ -7,7 +7,7 @@ import difflib
 import ipaddress
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -16,14 +16,12 @@ from pydantic import (
     Field,
     ValidationInfo,
     field_validator,
-    model_validator,
 )
 
-from daemon.base.addresses import parse_address
-from daemon.base.api_address import DEFAULT_LISTEN
-from daemon.config import rules as config_rules
+from daemon.base.addresses import DEFAULT_LISTEN, parse_address
 from daemon.config.instruments import Instruments, Load
 from daemon.config.section import Positive, Section, text_of, with_defaults
+from solar.ephemeris import Site as Place
 from solar.frames import Limits
 
 NotNegative = Annotated[float, Field(ge=0)]
@@ -109,6 +107,10 @@ class Site(Section):
     )
     longitude_deg: float = Field(2.209002, ge=-180, le=180, description="Longitude, east positive.")
     altitude_m: float = Field(156.0, ge=-430, le=9000, description="Height above sea level.")
+
+    def place(self) -> Place:
+        """Return the site as the science knows it."""
+        return Place(self.latitude_deg, self.longitude_deg, self.altitude_m)
 
 
 class Face(Section):
@@ -472,8 +474,8 @@ class Simulation(Section):
     motor_speed_mm_s: Positive = Field(3.2, le=100, description="Speed of the positioner's actuators.")
 
 
-class Settings(Section):
-    """The whole file."""
+class Sections(Section):
+    """Everything that a file may set, section by section."""
 
     site: Site = Site()
     cube: Cube = Cube()
@@ -489,10 +491,3 @@ class Settings(Section):
     api: Api = Api()
     mqtt: Mqtt = Mqtt()
     simulation: Simulation = Simulation()
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        found = [f"{conflict.key} {conflict.reason}" for conflict in config_rules.conflicts(self)]
-        if found:
-            raise ValueError("; ".join(found))
-        return self

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from daemon.base.records import FACES
 from daemon.config.rules import SELF_TESTS
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 
 _PAGE = "see docs/hardware.md, Wiring"
 

@@ -1,15 +1,11 @@
 """The commented configuration file and the reference document, both made from the models."""
 
-import contextlib
 import textwrap
 from collections.abc import Iterator, Mapping
 from inspect import cleandoc
 from pathlib import Path
 from typing import Any, Literal
 
-from daemon.api.token import generate_token, write_token
-from daemon.base.errors import UserError
-from daemon.bridge.signing import generate_key, write_key
 from daemon.config import keys as config_keys
 from daemon.config import rules as config_rules
 from daemon.config.keys import Key, Table
@@ -17,8 +13,6 @@ from daemon.config.keys import Key, Table
 Role = Literal["both", "cube", "tracker"]
 
 FILE_NAME = "heliocube.toml"
-KEY_NAME = "bridge.key"
-TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 _WIDTH = 100
 _NOT_READ = {
@@ -88,48 +82,6 @@ def reference() -> str:
     return "\n".join(parts)
 
 
-def write_example(directory: Path, role: Role) -> tuple[Path, Path, Path]:
-    """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
-
-    Raises
-    ------
-    UserError
-        One of the files is there already, or cannot be written. Nothing has been written then.
-    """
-    file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
-    values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
-    if role == "tracker":
-        values["bridge.listen"] = "0.0.0.0:20571"
-    written: list[Path] = []
-    made: list[Path] = []
-    try:
-        _refuse_taken(file, key, token)
-        made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
-        directory.mkdir(parents=True, exist_ok=True)
-        with file.open("x", encoding="utf-8", newline="\n") as stream:
-            written.append(file)
-            stream.write(example(role, values))
-        write_key(key, generate_key())
-        written.append(key)
-        write_token(token, generate_token())
-    except (OSError, UserError) as error:
-        for path in written:
-            path.unlink(missing_ok=True)
-        for folder in made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"{directory} cannot take the files: {error.strerror}") from None
-    return file, key, token
-
-
-def _refuse_taken(*paths: Path) -> None:
-    for path in paths:
-        if path.exists():
-            raise UserError(f"{path} is there already and is not overwritten; name another folder or move it away")
-
-
 def _heading(role: Role) -> str:
     text = f"heliocube: {_HEADINGS[role]}."
     if _NOT_READ[role]:
@@ -168,4 +120,4 @@ def _row(key: Key) -> str:
 
 
 if __name__ == "__main__":
-    (Path(__file__).resolve().parents[1] / "docs" / "configuration.md").write_text(reference(), encoding="utf-8")
+    (Path(__file__).resolve().parents[2] / "docs" / "configuration.md").write_text(reference(), encoding="utf-8")

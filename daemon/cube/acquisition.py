@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
-from daemon.base.backoff import Backoff
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage
+from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import Cube
+from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
-from daemon.cube.volts import DarkOffsets, calibrated
 from drivers.errors import DeadlineError, DeviceError, DriverHungError, OverRangeError, ProtocolError
 from drivers.interfaces import Multiplexer, Voltmeter
 

@@ -10,7 +10,7 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
 from daemon.config.sections import Cube, Site
-from daemon.tracker.pointing import SunDirection
+from solar.ephemeris import SunDirection
 from solar.frames import Array
 from solar.plausible import LOWEST_SINE, Doubt, doubts, lit
 from solar.sky import normal_from_tilt
@@ -56,7 +56,7 @@ class FaceWatch:
     """
 
     def __init__(self, site: Site, cube: Cube, clock: Clock, alarms: Alarms) -> None:
-        self._sun_direction = SunDirection(site)
+        self._sun_direction = SunDirection(site.place())
         self._normals = face_normals(cube, site.latitude_deg)
         self._clock = clock
         self._clock_watch = ClockWatch(clock)

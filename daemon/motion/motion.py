@@ -15,11 +15,10 @@ from pathlib import Path
 from random import Random
 
 from daemon.base.alarms import Alarms
-from daemon.base.backoff import Backoff
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage
+from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Pose, Record, Target
-from daemon.base.waiting import wait_at_most
+from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import Motion as MotionSettings
 from daemon.motion.guard import Guard

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.replace_file import replace_file
+from daemon.base.files import replace_file
 from drivers.interfaces import Telemetry
 
 log = logging.getLogger("heliocube.motion")

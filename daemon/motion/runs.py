@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
-from daemon.base.waiting import wait_at_most
+from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import Motion as MotionSettings
 from daemon.motion.guard import Guard

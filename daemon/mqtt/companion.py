@@ -10,7 +10,7 @@ from typing import Any
 from daemon.base.clock import Clock, iso_utc
 from daemon.base.records import Record
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.discovery import discovery
@@ -18,8 +18,7 @@ from daemon.mqtt.link import Handler, Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.mqtt.telemetry import Telemetry, encoded
-from daemon.mqtt.topics import Topics
-from daemon.mqtt.unusable import unusable
+from daemon.mqtt.topics import Topics, unusable
 from daemon.service.operator import Operator
 from daemon.service.operator_commands import NAMES
 from daemon.service.service import Role, Service

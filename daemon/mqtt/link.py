@@ -7,10 +7,9 @@ import math
 from collections.abc import Callable
 from random import Random
 
-from daemon.base.backoff import Backoff
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.reconnect import Outage
+from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
 from daemon.config.sections import Mqtt
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming

@@ -7,7 +7,7 @@ from typing import Any
 
 from daemon.config.sections import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.json_path import find
+from daemon.mqtt.topics import find
 from daemon.tracker.stow import StowStatus, release_in_s
 
 _LONGEST = 65536

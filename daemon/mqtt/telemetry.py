@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daemon.base.records import Event, ModeChange, Record
-from daemon.base.waiting import wait_at_most
+from daemon.base.timeloop import wait_at_most
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics

@@ -1,6 +1,9 @@
 """The names of topics, and which texts can be one."""
 
+import json
+import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 _LONGEST = 200
 
@@ -71,3 +74,66 @@ class Topics:
     def of(self, kind: str) -> str:
         """Return the topic of one kind of record."""
         return f"{self.base}/{kind}"
+
+
+_FORM = re.compile(r"[^.\[\]\s]+(\.[^.\[\]\s]+)*")
+
+
+def check_path(text: str) -> str:
+    """Return `text` if it is a path of names and list positions with full stops between; `ValueError` if not."""
+    if text and _FORM.fullmatch(text) is None:
+        raise ValueError(f"{text!r} is no path such as wind.speed or sensors.0.speed")
+    return text
+
+
+def find(payload: bytes, path: str) -> Any:
+    """Return the value at `path` of a message; with an empty path the message itself, as JSON or else as text.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: the message is no JSON, or has nothing there.
+    """
+    try:
+        found = json.loads(payload)
+    except (ValueError, RecursionError):
+        if path:
+            raise ValueError("the message is not JSON") from None
+        return payload.decode("utf-8", "replace").strip()
+    for step in path.split(".") if path else ():
+        if isinstance(found, dict) and step in found:
+            found = found[step]
+        elif isinstance(found, list) and step.isdecimal() and int(step) < len(found):
+            found = found[int(step)]
+        else:
+            raise ValueError(f"the message has nothing at {path}")
+    return found
+
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from daemon.config.settings import Settings
+
+
+def unusable(settings: "Settings") -> dict[str, str]:
+    """Return what is wrong with a topic, a level of one or a JSON path, by its key; empty where all are good."""
+    mqtt = settings.mqtt
+    given: dict[str, tuple[Callable[[str], str], str | None]] = {
+        "bridge.topic": (check_topic, settings.bridge.topic),
+        "mqtt.prefix": (check_topic, mqtt.prefix),
+        "mqtt.name": (check_level, mqtt.name),
+        "mqtt.discovery_prefix": (check_topic, mqtt.discovery_prefix),
+        "mqtt.wind.topic": (check_topic, mqtt.wind.topic),
+        "mqtt.wind.json_path": (check_path, mqtt.wind.json_path),
+        "mqtt.safe.topic": (check_topic, mqtt.safe.topic),
+        "mqtt.safe.json_path": (check_path, mqtt.safe.json_path),
+    }
+    found = {}
+    for key, (check, text) in given.items():
+        try:
+            if text is not None:
+                check(text)
+        except ValueError as error:
+            found[key] = str(error)
+    return found

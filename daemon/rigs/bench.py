@@ -10,10 +10,10 @@ from typing import Any
 from daemon.base import process as logs
 from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.errors import UserError
-from daemon.commands.run import on_signals
+from daemon.base.process import on_signals
 from daemon.config.file import override
 from daemon.config.keys import keys as every_key
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import DEFAULT_START, build_weather, run_bench
 from solar.ephemeris import DAY_S

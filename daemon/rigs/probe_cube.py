@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from daemon.base.records import FACES
 from daemon.config.rules import SELF_TESTS
-from daemon.config.sections import Settings
-from daemon.cube.volts import calibrated
+from daemon.config.settings import Settings
+from daemon.cube.calibration import calibrated
 from daemon.rigs.real import build_multiplexer, build_voltmeter, voltmeter_line
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
 from drivers.lines.threads import DeviceThread

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from daemon.base.errors import UserError
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.rigs.real import build_load, load_line
 from drivers.errors import ConnectError, DeadlineError
 from drivers.lines.threads import DeviceThread

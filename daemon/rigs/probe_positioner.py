@@ -6,15 +6,14 @@ from collections import Counter
 from collections.abc import Callable
 
 from daemon.base.clock import Clock
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.rigs.real import axis_setups, build_positioner, positioner_port
 from drivers.errors import RefusedError
 from drivers.interfaces import Axis, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.own_moves import own_moves
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.unit_setup import unheard
-from drivers.positioners.pozsol.wire import Field, TokenStream
+from drivers.positioners.pozsol.wire import Field, TokenStream, own_moves
 from drivers.transcript import Direction, Tap
 
 Say = Callable[[str], object]

@@ -6,7 +6,7 @@ from functools import partial
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.config.instruments import AxisGeometry, PositionerSettings
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from drivers.interfaces import ElectronicLoad
 from drivers.lines.serial_port import SerialPort
 from drivers.lines.visa import VisaLine, VisaSettings

@@ -15,7 +15,8 @@ from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
-from daemon.config.sections import Settings, WeatherName
+from daemon.config.sections import WeatherName
+from daemon.config.settings import Settings
 from daemon.rigs.real import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
 from daemon.service.service import Rig, Role
 from drivers.interfaces import ElectronicLoad, Positioner
@@ -27,9 +28,8 @@ from sim_drivers.pv_source import Light, PvSource
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.voltmeter.core import VoltmeterCore
-from sim_drivers.weather import GeneratedWeather, Weather, WeatherError
+from sim_drivers.weather import GeneratedWeather, Weather, WeatherError, WeatherInParts
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
-from sim_drivers.weather_parts import WeatherInParts
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305, PvModule
@@ -40,11 +40,6 @@ DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 _RAMP_S = 0.5
 """How long the simulated motors take to full speed."""
-
-
-def site_of(settings: Settings) -> Site:
-    """Return the configured site as the science knows it."""
-    return Site(settings.site.latitude_deg, settings.site.longitude_deg, settings.site.altitude_m)
 
 
 _COVER_EVERY_S = 60.0
@@ -59,7 +54,7 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
     UserError
         The file cannot be read, or does not cover the span.
     """
-    choice, site = settings.simulation.weather, site_of(settings)
+    choice, site = settings.simulation.weather, settings.site.place()
     if not isinstance(choice, Path):
         return GeneratedWeather(choice, site, settings.simulation.seed), None
     try:
@@ -68,11 +63,6 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
         return weather, site_mismatch(weather, site)
     except WeatherError as error:
         raise UserError(str(error)) from error
-
-
-def is_real(settings: Settings) -> bool:
-    """Tell whether the settings ask for real instruments."""
-    return settings.instruments.kind == "real"
 
 
 def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
@@ -140,7 +130,7 @@ def build_simulated_pair(
 
     def overhead(utc_s: Array) -> tuple[Sky, Array, Array]:
         now = weather.at(utc_s)
-        sun, extra = sun_direction(utc_s, *site_of(settings)), extraterrestrial_dni(utc_s)
+        sun, extra = sun_direction(utc_s, *settings.site.place()), extraterrestrial_dni(utc_s)
         light = sky(settings.simulation.sky, sun, now.dni_w_m2, now.dhi_w_m2, extra)
         return light, now.temp_air_degc, now.wind_speed_m_s
 
@@ -154,7 +144,7 @@ def build_simulated_pair(
 
 def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, WeatherName]]) -> Weather:
     """Return built-in weather of several kinds, each from its instant [s UTC] on; the first one also before."""
-    site, seed = site_of(settings), settings.simulation.seed
+    site, seed = settings.site.place(), settings.simulation.seed
     return WeatherInParts([(begin_utc_s, GeneratedWeather(kind, site, seed)) for begin_utc_s, kind in parts])
 
 
@@ -230,7 +220,7 @@ def _noise_of_load(settings: Settings) -> np.random.Generator:
 def _build_scene(settings: Settings, weather: Weather) -> Scene:
     simulation = settings.simulation
     return Scene(
-        site_of(settings),
+        settings.site.place(),
         weather,
         sky_model=simulation.sky,
         albedo=simulation.albedo,

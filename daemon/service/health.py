@@ -8,7 +8,7 @@ import asyncio
 import logging
 
 from daemon.base.clock import Clock
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
 from daemon.cube.acquisition import Acquisition
 from daemon.tracker.control import Control
 

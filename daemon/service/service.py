@@ -9,15 +9,14 @@ from random import Random
 from typing import Any
 
 from daemon.base.alarms import Alarms
-from daemon.base.bus import Bus
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.errors import UserError
-from daemon.base.records import Event, Scan
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus, Event, Scan
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
@@ -26,15 +25,15 @@ from daemon.motion.motion import OFTEN, Motion, Polling
 from daemon.service.health import Watchdog
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
-from daemon.tracker.learned import LearnedFile
-from daemon.tracker.optimal import OptimalPointing
+from daemon.tracker.optimal import LearnedFile, OptimalPointing
 from daemon.tracker.orders import Orders
-from daemon.tracker.pointing import Pointing, SunElevation
+from daemon.tracker.pointing import Pointing
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from daemon.tracker.wishes import WishFile
 from drivers.errors import DriverHungError
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
+from solar.ephemeris import SunElevation
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
@@ -140,13 +139,11 @@ class Service:
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
-        self.alarms = Alarms(clock, bus.publish)
         self._expiry = ExpiryWatch(calibration, bus.publish)
         self._polling = polling
         self._stow_sources = stow_sources
         self._send_beyond = send_beyond
-        self.alarms = Alarms(clock, bus.publish)
-        self.sun_elevation_deg = SunElevation(settings.site)
+        self.sun_elevation_deg = SunElevation(settings.site.place())
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
         self.acquisition: Acquisition | None = None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.errors import UserError
+from daemon.rigs.simulated import measured_weather, weather_misfit
 from solar import energy_laws
 from solar.energy import (
     DAY_TYPES,
@@ -23,6 +24,7 @@ from solar.energy import (
     faces_under,
     harvest,
 )
+from solar.ephemeris import Site
 from solar.frames import Array, Limits
 from solar.laws.optimal import OptimalSettings
 
@@ -200,3 +202,28 @@ def _steer(name: str, weather: Weather, faces: Array, terms: Terms) -> Steer:
         return energy_laws.from_faces(weather, faces, terms.limits, law)
     settings = terms.optimal if number is None else replace(terms.optimal, thrift=number)
     return energy_laws.optimal(weather, faces, terms.limits, settings)
+
+
+def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:
+    """Read weather files: UTC [s] of whole minutes, DNI and DHI [W/m2], each of shape (n,), and warnings.
+
+    Between records up to an hour apart the weather is linear. Where files overlap, the first counts.
+
+    Raises
+    ------
+    UserError
+        A file cannot be read.
+    """
+    parts: list[tuple[Array, Array, Array]] = []
+    warnings: list[str] = []
+    for path in files:
+        weather = measured_weather(path)
+        minutes = np.arange(np.ceil(weather.start_utc_s / 60.0), weather.end_utc_s / 60.0 + 1e-6) * 60.0
+        minutes = minutes[weather.covers(minutes)]
+        conditions = weather.at(minutes)
+        parts.append((minutes, conditions.dni_w_m2, conditions.dhi_w_m2))
+        warning = weather_misfit(weather, site)
+        warnings += [warning] if warning else []
+    utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
+    utc_s, first = np.unique(utc_s, return_index=True)
+    return utc_s, dni[first], dhi[first], warnings

@@ -15,16 +15,16 @@ from typing import Any, TextIO, cast
 
 import numpy as np
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.records import FACES, FaceReading, Mode, Quality, Scan
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import FACES, Bus, FaceReading, Mode, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import Cube, Settings, Store
+from daemon.config.sections import Cube, Store
+from daemon.config.settings import Settings
 from daemon.motion.motion import Motion, Polling
-from daemon.rigs.simulated import build_simulated_positioner, site_of
+from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.service import Rig, Role, Service
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.send_csv import Row
@@ -290,7 +290,7 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
     writer.writerow(COLUMNS)
     laws = {Mode.TRACKING: settings.law.name, Mode.FALLBACK: "chronometric"}
     angles = np.frombuffer(log.angles).reshape(-1, 4)
-    site = site_of(settings)
+    site = settings.site.place()
     for first in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[first : first + _ROWS_AT_ONCE]
         utc_s = np.array([row.time_utc_s for row in some])

@@ -8,17 +8,17 @@ from pathlib import Path
 from random import Random
 from typing import Literal
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
-from daemon.base.records import Decision, Mode, ModeChange, Move, Record, Scan
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import Settings, Store
+from daemon.config.sections import Store
+from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.motion.motion import SIMULATED
-from daemon.rigs.simulated import build_simulated_rig, build_weather, site_of
+from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.service import Role, Service
 from daemon.store.tables import TableWriter
 from solar.ephemeris import DAY_S, sun_day
@@ -118,7 +118,7 @@ async def _until_end(service: Service, duration_s: float, progress: Callable[[fl
 
 
 def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) -> None:
-    site = site_of(settings)
+    site = settings.site.place()
     utc_s = start_utc_s
     while True:
         day = sun_day(utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m)

@@ -6,7 +6,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import Alarms
-from daemon.base.replace_file import replace_file
+from daemon.base.files import replace_file
 from daemon.config.sections import Motion as MotionSettings
 from solar.ephemeris import DAY_S
 

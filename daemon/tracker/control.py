@@ -12,8 +12,8 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import Decision, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Said
-from daemon.base.waiting import wait_at_most
-from daemon.config.sections import Settings
+from daemon.base.timeloop import wait_at_most
+from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.tracker.budget import DayBudget
 from daemon.tracker.doors import Doors

@@ -9,9 +9,8 @@ from random import Random
 
 import numpy as np
 
-from daemon.base.backoff import Backoff
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage
+from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import CurveQuality, Event, IvCurve, Quality, Record, Scan
 from daemon.config.instruments import Load
 from drivers.errors import DeviceError

@@ -3,7 +3,7 @@
 import asyncio
 
 from daemon.base.records import Mode, Target
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.tracker.orders import RELEASE, Orders
 from daemon.tracker.parking import Parking

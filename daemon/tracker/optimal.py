@@ -1,18 +1,29 @@
 """The law `optimal` as the service runs it: fed by scans, asked by control, with a memory that outlives the process."""
 
+import logging
 import math
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
+from daemon.base.files import replace_file
 from daemon.base.records import Estimate, Quality, Scan, Target
 from daemon.config.sections import Law, Site
-from daemon.tracker.learned import Kept, LearnedFile
 from daemon.tracker.pointing import Aim
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.light import usable_faces
 from solar.laws.optimal import OptimalLaw, OptimalSettings
-from solar.laws.site import ALBEDO_RANGE, Learned
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned
+
+log = logging.getLogger("heliocube.optimal")
+
+_FILE_NAME = "learned.json"
+
+Albedo = Annotated[float, Field(ge=ALBEDO_RANGE[0], le=ALBEDO_RANGE[1], allow_inf_nan=False)]
+Gain = Annotated[float, Field(ge=GAIN_RANGE[0], le=GAIN_RANGE[1], allow_inf_nan=False)]
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
@@ -22,6 +33,59 @@ _MEAN_S = 15.0
 _LONGEST_S = 60.0
 # Means that nobody asks for in some mode without decisions are taken in this many at a time.
 _MOST_WAITING = 40
+
+
+class Kept(BaseModel):
+    """Albedo and relative gains of the vertical faces, and the budget used on a solar day (counted from 1970)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    albedo: Albedo
+    gain_east: Gain = 1.0
+    gain_south: Gain = 1.0
+    gain_west: Gain = 1.0
+    day: int
+    travelled_deg: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    moves: int = Field(default=0, ge=0)
+
+    @property
+    def learned(self) -> Learned:
+        """What the science makes of it."""
+        return Learned(self.albedo, self.gain_east, self.gain_south, self.gain_west)
+
+
+class LearnedFile:
+    """A small file beside the store; without a folder what is learned lives in memory only.
+
+    Parameters
+    ----------
+    directory
+        Of the file, or None.
+    """
+
+    def __init__(self, directory: Path | None) -> None:
+        self._path = None if directory is None else directory / _FILE_NAME
+
+    def load(self) -> Kept | None:
+        """Return what was kept, or None; a file that cannot be used is told and learning begins anew."""
+        if self._path is None:
+            return None
+        try:
+            return Kept.model_validate_json(self._path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError):
+            log.warning("%s cannot be used: what was learned of the site is learned anew", self._path)
+            return None
+
+    def save(self, kept: Kept) -> None:
+        """Replace the file as a whole; a disk that fails is told and does not hinder tracking."""
+        if self._path is None:
+            return
+        try:
+            replace_file(self._path, kept.model_dump_json())
+        except OSError as error:
+            log.warning("%s cannot be written (%s): a restart would forget what was learned", self._path, error)
 
 
 class OptimalPointing:

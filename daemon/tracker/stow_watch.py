@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.replace_file import replace_file
+from daemon.base.files import replace_file
 from daemon.base.timeloop import call_every
 from daemon.tracker.stow import StowSource, StowStatus
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
-from daemon.base.replace_file import replace_file
+from daemon.base.files import replace_file
 
 log = logging.getLogger("heliocube.control")
 

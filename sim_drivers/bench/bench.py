@@ -11,10 +11,9 @@ import numpy as np
 
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field, TokenStream
-from sim_drivers.bench.line_host import LineHost
+from sim_drivers.bench.line_host import LineHost, VoltmeterHost
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.bench.positioner_host import PositionerHost
-from sim_drivers.bench.voltmeter_host import VoltmeterHost
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore

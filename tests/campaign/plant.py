@@ -6,8 +6,8 @@ import math
 import shutil
 from datetime import UTC, datetime
 
-from daemon.base.bus import Bus
-from daemon.config.sections import Settings
+from daemon.base.records import Bus
+from daemon.config.settings import Settings
 from daemon.service.service import Role
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from daemon.base.records import Event, Mode
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from solar.frames import Angles
 from tests.campaign.watch import Watch
 

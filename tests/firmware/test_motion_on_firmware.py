@@ -9,7 +9,7 @@ import pytest
 from daemon.base.alarms import Alarms
 from daemon.base.clock import LoopClock
 from daemon.base.records import Event, Move, MoveOutcome, Target
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from tests.firmware.live import driver_on
 

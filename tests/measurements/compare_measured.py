@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from daemon.base.clock import iso_utc
-from daemon.commands.options import parse_site, site_values
 from daemon.config.file import override
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_pair, measured_weather
 from daemon.studies.compare.pairs import frame_of, pair
 from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.inputs import parse_site, site_values
 from solar.compare import energy_wh, gain_pct
 from solar.ephemeris import DAY_S, sun_day
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.sections import Cube, Settings
+from daemon.config.sections import Cube
+from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
-from daemon.studies.energy_weather import measured_minutes
+from daemon.studies.energy import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
 from solar.plausible import Doubt, doubts

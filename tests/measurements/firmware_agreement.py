@@ -1,6 +1,6 @@
 """How far the simulated positioner agrees with the maker's firmware, and where not: the table of docs/hardware.md.
 
-    python -m tests.bench.firmware_agreement [SEED [COUNT [odd]]]
+    python -m tests.measurements.firmware_agreement [SEED [COUNT [odd]]]
 
 With `odd` the sequences are of bytes that nobody would send who knows the unit.
 

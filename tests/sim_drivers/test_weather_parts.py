@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_drivers.weather import GeneratedWeather
-from sim_drivers.weather_parts import WeatherInParts
+from sim_drivers.weather import GeneratedWeather, WeatherInParts
 from solar.ephemeris import Site
 
 SITE = Site(48.717607, 2.209002, 156.0)

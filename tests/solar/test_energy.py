@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daemon.studies.energy_weather import measured_minutes
+from daemon.studies.energy import measured_minutes
 from solar import energy_laws
 from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import Site

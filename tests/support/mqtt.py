@@ -10,9 +10,9 @@ from random import Random
 import aiomqtt
 import pytest
 
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
 from daemon.base.timeloop import ScaledTimeLoop
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.mqtt.companion import Mqtt
 from daemon.service.recent import Recent
 from daemon.service.service import Rig, Role, Service

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.transcript import parse
-from sim_drivers.bench.line_host import LineHost
+from sim_drivers.bench.line_host import LineHost, VoltmeterHost
 from sim_drivers.bench.positioner_host import PositionerHost
-from sim_drivers.bench.voltmeter_host import VoltmeterHost
 from sim_drivers.load.core import LoadCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Drive, Setup

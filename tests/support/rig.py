@@ -7,11 +7,11 @@ from random import Random
 import numpy as np
 import pytest
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.service import Rig, Role, Service
 from sim_drivers.load.core import LoadCore

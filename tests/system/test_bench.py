@@ -11,7 +11,7 @@ import time
 import pytest
 import serial
 
-from daemon.config.file import check_file
+from daemon.commands.config import check_file
 from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.bench.client import BenchError
 from tests.system.processes import HELIOCUBE, wait_until

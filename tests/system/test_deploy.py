@@ -10,13 +10,14 @@ from random import Random
 
 import pytest
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.signing import generate_key, write_key
-from daemon.config.file import check_file, load_settings
-from daemon.config.sections import Settings
+from daemon.commands.config import check_file
+from daemon.config.file import load_settings
+from daemon.config.settings import Settings
 from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather
 from daemon.service.service import Role, Service
 from tests.system.conftest import ROOT

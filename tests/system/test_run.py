@@ -114,7 +114,11 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
 
 def test_start_up_does_not_wait_for_what_a_command_does_not_need():
     imported = subprocess.run(
-        [sys.executable, "-c", "import sys, daemon.cli; print('pvlib' in sys.modules, 'pandas' in sys.modules)"],
+        [
+            sys.executable,
+            "-c",
+            "import sys, daemon.commands.main; print('pvlib' in sys.modules, 'pandas' in sys.modules)",
+        ],
         capture_output=True,
         text=True,
         timeout=30,

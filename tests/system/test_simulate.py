@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from daemon.base.errors import UserError
 from daemon.commands.main import app
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.studies.simulate import simulate
 from solar.ephemeris import sun_direction
 from solar.frames import direction_from_azimuth, normal_from_angles, separation_deg

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.commands.options import site_values
 from daemon.config.file import load_settings, override
-from daemon.config.sections import Cube, Settings
+from daemon.config.sections import Cube
+from daemon.config.settings import Settings
 from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibration_in_force
 from daemon.studies.calibrate.readings import Readings, read_csv, read_store
+from daemon.studies.inputs import site_values
 from solar.ephemeris import Site
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")

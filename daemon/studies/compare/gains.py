@@ -10,8 +10,8 @@ import numpy as np
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.commands.options import instant
 from daemon.studies.compare.pairs import Pairs
+from daemon.studies.inputs import instant
 from solar.compare import ChainBias, energy_wh, gain_pct
 from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array

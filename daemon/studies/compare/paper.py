@@ -10,8 +10,9 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.config.file import override
-from daemon.config.sections import LawName, Settings, WeatherName
-from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts, site_of
+from daemon.config.sections import LawName, WeatherName
+from daemon.config.settings import Settings
+from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts
 from daemon.studies.compare.fit import Fit, fit, flat_pairs
 from daemon.studies.compare.gains import WHOLE_DAY, Gain, Span, gains
 from daemon.studies.compare.pairs import Pairs, frame_of, pair
@@ -194,7 +195,7 @@ def verdicts(runs: Sequence[Run], cube_law: LawName) -> list[Verdict]:
 def notes(settings: Settings, afternoon: WeatherName, cube_law: LawName, seeds: int) -> list[str]:
     """Return what the experiment assumes and what it cannot show, a paragraph each."""
     limits = settings.limits.limits()
-    closed = ceilings(site_of(settings), limits)
+    closed = ceilings(settings.site.place(), limits)
     texts = ", ".join(f"{period} {sky} {gain:+.1f} %" for period, sky, gain in closed)
     assumed = (
         f"SIMULATED. T-Cube runs {cube_law}, T-Chrono chronometric, as two services fed by one cube with default noise"

@@ -8,13 +8,13 @@ from random import Random
 
 import numpy as np
 
-from daemon.base.bus import Bus
 from daemon.base.clock import Clock, LoopClock
-from daemon.base.records import Record
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus, Record
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import LawName, Settings, Store
+from daemon.config.sections import LawName, Store
+from daemon.config.settings import Settings
 from daemon.rigs.simulated import SimulatedPair
 from daemon.service.service import Role, Service
 from daemon.studies.compare.measurements import Measurement

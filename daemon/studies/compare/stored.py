@@ -16,7 +16,7 @@ import pandas as pd
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality, Record
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
 from daemon.store.store import Origin, Store
 from daemon.studies.compare.measurements import Measurement

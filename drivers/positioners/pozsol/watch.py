@@ -10,9 +10,8 @@ from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import HomingRun, Seen
 from drivers.positioners.pozsol.link import Heard
-from drivers.positioners.pozsol.own_moves import OWN_MOVES, own_moves
 from drivers.positioners.pozsol.reference import Reference
-from drivers.positioners.pozsol.wire import Field, Status, parse_status
+from drivers.positioners.pozsol.wire import OWN_MOVES, Field, Status, own_moves, parse_status
 
 _DEVICE = "positioner"
 AXES: tuple[Axis, Axis] = ("a", "b")

@@ -2,7 +2,7 @@
 
 from random import Random
 
-from daemon.base.backoff import Backoff
+from daemon.base.reconnect import Backoff
 
 
 def test_delays_grow_to_the_cap_and_start_again_after_success():

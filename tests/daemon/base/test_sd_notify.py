@@ -3,8 +3,8 @@ import socket
 
 import pytest
 
-from daemon.base import sd_notify
-from daemon.base.sd_notify import Notifier
+from daemon.base import process as sd_notify
+from daemon.base.process import Notifier
 
 
 @pytest.fixture

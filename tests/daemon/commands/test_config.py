@@ -5,9 +5,9 @@ import pytest
 
 from daemon.api.token import load_token
 from daemon.bridge.signing import load_key
+from daemon.commands.config import check_file
 from daemon.commands.main import main
-from daemon.config.file import check_file
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 
 
 @pytest.fixture

@@ -7,9 +7,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from daemon.config.file import ConfigError, check_file, load_settings, override
+from daemon.commands.config import check_file
+from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
-from daemon.config.sections import Bridge, LimitSettings, Safety, Section, Settings
+from daemon.config.sections import Bridge, LimitSettings, Safety, Section
+from daemon.config.settings import Settings
 from daemon.config.template import example, reference
 from tests.support import DOCS
 

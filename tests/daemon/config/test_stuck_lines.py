@@ -10,7 +10,7 @@ import pytest
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.config.stuck_lines import self_test_gaps
 from daemon.cube.acquisition import Acquisition
 from sim_drivers.multiplexer import MultiplexerCore

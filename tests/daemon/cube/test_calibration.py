@@ -12,7 +12,8 @@ from daemon.base.errors import UserError
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge.refusals import RefusedError
 from daemon.bridge.senml import decode, encode
-from daemon.config.file import ConfigError, check_file, load_settings
+from daemon.commands.config import check_file
+from daemon.config.file import ConfigError, load_settings
 from daemon.config.sections import Cube
 from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibration, read_calibration, write_calibration
 from daemon.store.export import export

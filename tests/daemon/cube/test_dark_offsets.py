@@ -3,7 +3,7 @@
 import pytest
 
 from daemon.config.sections import Face
-from daemon.cube.volts import DarkOffsets, calibrated
+from daemon.cube.calibration import DarkOffsets, calibrated
 
 
 def test_irradiance_is_the_gain_times_voltage_less_offset():

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from daemon.base.records import Decision, Event, Mode
-from daemon.config.file import ConfigError, check_file, load_settings
+from daemon.commands.config import check_file
+from daemon.config.file import ConfigError, load_settings
 from daemon.service.service import Role
 from tests.support.broker import CERTIFICATES
 from tests.support.mqtt import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until

@@ -5,7 +5,8 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Quality, Scan
-from daemon.config.file import ConfigError, check_file
+from daemon.commands.config import check_file
+from daemon.config.file import ConfigError
 from daemon.service.service import Role
 from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
 

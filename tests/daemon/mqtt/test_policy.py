@@ -9,9 +9,8 @@ from random import Random
 
 import pytest
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
-from daemon.base.records import Decision
+from daemon.base.records import Bus, Decision
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message

@@ -9,7 +9,7 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.config.file import ConfigError, load_settings
-from daemon.rigs.simulated import build_real_rig, is_real
+from daemon.rigs.simulated import build_real_rig
 from daemon.service.service import Role
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
@@ -34,7 +34,7 @@ def load(tmp_path):
 
 def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
     settings = load(REAL)
-    assert is_real(settings)
+    assert settings.real
     for role, present in ((Role.BOTH, (1, 1, 1)), (Role.CUBE, (1, 1, 0)), (Role.TRACKER, (0, 0, 1))):
         rig = build_real_rig(settings, role, SystemClock())
         assert tuple(bool(part) for part in (rig.multiplexer, rig.voltmeter, rig.positioner)) == present

@@ -414,7 +414,7 @@ def test_every_way_to_move_goes_through_one_guard(run_rig):
         if not path.name.startswith("probe")
         and any(call in path.read_text() for call in ("positioner.move_to(", "positioner.home("))
     }
-    assert callers == {"motion_runs.py"}
+    assert callers == {"runs.py"}
 
 
 def test_before_the_positioner_is_there_every_order_is_refused(run_rig):

@@ -6,8 +6,8 @@ import socket
 
 import pytest
 
+from daemon.base.process import Notifier
 from daemon.base.records import Mode, Move, MoveOutcome
-from daemon.base.sd_notify import Notifier
 from daemon.service.health import Watchdog
 from sim_drivers.pozsol.setup import Drive, Setup
 

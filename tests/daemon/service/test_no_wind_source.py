@@ -6,11 +6,11 @@ from random import Random
 
 import pytest
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.service import Rig, Role, Service
 from daemon.tracker.stow import WindStow

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from daemon.base.records import Event, Mode
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.service.operator import CommandError, Operator
 from daemon.service.service import Role
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way

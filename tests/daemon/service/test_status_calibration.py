@@ -4,11 +4,11 @@ from random import Random
 import pytest
 from rich.console import Console
 
-from daemon.base.bus import Bus
 from daemon.base.clock import LoopClock
-from daemon.base.sd_notify import Notifier
+from daemon.base.process import Notifier
+from daemon.base.records import Bus
 from daemon.commands.screen import render
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.recent import Recent
 from daemon.service.service import Role, Service

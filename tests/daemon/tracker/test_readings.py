@@ -5,7 +5,7 @@ import math
 import pytest
 
 from daemon.base.records import FaceReading, Quality, Scan
-from daemon.config.sections import Settings
+from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
 from daemon.tracker.readings import Readings
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daemon.base.records import FaceReading, Quality, Scan
-from daemon.tracker.window import Window
+from daemon.tracker.readings import Window
 
 
 def scan(now_s, value, quality=Quality.OK, number=0):

@@ -80,7 +80,7 @@ def test_these_are_all_the_doors_that_the_tests_below_go_through():
     assert public(positioner, inspect.isclass) == {"PozsolPositioner"}
     assert public(serial_port, inspect.isclass) == {"SerialPort"}
     assert public(pozsol_wire, inspect.isroutine) == {
-        "encode_command", "require_allowed", "parse_number", "parse_status",
+        "encode_command", "require_allowed", "parse_number", "parse_status", "own_moves",
     }  # fmt: skip
 
 
