@@ -8,7 +8,6 @@ from daemon.base.errors import UserError
 from daemon.config.instruments import AxisGeometry, PositionerSettings
 from daemon.config.settings import Settings
 from drivers.interfaces import ElectronicLoad
-from drivers.lines.serial_port import SerialPort
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.agilent6063b import Agilent6063B
 from drivers.load.chroma63600 import Chroma63600
@@ -16,7 +15,7 @@ from drivers.load.sweep import SweepSettings
 from drivers.meters.keithley2000 import Keithley2000
 from drivers.positioners.pozsol import wire as pozsol_wire
 from drivers.positioners.pozsol.geometry import AxisSetup, Geometry, Proportional, Triangle
-from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from drivers.transcript import Tap, no_tap
@@ -70,7 +69,7 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap) -> Keithley2000:
 def build_positioner(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PozsolPositioner:
     """Return the positioner, not yet connected; `UserError` if the settings do not say where it is."""
     positioner = settings.instruments.positioner
-    port = partial(SerialPort, "positioner", positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts)
+    port = partial(open_port, positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts)
     return PozsolPositioner(
         SerialLine(port, clock.monotonic, boot_s=positioner.boot_s, banner=positioner.boot_banner),
         clock.monotonic,

@@ -1,6 +1,6 @@
-"""The positioner's USB serial port: raw before anything is read from it, held by one program, closed to other commands.
+"""An instrument's USB serial port: raw before anything is read from it, held by one program, closed to other commands.
 
-A tty of Linux starts out with echo: what the instrument sends comes back to it, and the positioner takes its own
+A tty of Linux starts out with echo: what the instrument sends comes back to it, and a positioner may take its own
 telemetry for commands. So the first thing that is done with the port is to switch echo off and to throw away what was
 waiting, and whether it stays off is looked at from time to time.
 """
@@ -8,11 +8,11 @@ waiting, and whether it stays off is looked at from time to time.
 import errno
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConnectError, LinkLostError
-from drivers.positioners.pozsol.wire import require_allowed
 from drivers.transcript import Tap, no_tap
 
 _READ_S = 0.2
@@ -29,6 +29,8 @@ class SerialPort:
         Role of the instrument, for errors.
     path
         Name of the port.
+    require_allowed
+        Raises `ValueError` for bytes that are no command that may be sent: the last gate before the wire.
     tap
         Told what is sent and received.
     dtr, rts
@@ -41,11 +43,21 @@ class SerialPort:
         The port is not there, held by another program, not permitted, or no serial port.
     """
 
-    def __init__(self, device: str, path: str, tap: Tap = no_tap, *, dtr: bool = True, rts: bool = True) -> None:
+    def __init__(
+        self,
+        device: str,
+        path: str,
+        require_allowed: Callable[[bytes], None],
+        tap: Tap = no_tap,
+        *,
+        dtr: bool = True,
+        rts: bool = True,
+    ) -> None:
         import serial  # noqa: PLC0415 - loaded only where there is a port; it needs termios or Windows
 
         self._device = device
         self._path = path
+        self._require_allowed = require_allowed
         self._tap = tap
         first = _open_raw(device, path) if os.name == "posix" else None
         # Windows opens every port exclusively and knows no such option.
@@ -76,7 +88,7 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """Send one command; no longer than half a second. `ValueError` for bytes that are none that may be sent."""
-        require_allowed(data)
+        self._require_allowed(data)
         try:
             self._port.write(data)
         except self._gone as error:

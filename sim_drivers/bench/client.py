@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sim_drivers.load.core import TRIPS
+from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 
 SOCKET_NAME = "control"

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench.bench import Bench
 from sim_drivers.bench.client import DEVICES, SOCKET_NAME, VERBS, BenchError
-from sim_drivers.load.core import TRIPS
+from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 
 Name = TypeVar("Name", bound=str)

@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.positioners.pozsol.wire import SEPARATOR, Field
+from sim_drivers.pozsol.motion import Axis
 from sim_drivers.pozsol.setup import Actuator, Setup
 
 BOARD = "36A1"
 VERSION = "1.402 (B1.100)"
 SERIAL = "0A1B2C3D-4E5F6071-8293A4B5-C6D7E8F9"
+_MOTOR_CURRENT_A = 0.8
 
 SLOTS = 6
 SLOW_SCREENS: tuple[tuple[int, ...], ...] = (
@@ -105,6 +107,18 @@ class Readout:
     mode: str
     status: int
     link_counter: int
+
+
+def axis_readout(axis: Axis, destination_mm: float, now: float) -> AxisReadout:
+    """Return what is shown of an axis on its way to a destination."""
+    counted_mm = axis.counted_mm(now)
+    return AxisReadout(
+        angle_deg=axis.actuator.angle_deg(counted_mm),
+        position_mm=counted_mm,
+        destination_mm=destination_mm,
+        current_a=_MOTOR_CURRENT_A if axis.active and axis.velocity_mm_s(now) else 0.0,
+        remain_mm=axis.remain,
+    )
 
 
 def default_parameters(setup: Setup) -> dict[int, str]:

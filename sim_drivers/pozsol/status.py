@@ -1,22 +1,20 @@
 """The simulated positioner's status word and mode text."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from drivers.interfaces import Axis as AxisName
 from drivers.positioners.pozsol import wire
+from sim_drivers.pozsol.modes import OwnModes
 from sim_drivers.pozsol.motion import Axis
-
-if TYPE_CHECKING:
-    from sim_drivers.pozsol.unit import PositionerUnit
+from sim_drivers.pozsol.setup import Setup
 
 DESTINATION_BITS = {"a_destination": 28, "b_destination": 31}
 """Latched: the unit gave up a target."""
 _FAULT_BITS = {**wire.FAULT_BITS, **DESTINATION_BITS}
 
 
-def mode_text(unit: "PositionerUnit") -> str:
+def mode_text(modes: OwnModes) -> str:
     """Return the unit's own words for its mode; that tracking is off it does not say."""
-    modes = unit.modes
     if modes.slave:
         return "sigma tracking" if modes.tracking else "sigma standby"
     if not modes.tracking:
@@ -24,17 +22,25 @@ def mode_text(unit: "PositionerUnit") -> str:
     return "wind mode" if modes.wind.active else "snow mode" if modes.snow.active else "Micro tracking"
 
 
-def status_word(unit: "PositionerUnit", now: float) -> int:
-    """Return the 32 bits of field 136."""
-    setup, modes = unit.setup, unit.modes
-    a, b = unit.axes.values()
-    a_way, b_way = (_way(unit, "a", now), _way(unit, "b", now))
+def status_word(
+    setup: Setup,
+    modes: OwnModes,
+    axes: Mapping[AxisName, Axis],
+    destinations_mm: Mapping[AxisName, float],
+    now: float,
+    *,
+    was_reset: bool,
+    button_held: bool,
+) -> int:
+    """Return the 32 bits of field 136; `destinations_mm` are those that are shown."""
+    a, b = axes["a"], axes["b"]
+    a_way, b_way = _way(a, destinations_mm["a"], now), _way(b, destinations_mm["b"], now)
     if b_way:
         # Motion of one axis wipes out the other's bits, B's last.
         a_way = 0
     marks = (
-        (unit.was_reset, wire.RESET_BIT),
-        (unit.button is not None, wire.BUTTON_BIT),
+        (was_reset, wire.RESET_BIT),
+        (button_held, wire.BUTTON_BIT),
         (a_way > 0, wire.A_OUT_BIT),
         (a_way < 0, wire.A_OUT_BIT + 1),
         (_homing(a, now), wire.A_OUT_BIT + 2),
@@ -49,16 +55,13 @@ def status_word(unit: "PositionerUnit", now: float) -> int:
         (modes.tracking and modes.snow.active, wire.SNOW_BIT),
         (modes.tracking and modes.wind.active, wire.WIND_BIT),
     )
-    bits = {_FAULT_BITS[f"{name}_{fault}"] for name, axis in unit.axes.items() for fault in axis.faults}
+    bits = {_FAULT_BITS[f"{name}_{fault}"] for name, axis in axes.items() for fault in axis.faults}
     bits.update(bit for on, bit in marks if on)
     return sum(1 << bit for bit in bits)
 
 
-def _way(unit: "PositionerUnit", name: AxisName, now: float) -> int:
-    axis = unit.axes[name]
-    if not axis.moving(now):
-        return 0
-    return axis.counts(unit.destination(name, now) - axis.counted_mm(now))
+def _way(axis: Axis, destination_mm: float, now: float) -> int:
+    return axis.counts(destination_mm - axis.counted_mm(now)) if axis.moving(now) else 0
 
 
 def _homing(axis: Axis, now: float) -> bool:

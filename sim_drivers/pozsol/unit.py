@@ -10,7 +10,7 @@ from typing import Literal
 from drivers.interfaces import Axis as AxisName
 from sim_drivers.pozsol.modes import OwnModes
 from sim_drivers.pozsol.motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
-from sim_drivers.pozsol.screens import AxisReadout, Readout
+from sim_drivers.pozsol.screens import Readout, axis_readout
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.pozsol.status import mode_text, status_word
 from solar.frames import Angles
@@ -29,7 +29,6 @@ IDLE_S = 1.0
 """For so long an axis without a reason to be driven stays switched on."""
 BUTTON_S, BUTTON_AGAIN_S = 0.32, 0.301
 """How long a button has to be held before it does something, and until it does so again."""
-MOTOR_CURRENT_A = 0.8
 Button = Literal["out", "in", "both"]
 """Which of the unit's buttons is held; both together choose the other axis."""
 
@@ -182,9 +181,25 @@ class PositionerUnit:
 
     def readout(self, now: float, link_counter: int) -> Readout:
         """Return what the unit would print now."""
-        a, b = (self._axis_readout(name, now) for name in self.axes)
-        service = f"Run:{'synch' if self.setup.synchronous else 'normal'},Wi=0,Si=0"
-        return Readout(a, b, now, service, self.supply_v, mode_text(self), status_word(self, now), link_counter)
+        a, b = (axis_readout(axis, self.destination(name, now), now) for name, axis in self.axes.items())
+        return Readout(
+            a=a,
+            b=b,
+            clock_s=now,
+            service=f"Run:{'synch' if self.setup.synchronous else 'normal'},Wi=0,Si=0",
+            supply_v=self.supply_v,
+            mode=mode_text(self.modes),
+            status=status_word(
+                self.setup,
+                self.modes,
+                self.axes,
+                {"a": a.destination_mm, "b": b.destination_mm},
+                now,
+                was_reset=self.was_reset,
+                button_held=self.button is not None,
+            ),
+            link_counter=link_counter,
+        )
 
     def decide(self, now: float) -> None:
         """Let the unit look at its state, and find out when it has to do so again."""
@@ -383,10 +398,3 @@ class PositionerUnit:
 
     def _any_moving(self, now: float) -> bool:
         return any(axis.moving(now) for axis in self.axes.values())
-
-    def _axis_readout(self, name: AxisName, now: float) -> AxisReadout:
-        axis = self.axes[name]
-        counted = axis.counted_mm(now)
-        current_a = MOTOR_CURRENT_A if axis.active and axis.velocity_mm_s(now) else 0.0
-        angle_deg = axis.actuator.angle_deg(counted)
-        return AxisReadout(angle_deg, counted, self.destination(name, now), current_a, axis.remain)

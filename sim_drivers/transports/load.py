@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.interfaces import SweepPlan, SweptCurve
-from sim_drivers.load.core import MEASURING_S, OVERFLOW, LoadCore
+from sim_drivers.load.core import MEASURING_S, LoadCore
+from sim_drivers.load.instrument import OVERFLOW
 from sim_drivers.transports.link import Cabled
 
 

@@ -1,15 +1,12 @@
 """The command set of the simulated Keithley 2000: what each line means, worked out once per different line."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from sim_drivers.scpi import Parser, ScpiError, boolean, choice, integer, messages, number, spellings
+from sim_drivers.voltmeter.instrument import VoltmeterInstrument
+from sim_drivers.voltmeter.settings import PRESET, RANGES_V, RESET
 
-if TYPE_CHECKING:
-    from sim_drivers.voltmeter.core import VoltmeterCore
-
-RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
 _HIGHEST_V = 1010.0
 _ROOM = 1.01
 _UNLIMITED = 9999
@@ -29,59 +26,7 @@ _FUNCTIONS = {
 _FUNCTION_OF = {spelling: name for name, pattern in _FUNCTIONS.items() for spelling in spellings(pattern)}
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Everything that commands set. The defaults are those of ``*RST``.
-
-    Attributes
-    ----------
-    filter_kind
-        ``REP`` averages fresh conversions, ``MOV`` a window that moves over old ones.
-    continuous
-        Measures freely; ``:READ?`` and ``:INIT`` are then ignored.
-    panel
-        ``LOC``, ``REM`` or, with the front panel locked out, ``RWL``.
-    event_enable, request_enable
-        Masks of the standard event register and of the status byte.
-    """
-
-    function: str = "VOLT:DC"
-    range_v: float = 1000.0
-    autorange: bool = True
-    nplc: float = 1.0
-    digits: int = 7
-    filter_on: bool = False
-    filter_kind: str = "MOV"
-    filter_count: int = 10
-    autozero: bool = True
-    continuous: bool = False
-    trigger_source: str = "IMM"
-    trigger_count: int = 1
-    trigger_delay_s: float = 0.0
-    sample_count: int = 1
-    data_format: str = "ASC"
-    elements: tuple[str, ...] = ("READ",)
-    beeper: bool = True
-    panel: str = "LOC"
-    event_enable: int = 0
-    request_enable: int = 0
-
-    def formatted(self, reading: str, *, overflow: bool = False) -> str:
-        """Return a reading with the elements that are asked for, always in the instrument's order."""
-        if self.elements == ("READ",):
-            return reading
-        units = "UNIT" in self.elements
-        parts = [reading + ("VDC" if units and not overflow else "")] if "READ" in self.elements else []
-        if "CHAN" in self.elements:
-            parts.append("0INTCHAN" if units else "0")
-        return ",".join(parts)
-
-
-RESET = Settings()
-PRESET = Settings(filter_on=True, continuous=True, elements=("READ", "CHAN", "UNIT"))
-"""The bench defaults, which also hold after power-up: free-running, with the moving filter on."""
-
-Step = Callable[["VoltmeterCore", float], str | None]
+Step = Callable[[VoltmeterInstrument, float], str | None]
 Build = Callable[[tuple[str, ...]], Step]
 
 
@@ -115,7 +60,7 @@ def _undefined(_parameters: tuple[str, ...]) -> Step:
 
 
 def _raiser(code: int) -> Step:
-    def step(_core: "VoltmeterCore", _cursor_s: float) -> str | None:
+    def step(_meter: VoltmeterInstrument, _cursor_s: float) -> str | None:
         raise ScpiError(code)
 
     return step
@@ -144,9 +89,9 @@ def _define(pattern: str, act: Build | None = None, ask: Build | None = None) ->
         _TABLE[spelling] = _Command(act, ask)
 
 
-def _action(pattern: str, action: Callable[["VoltmeterCore", float], None]) -> None:
-    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
-        action(core, cursor_s)
+def _action(pattern: str, action: Callable[[VoltmeterInstrument, float], None]) -> None:
+    def step(meter: VoltmeterInstrument, cursor_s: float) -> str | None:
+        action(meter, cursor_s)
         return None
 
     _define(pattern, act=_without_parameters(step))
@@ -157,8 +102,8 @@ def _query(pattern: str, answer: Step) -> None:
 
 
 def _change(**settings: Any) -> Step:
-    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
-        core.change(cursor_s, **settings)
+    def step(meter: VoltmeterInstrument, cursor_s: float) -> str | None:
+        meter.change(cursor_s, **settings)
         return None
 
     return step
@@ -174,7 +119,7 @@ def _setting(pattern: str, name: str, parse: Parser) -> None:
     _define(
         pattern,
         act=_one_parameter(lambda text: _change(**{name: parse(text)})),
-        ask=_without_parameters(lambda core, _cursor_s: _text(getattr(core.settings, name))),
+        ask=_without_parameters(lambda meter, _cursor_s: _text(getattr(meter.settings, name))),
     )
 
 
@@ -215,10 +160,10 @@ def _configure(parameters: tuple[str, ...]) -> Step:
 def _measure(parameters: tuple[str, ...]) -> Step:
     configure = _configure(parameters)
 
-    def step(core: "VoltmeterCore", cursor_s: float) -> str | None:
-        core.abort()
-        configure(core, cursor_s)
-        return core.read(cursor_s)
+    def step(meter: VoltmeterInstrument, cursor_s: float) -> str | None:
+        meter.abort()
+        configure(meter, cursor_s)
+        return meter.read(cursor_s)
 
     return step
 
@@ -253,22 +198,22 @@ _setting(f"{_volt}:RANGe:AUTO", "autorange", boolean)
 _define(
     f"{_volt}:RANGe[:UPPer]",
     act=_one_parameter(lambda text: _change(range_v=_range_for(text), autorange=False)),
-    ask=_without_parameters(lambda core, _cursor_s: _text(core.range_v)),
+    ask=_without_parameters(lambda meter, _cursor_s: _text(meter.range_v)),
 )
 _define(
     "[:SENSe[1]]:FUNCtion",
     act=_one_parameter(_set_function),
-    ask=_without_parameters(lambda core, _cursor_s: f'"{core.settings.function}"'),
+    ask=_without_parameters(lambda meter, _cursor_s: f'"{meter.settings.function}"'),
 )
 _define("CONFigure:VOLTage[:DC]", act=_configure)
-_query("CONFigure", lambda core, _cursor_s: f'"{core.settings.function}"')
+_query("CONFigure", lambda meter, _cursor_s: f'"{meter.settings.function}"')
 _define("MEASure:VOLTage[:DC]", ask=_measure)
-_query("READ", lambda core, cursor_s: core.read(cursor_s))
-_query("FETCh", lambda core, cursor_s: core.fetch(cursor_s))
-_query("[:SENSe[1]]:DATA", lambda core, cursor_s: core.fetch(cursor_s))
-_action("INITiate[:IMMediate]", lambda core, cursor_s: core.initiate(cursor_s))
+_query("READ", lambda meter, cursor_s: meter.read(cursor_s))
+_query("FETCh", lambda meter, cursor_s: meter.fetch(cursor_s))
+_query("[:SENSe[1]]:DATA", lambda meter, cursor_s: meter.fetch(cursor_s))
+_action("INITiate[:IMMediate]", lambda meter, cursor_s: meter.initiate(cursor_s))
 _setting("INITiate:CONTinuous", "continuous", boolean)
-_action("ABORt", lambda core, _cursor_s: core.abort())
+_action("ABORt", lambda meter, _cursor_s: meter.abort())
 _setting("TRIGger:SOURce", "trigger_source", choice("IMMediate", "BUS", "EXTernal", "TIMer", "MANual"))
 _setting("TRIGger:COUNt", "trigger_count", _trigger_count)
 _setting("TRIGger:DELay", "trigger_delay_s", number(0.0, 999_999.999, 0.0))
@@ -276,33 +221,33 @@ _setting("SAMPle:COUNt", "sample_count", integer(1, 1024, 1))
 _define(
     "FORMat:ELEMents",
     act=_set_elements,
-    ask=_without_parameters(lambda core, _cursor_s: ",".join(core.settings.elements)),
+    ask=_without_parameters(lambda meter, _cursor_s: ",".join(meter.settings.elements)),
 )
 # Over a serial line readings can only be text.
 _setting("FORMat[:DATA]", "data_format", choice("ASCii"))
 _setting("SYSTem:AZERo:STATe", "autozero", boolean)
 _setting("SYSTem:BEEPer[:STATe]", "beeper", boolean)
-_action("SYSTem:PRESet", lambda core, _cursor_s: core.reset(PRESET))
-_action("SYSTem:REMote", lambda core, cursor_s: core.change(cursor_s, panel="REM"))
-_action("SYSTem:LOCal", lambda core, cursor_s: core.change(cursor_s, panel="LOC"))
-_action("SYSTem:RWLock", lambda core, cursor_s: core.change(cursor_s, panel="RWL"))
-_query("SYSTem:VERSion", lambda _core, _cursor_s: "1991.0")
-_query("SYSTem:ERRor", lambda core, _cursor_s: core.status.errors.pop())
-_query("STATus:QUEue[:NEXT]", lambda core, _cursor_s: core.status.errors.pop())
-_action("STATus:QUEue:CLEar", lambda core, _cursor_s: core.status.errors.clear())
-_action("STATus:PRESet", lambda _core, _cursor_s: None)
-_query("*IDN", lambda core, _cursor_s: core.identity)
-_action("*RST", lambda core, _cursor_s: core.reset(RESET))
-_action("*CLS", lambda core, _cursor_s: core.status.clear())
-_query("*ESR", lambda core, _cursor_s: str(core.status.take_events()))
-_query("*STB", lambda core, _cursor_s: str(core.status_byte()))
+_action("SYSTem:PRESet", lambda meter, _cursor_s: meter.reset(PRESET))
+_action("SYSTem:REMote", lambda meter, cursor_s: meter.change(cursor_s, panel="REM"))
+_action("SYSTem:LOCal", lambda meter, cursor_s: meter.change(cursor_s, panel="LOC"))
+_action("SYSTem:RWLock", lambda meter, cursor_s: meter.change(cursor_s, panel="RWL"))
+_query("SYSTem:VERSion", lambda _meter, _cursor_s: "1991.0")
+_query("SYSTem:ERRor", lambda meter, _cursor_s: meter.status.errors.pop())
+_query("STATus:QUEue[:NEXT]", lambda meter, _cursor_s: meter.status.errors.pop())
+_action("STATus:QUEue:CLEar", lambda meter, _cursor_s: meter.status.errors.clear())
+_action("STATus:PRESet", lambda _meter, _cursor_s: None)
+_query("*IDN", lambda meter, _cursor_s: meter.identity)
+_action("*RST", lambda meter, _cursor_s: meter.reset(RESET))
+_action("*CLS", lambda meter, _cursor_s: meter.status.clear())
+_query("*ESR", lambda meter, _cursor_s: str(meter.status.take_events()))
+_query("*STB", lambda meter, _cursor_s: str(meter.status_byte()))
 _setting("*ESE", "event_enable", integer(0, 255, 0))
 _setting("*SRE", "request_enable", integer(0, 255, 0))
-_query("*TST", lambda _core, _cursor_s: "0")
-_action("*WAI", lambda _core, _cursor_s: None)
-_action("*TRG", lambda core, cursor_s: core.trigger(cursor_s))
+_query("*TST", lambda _meter, _cursor_s: "0")
+_action("*WAI", lambda _meter, _cursor_s: None)
+_action("*TRG", lambda meter, cursor_s: meter.trigger(cursor_s))
 _define(
     "*OPC",
-    act=_without_parameters(lambda core, _cursor_s: core.status.complete()),
-    ask=_without_parameters(lambda _core, _cursor_s: "1"),
+    act=_without_parameters(lambda meter, _cursor_s: meter.status.complete()),
+    ask=_without_parameters(lambda _meter, _cursor_s: "1"),
 )

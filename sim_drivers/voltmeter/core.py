@@ -1,19 +1,16 @@
 """The simulated Keithley 2000 voltmeter: bytes in, replies with their due times out, time as an argument.
 
-Left out: functions other than DC voltage (they can be selected and read about zero), the reading buffer, and the pace
-of the serial line, which is the host's matter.
+Left out is the pace of the serial line, which is the host's matter.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import fields, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from sim_drivers.scpi import ScpiError, Status
-from sim_drivers.voltmeter.commands import PRESET, RANGES_V, Settings, Step, compile_line
-from sim_drivers.voltmeter.converter import Converter
+from sim_drivers.scpi import ScpiError
+from sim_drivers.voltmeter.commands import Step, compile_line
+from sim_drivers.voltmeter.instrument import VoltmeterInstrument
 
 INPUT_LIMIT = 2048
 DEFAULT_IDENTITY = "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1234567,A20  /A02"
@@ -21,10 +18,9 @@ TERMINATORS = {"LF": b"\n", "CR": b"\r", "LFCR": b"\n\r"}
 _ABORTS = b"\x03\x18"
 _ENDS = b"\n\r"
 _CACHED_LINES = 256
-_MAXIMUM_READINGS = 1024
 
 
-class VoltmeterCore:
+class VoltmeterCore(VoltmeterInstrument):
     """The instrument behind its serial or GPIB line.
 
     Parameters
@@ -60,31 +56,16 @@ class VoltmeterCore:
         identity: str = DEFAULT_IDENTITY,
         now: float = 0.0,
     ) -> None:
-        if not (45.0 <= line_frequency_hz <= 440.0):
-            raise ValueError(f"the line frequency must be 45 to 440 Hz, not {line_frequency_hz}")
-        self.identity: str = identity
-        self.settings: Settings = PRESET
-        self.status: Status = Status()
+        super().__init__(input_voltage, random, line_frequency_hz=line_frequency_hz, identity=identity, now=now)
         self.aborts = 0
         self.mute = False
         self.reply_delay_s = 0.0
         self._terminator = TERMINATORS[terminator]
         self._random = random
-        self._converter = Converter(input_voltage, random, 1.0 / line_frequency_hz)
         self._programs: dict[bytes, tuple[Step, ...]] = {}
         self._buffer = bytearray()
         self._overrun = False
         self._drops = self._corruptions = 0
-        self._now = self._cursor_s = self._ready_s = self._free_since_s = now
-        self._free_index = 0
-        self._awaits_trigger = False
-        self._last: str | None = None
-        self._power_up(now)
-
-    @property
-    def range_v(self) -> float:
-        """The range in use [V]."""
-        return self._converter.range_v
 
     def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         """Take in bytes and return the replies that they cause, each with the time [s] at which it is complete."""
@@ -114,75 +95,12 @@ class VoltmeterCore:
         """Garble one byte of each of the next replies."""
         self._corruptions += count
 
-    def press_range(self, range_v: float, now: float) -> None:
-        """Choose a range at the front panel, which does nothing while the panel is locked out."""
-        if range_v not in RANGES_V:
-            raise ValueError(f"the meter has the ranges {RANGES_V} V, not {range_v}")
-        if self.settings.panel != "RWL":
-            self.change(now, range_v=range_v, autorange=False)
-
     def power_cycle(self, now: float) -> None:
         """Switch off and on: defaults, free-running, the power-on mark set, everything under way forgotten."""
-        self._power_up(now)
-        self.aborts += 1
-
-    def change(self, now: float, **settings: Any) -> None:
-        """Apply settings as a command does; free running starts anew."""
-        self.settings = replace(self.settings, **settings)
-        self._converter.configure(self.settings, now)
-        self._free_since_s, self._free_index = now, 0
-
-    def read(self, cursor_s: float) -> str | None:
-        """Measure and answer; None while a trigger has to come first."""
-        self.initiate(cursor_s)
-        return None if self._awaits_trigger else self._last
-
-    def initiate(self, cursor_s: float) -> None:
-        """Leave idle for the programmed number of readings."""
-        if self.settings.continuous:
-            raise ScpiError(-213)
-        if self.settings.trigger_source in ("IMM", "TIM"):
-            self._measure(cursor_s)
-        else:
-            self._awaits_trigger = True
-
-    def trigger(self, cursor_s: float) -> None:
-        """Take a trigger from the bus."""
-        if self._awaits_trigger and self.settings.trigger_source == "BUS":
-            self._awaits_trigger = False
-            self._measure(cursor_s)
-
-    def fetch(self, cursor_s: float) -> str:
-        """Answer with the latest reading."""
-        if self.settings.continuous:
-            self._catch_up(cursor_s)
-        if self._last is None or self._awaits_trigger:
-            raise ScpiError(-230)
-        return self._last
-
-    def abort(self) -> None:
-        """Go back to idle at once."""
-        self._awaits_trigger = False
-        self._ready_s = self._cursor_s = self._now
-
-    def reset(self, settings: Settings) -> None:
-        """Take all settings from ``*RST`` or from the bench defaults; the front panel stays as it is."""
-        self.abort()
-        self._last = None
-        chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
-        self.change(self._now, **(chosen | {"panel": self.settings.panel}))
-
-    def status_byte(self) -> int:
-        """Return the status byte under the present masks."""
-        return self.status.byte(self.settings.event_enable, self.settings.request_enable)
-
-    def _power_up(self, now: float) -> None:
-        self.settings = PRESET
-        self.status = Status()
         self._buffer.clear()
         self._overrun = False
-        self._now = now
-        self.reset(PRESET)
+        self._power_up(now)
+        self.aborts += 1
 
     def _take(self, byte: int) -> None:
         if self._overrun:
@@ -235,21 +153,3 @@ class VoltmeterCore:
         self._now = now
         self.abort()
         self.aborts += 1
-
-    def _measure(self, cursor_s: float) -> None:
-        count = min(self.settings.sample_count * self.settings.trigger_count, _MAXIMUM_READINGS)
-        readings = []
-        for _ in range(count):
-            reading, cursor_s = self._converter.convert(cursor_s)
-            readings.append(reading)
-        self._last = ",".join(readings)
-        self._cursor_s = cursor_s
-
-    def _catch_up(self, cursor_s: float) -> None:
-        # Readings of free running that nobody fetches are never computed; the first one is waited for.
-        period_s = self._converter.conversion_s
-        index = max(math.floor((cursor_s - self._free_since_s) / period_s), 1)
-        if index > self._free_index:
-            self._free_index = index
-            self._last, end_s = self._converter.convert(self._free_since_s + (index - 1) * period_s)
-            self._cursor_s = max(cursor_s, end_s)

@@ -6,9 +6,8 @@ import subprocess
 import sys
 import time
 
-from drivers.lines.serial_port import SerialPort
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
-from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from tests.firmware.peer import BUILD, COUNTS_PER_MM, FIRMWARE
 
@@ -65,7 +64,7 @@ class LiveFirmware:
 
 def driver_on(firmware, a=A, b=B, **options):
     """Return the real driver on the firmware's port."""
-    line = SerialLine(lambda: SerialPort("positioner", str(firmware.link)), time.monotonic)
+    line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic)
     return PozsolPositioner(line, time.monotonic, a, b, **options)
 
 

@@ -5,8 +5,11 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
+from drivers.lines.serial_port import SerialPort
 from drivers.lines.threads import DeviceThread
 from drivers.positioners.pozsol.stream import FieldTable, Port, TelemetryReader, Value
+from drivers.positioners.pozsol.wire import require_allowed
+from drivers.transcript import Tap, no_tap
 
 _DEVICE = "positioner"
 _OPEN_S = 5.0
@@ -56,6 +59,11 @@ class Line(Protocol):
 
     def has_lines(self) -> bool:
         """Tell whether there are modem lines, which are then as they were asked for."""
+
+
+def open_port(path: str, tap: Tap = no_tap, *, dtr: bool = True, rts: bool = True) -> SerialPort:
+    """Open the positioner's port, which lets nothing out but commands that the unit may be sent; see `SerialPort`."""
+    return SerialPort(_DEVICE, path, require_allowed, tap, dtr=dtr, rts=rts)
 
 
 class SerialLine:

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_drivers.load.core import OVERFLOW, LoadCore
+from sim_drivers.load.core import LoadCore
+from sim_drivers.load.instrument import OVERFLOW
 from sim_drivers.pv_source import Light
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, voltage
 

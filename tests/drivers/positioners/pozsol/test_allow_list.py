@@ -19,7 +19,7 @@ from drivers.positioners.pozsol import positioner
 from drivers.positioners.pozsol import stream as telemetry
 from drivers.positioners.pozsol import wire as pozsol_wire
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
-from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field, encode_command
 
@@ -76,6 +76,7 @@ def test_these_are_all_the_doors_that_the_tests_below_go_through():
     assert public(SerialPort, inspect.isroutine) == {"read", "write", "echoes", "has_lines", "close"}
     assert public(telemetry.TelemetryReader, inspect.isroutine) == {"stop", "close"}
     assert public(positioner_line.SerialLine, inspect.isroutine) == {"open", "close", "send", "heard", "has_lines"}
+    assert public(positioner_line, inspect.isroutine) == {"open_port"}
     assert public(positioner, inspect.isroutine) == set()
     assert public(positioner, inspect.isclass) == {"PozsolPositioner"}
     assert public(serial_port, inspect.isclass) == {"SerialPort"}
@@ -122,7 +123,7 @@ def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
         async with positioner_host() as host:
             take = host.port._on_bytes
             host.port._on_bytes = lambda data: (arrived.append(bytes(data)), take(data))
-            line = SerialLine(lambda: SerialPort("positioner", str(host.port.link)), time.monotonic)
+            line = SerialLine(lambda: open_port(str(host.port.link)), time.monotonic)
             driver = PozsolPositioner(line, time.monotonic, A, B)
             await driver.open()
             for value in ODD:
@@ -139,7 +140,7 @@ def test_no_public_call_of_driver_or_port_sends_anything_else(positioner_host):
                     await asyncio.gather(sending, return_exceptions=True)
             for call in (driver.disable_autonomy, driver.clear_faults, driver.stop, driver.halt, driver.close):
                 await call()
-            port = SerialPort("positioner", str(host.port.link))
+            port = open_port(str(host.port.link))
             for code in range(256):
                 for text in (b"1", b"y", b"1\r", b"N\r", b"s\r", b"1\r$7x\r", b"\r", b""):
                     packet = bytes((0x24, code)) + text

@@ -15,10 +15,9 @@ from itertools import pairwise
 import pytest
 
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError
-from drivers.lines.serial_port import SerialPort
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
-from drivers.positioners.pozsol.link import SerialLine
+from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.bench.positioner_host import BANNER
@@ -32,7 +31,7 @@ B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 def positioner_on(link, a=A, b=B, **options):
     line = SerialLine(
-        lambda: SerialPort("positioner", str(link)),
+        lambda: open_port(str(link)),
         time.monotonic,
         boot_s=options.pop("boot_s", 0.0),
         banner=options.pop("banner", None),
@@ -504,7 +503,7 @@ def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypa
     async def scene():
         async with positioner_host() as host:
             monkeypatch.setattr(fcntl, "ioctl", ioctl)
-            port = SerialPort("positioner", str(host.port.link), dtr=dtr, rts=rts)
+            port = open_port(str(host.port.link), dtr=dtr, rts=rts)
             assert port.has_lines()
             assert lines == {termios.TIOCM_DTR: dtr, termios.TIOCM_RTS: rts}
             port.close()
@@ -516,9 +515,7 @@ def test_the_modem_lines_are_put_as_configured_at_open(positioner_host, monkeypa
 def test_a_port_without_modem_lines_is_used_and_said_to_have_none(positioner_host):
     async def scene():
         async with positioner_host() as host:
-            line = SerialLine(
-                lambda: SerialPort("positioner", str(host.port.link), dtr=False, rts=False), time.monotonic
-            )
+            line = SerialLine(lambda: open_port(str(host.port.link), dtr=False, rts=False), time.monotonic)
             positioner = PozsolPositioner(line, time.monotonic, A, B)
             assert (await positioner.open()).board == "36A1"
             assert positioner.has_lines() is False
