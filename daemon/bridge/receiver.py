@@ -16,7 +16,7 @@ from daemon.bridge.sequence import Follower
 if TYPE_CHECKING:
     from daemon.base.clock import Clock
     from daemon.base.records import Scan
-    from daemon.config.sections import Bridge
+    from daemon.config.links import Bridge
 
 _log = logging.getLogger("heliocube.bridge")
 

@@ -12,7 +12,7 @@ from daemon.bridge import senml, signing
 if TYPE_CHECKING:
     from daemon.base.clock import Clock
     from daemon.base.records import Scan
-    from daemon.config.sections import Bridge
+    from daemon.config.links import Bridge
 
 _log = logging.getLogger("heliocube.bridge")
 

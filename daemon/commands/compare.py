@@ -216,8 +216,9 @@ def paper(
     from typing import get_args
 
     from daemon.commands.simulate import progress_bar
-    from daemon.config.sections import LawName, WeatherName
+    from daemon.config.sections import LawName
     from daemon.config.settings import Settings
+    from daemon.config.simulation import WeatherName
     from daemon.studies.compare.paper import as_text, notes, run_paper, verdicts, write_paper
     from solar.sky import SKY_MODELS, SkyModel
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.config.sections import Mqtt
+from daemon.config.links import Mqtt
 from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"

@@ -1,10 +1,21 @@
-"""What every table of the configuration file has in common."""
+"""What the tables of the configuration file have in common."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, WithJsonSchema
+
+
+def _no_empty_path(value: object) -> object:
+    if value == "":
+        raise ValueError("empty")
+    return value
+
 
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Duration = Annotated[float, Field(gt=0, le=86400)]
+FilePath = Annotated[Path, Field(strict=False), BeforeValidator(_no_empty_path)]
 
 
 class Section(BaseModel):

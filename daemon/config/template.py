@@ -50,7 +50,7 @@ Every key may be left out and has its default then. Units are in the names: `_s`
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry
 their UTC offset and stand without quotes: `2022-10-14T06:00:00Z`.
 
-This page is made from the models in `daemon/config/sections.py`; write it anew with `python -m daemon.config.template`.
+This page is made from the models in `daemon/config/`; write it anew with `python -m daemon.config.template`.
 """
 
 

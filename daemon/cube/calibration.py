@@ -14,8 +14,8 @@ from pydantic import AwareDatetime, Field, ValidationError
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Event
-from daemon.config.section import Positive, Section
-from daemon.config.sections import Cube, Face, NotNegative
+from daemon.config.section import NotNegative, Positive, Section
+from daemon.config.sections import Cube, Face
 
 log = logging.getLogger("heliocube.calibration")
 

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 
 import aiomqtt
 
-from daemon.config.sections import Mqtt
+from daemon.config.links import Mqtt
 from daemon.mqtt.credentials import load_user, tls_context
 from daemon.mqtt.outbox import Message
 

@@ -8,7 +8,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import read_secret
 
 if TYPE_CHECKING:
-    from daemon.config.sections import Mqtt
+    from daemon.config.links import Mqtt
 
 _LONGEST = 4096
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from daemon.config.sections import SafeInput, WindInput
+from daemon.config.links import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.topics import find
 from daemon.tracker.stow import StowStatus, release_in_s

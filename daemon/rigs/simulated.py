@@ -15,8 +15,8 @@ from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
-from daemon.config.sections import WeatherName
 from daemon.config.settings import Settings
+from daemon.config.simulation import WeatherName
 from daemon.rigs.real import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
 from daemon.service.service import Rig, Role
 from drivers.interfaces import ElectronicLoad, Positioner

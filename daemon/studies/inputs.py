@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from daemon.base.errors import UserError
-from daemon.config.sections import WeatherName
+from daemon.config.simulation import WeatherName
 
 
 def parse_site(text: str) -> tuple[float, float, float]:

@@ -21,7 +21,8 @@ from daemon.base.process import Notifier
 from daemon.base.records import FACES, Bus, FaceReading, Mode, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import Cube, Store
+from daemon.config.links import Store
+from daemon.config.sections import Cube
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion, Polling
 from daemon.rigs.simulated import build_simulated_positioner

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from random import Random
 
     from daemon.base.clock import Clock
-    from daemon.config.sections import Bridge
+    from daemon.config.links import Bridge
 
 COLUMNS = ("time", *FACES)
 

@@ -14,7 +14,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import Store
+from daemon.config.links import Store
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.motion.motion import SIMULATED

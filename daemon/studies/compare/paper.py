@@ -10,8 +10,9 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.config.file import override
-from daemon.config.sections import LawName, WeatherName
+from daemon.config.sections import LawName
 from daemon.config.settings import Settings
+from daemon.config.simulation import WeatherName
 from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts
 from daemon.studies.compare.fit import Fit, fit, flat_pairs
 from daemon.studies.compare.gains import WHOLE_DAY, Gain, Span, gains

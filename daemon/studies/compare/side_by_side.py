@@ -13,7 +13,8 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.sections import LawName, Store
+from daemon.config.links import Store
+from daemon.config.sections import LawName
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import SimulatedPair
 from daemon.service.service import Role, Service

@@ -16,7 +16,7 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender
-from daemon.config.sections import Bridge
+from daemon.config.links import Bridge
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0

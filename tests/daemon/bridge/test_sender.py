@@ -11,7 +11,7 @@ from daemon.base.addresses import Address, BridgeError, parse_address
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.sender import BridgeSender
-from daemon.config.sections import Bridge
+from daemon.config.links import Bridge
 
 KEY = bytes(range(1, 33))
 

@@ -10,7 +10,9 @@ from pydantic import ValidationError
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
-from daemon.config.sections import Bridge, LimitSettings, Safety, Section
+from daemon.config.links import Bridge
+from daemon.config.section import Section
+from daemon.config.sections import LimitSettings, Safety
 from daemon.config.settings import Settings
 from daemon.config.template import example, reference
 from tests.support import DOCS

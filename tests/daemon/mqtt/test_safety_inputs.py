@@ -5,7 +5,8 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode
-from daemon.config.sections import SafeInput, Safety, WindInput
+from daemon.config.links import SafeInput, WindInput
+from daemon.config.sections import Safety
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.tracker.stow import WindStow

@@ -12,7 +12,7 @@ from daemon.base.addresses import BridgeError
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.config.sections import Bridge
+from daemon.config.links import Bridge
 from daemon.studies.send_csv import read_csv, send_csv
 
 KEY = bytes(range(1, 33))

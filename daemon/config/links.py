@@ -1,0 +1,204 @@
+"""The settings of what links the service to the world: bridge, store, HTTP interface, broker."""
+
+import ipaddress
+import re
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from daemon.base.addresses import DEFAULT_LISTEN, parse_address
+from daemon.config.section import Duration, FilePath, Section, text_of
+
+_HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
+
+
+def _listen_address(text: str) -> str:
+    parse_address(text)
+    return text
+
+
+def _send_address(text: str) -> str:
+    if parse_address(text).port == 0:
+        raise ValueError("port 0 is nobody's")
+    return text
+
+
+def _group(text: str) -> str:
+    group = parse_address(text)
+    if not (group.ip.version == 4 and group.ip.is_multicast and group.port):
+        raise ValueError("not an IPv4 multicast group")
+    return text
+
+
+def _host(text: str) -> str:
+    ipaddress.ip_address(text)
+    return text
+
+
+def _interface(text: str) -> str:
+    ipaddress.IPv4Address(text)
+    return text
+
+
+def _host_name(text: str) -> str:
+    if not _HOST_NAME.fullmatch(text):
+        raise ValueError("not a host")
+    return text
+
+
+ListenAddress = Annotated[str, AfterValidator(_listen_address), text_of("listen")]
+SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
+Group = Annotated[str, AfterValidator(_group), text_of("group")]
+Host = Annotated[str, AfterValidator(_host), text_of("ip")]
+Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
+# Whether these three can be used is for daemon.mqtt.topics to say: a wrong one must not keep the tracker from tracking.
+Topic = Annotated[str, text_of("topic")]
+TopicLevel = Annotated[str, text_of("level")]
+JsonPath = Annotated[str, text_of("json-path")]
+HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
+
+
+class Bridge(Section):
+    """How scans get from the cube to the trackers: over UDP or a broker, signed with a key that both sides have."""
+
+    transport: Literal["udp", "mqtt"] = Field(
+        "udp",
+        description="udp: within one network. mqtt: over the broker of [mqtt] to trackers in other networks; cube and"
+        " tracker in one process still use UDP between themselves.",
+    )
+    topic: Topic = Field(
+        "heliocube/bridge", description="Topic of the scans over a broker: one per cube, the same on both sides."
+    )
+    listen: ListenAddress = Field(
+        "127.0.0.1:20571", description="Tracker: address and port to receive on; 0.0.0.0 is every network."
+    )
+    send_to: tuple[SendAddress, ...] = Field(
+        ("127.0.0.1:20571",), strict=False, description="Cube: addresses and ports of the trackers."
+    )
+    multicast_group: Group | None = Field(
+        None, examples=["239.255.20.71:20571"], description="Group and port that the cube sends to and trackers join."
+    )
+    multicast_interface: Interface | None = Field(
+        None, examples=["192.168.1.20"], description="This machine's own address in the network of the group."
+    )
+    multicast_ttl: int = Field(1, ge=1, le=32, description="How many networks multicast may cross; 1 is this one only.")
+    key_file: FilePath | None = Field(
+        None,
+        examples=["bridge.key"],
+        description="File with the key that signs scans, the same on both sides, mode 0600."
+        " Left out: a new key at each start, which is enough for cube and tracker in one process.",
+    )
+    insecure: bool = Field(default=False, description="Take and send unsigned scans. For a closed lab network only.")
+    accept_from: tuple[Host, ...] = Field(
+        (), strict=False, description="Tracker: addresses of the cubes it listens to; empty is any."
+    )
+    clock_skew_s: Duration = Field(30.0, description="Largest difference between the clocks of cube and tracker.")
+    late_after_s: Duration = Field(10.0, description="A scan that took longer on its way is not used.")
+
+
+class Store(Section):
+    """Where records are kept, in one SQLite file; without a directory they are not."""
+
+    directory: FilePath | None = Field(None, examples=["records"], description="Folder of the records.")
+    batch_s: float = Field(
+        5.0, ge=0.1, le=300, description="Longest time until a record is written; a crash loses no more than this."
+    )
+    keep_days: int = Field(
+        400,
+        ge=1,
+        le=36500,
+        description="How many days with records are kept, at about 5 MB a day; the oldest go first.",
+    )
+
+
+class Api(Section):
+    """The local HTTP interface, for `heliocube status`, `heliocube stow` and other programs on this machine."""
+
+    enabled: bool = Field(default=True, description="Whether there is one.")
+    listen: ListenAddress = Field(
+        DEFAULT_LISTEN,
+        description="Address and port to serve on. Everyone who reaches it can read the state; beyond this machine"
+        " the token would travel unencrypted, so put a proxy with TLS in front.",
+    )
+    token_file: FilePath | None = Field(
+        None,
+        examples=["api.token"],
+        description="File with the token that commands need, mode 0600 or 0640."
+        " Left out: a new token at each start, shown on the terminal.",
+    )
+
+
+class WindInput(Section):
+    """A wind sensor on the broker. Thresholds and times are those of [safety]."""
+
+    topic: Topic | None = Field(
+        None, examples=["weather/roof"], description="Topic that bears the wind speed. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the speed is in a JSON message; empty where the message is the number."
+    )
+    unit: Literal["m/s", "km/h", "mph", "kn"] = Field("m/s", description="Unit of the speed.")
+
+
+class SafeInput(Section):
+    """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
+
+    topic: Topic | None = Field(
+        None, examples=["dome/safety"], description="Topic that bears the word. Left out: there is none."
+    )
+    json_path: JsonPath = Field(
+        "", description="Where the word is in a JSON message; empty where the message is the word."
+    )
+    safe: str = Field("safe", min_length=1, description="The word for safe; true, false and numbers are words too.")
+    unsafe: str = Field("unsafe", min_length=1, description="The word for unsafe.")
+    stale_s: Duration = Field(300.0, description="Time without the word for safe that counts as unsafe.")
+    stow_at_least_s: Duration = Field(900.0, description="Time that it must have been safe before stow ends.")
+
+
+class Mqtt(Section):
+    """Telemetry and commands over an MQTT broker, described in docs/mqtt.md."""
+
+    enabled: bool = Field(default=False, description="Whether a broker is used at all.")
+    host: HostName = Field("127.0.0.1", description="Name or address of the broker.")
+    port: int = Field(1883, ge=1, le=65535, description="Port of the broker; with TLS usually 8883.")
+    tls: bool = Field(default=False, description="Encrypt, and check the broker's certificate.")
+    ca_file: FilePath | None = Field(
+        None,
+        examples=["broker-ca.pem"],
+        description="Certificates that the broker's own is checked against. Left out: those of the system.",
+    )
+    certificate_file: FilePath | None = Field(
+        None, examples=["client.pem"], description="This client's certificate, where the broker asks for one."
+    )
+    certificate_key_file: FilePath | None = Field(
+        None, examples=["client.key"], description="The key of that certificate."
+    )
+    credentials_file: FilePath | None = Field(
+        None, examples=["mqtt.credentials"], description="File of one line, user:password, mode 0600 or 0640."
+    )
+    client_id: str | None = Field(
+        None,
+        min_length=1,
+        max_length=128,
+        examples=["roof-tracker"],
+        description="Name of the connection; two with one name throw each other out. Left out: of prefix and name.",
+    )
+    keepalive_s: int = Field(5, ge=2, le=60, description="Longest silence; a hung broker is noticed within twice this.")
+    prefix: Topic = Field("heliocube", description="What all topics of the installation begin with.")
+    name: TopicLevel | None = Field(
+        None,
+        examples=["roof"],
+        description="Level of this tracker below the prefix, or of this cube; the store bears the name too. Left out:"
+        " tracker, or cube.",
+    )
+    state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
+    queue_messages: int = Field(
+        1000, ge=10, le=100_000, description="How many messages wait while the broker is away; the oldest go first."
+    )
+    commands: bool = Field(
+        default=True, description="Take commands. Whoever may write to the broker can move the tracker then."
+    )
+    discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
+    discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
+    wind: WindInput = WindInput()
+    safe: SafeInput = SafeInput()

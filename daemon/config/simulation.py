@@ -1,0 +1,50 @@
+"""The settings of the simulated rig."""
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+from pydantic import AfterValidator, AwareDatetime, Field
+
+from daemon.config.section import FilePath, NotNegative, Positive, Section
+
+WeatherName = Literal["clear", "overcast", "variable", "broken"]
+
+
+def _no_misspelt_weather(path: Path) -> Path:
+    names = get_args(WeatherName)
+    if path.name == str(path) and not path.suffix and difflib.get_close_matches(str(path).lower(), names):
+        raise ValueError("a misspelt name and not a file")
+    return path
+
+
+WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
+
+
+class Simulation(Section):
+    """The simulated rig: its sky, its clock and its imperfections.
+
+    Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.
+    """
+
+    weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")
+    sky: Literal["perez1990", "isotropic", "haydavies"] = Field(
+        "haydavies", description="Model of how diffuse light spreads over the sky."
+    )
+    albedo: float = Field(0.2, ge=0, le=1, description="True albedo of the simulated ground.")
+    seed: int = Field(1, ge=0, le=2**63 - 1, description="The same seed gives the same clouds and noise.")
+    start_utc: AwareDatetime | None = Field(
+        None,
+        examples=["2022-10-14T06:00:00Z"],
+        description="Start of the simulated clock. Left out: now at speed 1, else a bright October morning of 2022.",
+    )
+    speed: Positive = Field(60.0, le=1000, description="How many times faster than real time.")
+    anchor_utc: AwareDatetime | None = Field(
+        None,
+        examples=["2026-01-01T12:00:00Z"],
+        description="Real time at which the simulated clock shows start_utc. Set it alike for cube and tracker to"
+        " give two processes one sky. Left out: when the process starts.",
+    )
+    sensor_gain_error: NotNegative = Field(0.005, le=0.5, description="Spread of the sensors' gains, as a share.")
+    sensor_noise_mv: NotNegative = Field(0.02, le=100, description="Noise of a sensor's voltage, one sigma.")
+    motor_speed_mm_s: Positive = Field(3.2, le=100, description="Speed of the positioner's actuators.")
