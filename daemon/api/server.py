@@ -13,7 +13,7 @@ from daemon.api.app import Api
 from daemon.base.addresses import parse_address
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event
-from daemon.config.links import Api as ApiSettings
+from daemon.config.links import ApiSettings
 from daemon.service.recent import Recent
 from daemon.service.service import Service
 from daemon.service.status import LinkStatus

@@ -16,7 +16,7 @@ from daemon.bridge.sequence import Follower
 if TYPE_CHECKING:
     from daemon.base.clock import Clock
     from daemon.base.records import Scan
-    from daemon.config.links import Bridge
+    from daemon.config.links import BridgeSettings
 
 _log = logging.getLogger("heliocube.bridge")
 
@@ -46,7 +46,7 @@ class BridgeReceiver(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, settings: "Bridge", key: bytes | None, clock: "Clock", on_scan: Callable[["Scan"], None]
+        self, settings: "BridgeSettings", key: bytes | None, clock: "Clock", on_scan: Callable[["Scan"], None]
     ) -> None:
         require_key(key, insecure=settings.insecure)
         self._key = key

@@ -12,7 +12,7 @@ from daemon.bridge import senml, signing
 if TYPE_CHECKING:
     from daemon.base.clock import Clock
     from daemon.base.records import Scan
-    from daemon.config.links import Bridge
+    from daemon.config.links import BridgeSettings
 
 _log = logging.getLogger("heliocube.bridge")
 
@@ -61,7 +61,7 @@ class BridgeSender:
         When the settings name no target, or neither a key nor ``insecure``.
     """
 
-    def __init__(self, settings: "Bridge", key: bytes | None, clock: "Clock") -> None:
+    def __init__(self, settings: "BridgeSettings", key: bytes | None, clock: "Clock") -> None:
         require_key(key, insecure=settings.insecure)
         self._key = key
         self._clock = clock

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.config.links import Mqtt
+from daemon.config.links import MqttSettings
 from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
@@ -186,7 +186,7 @@ def _summary(settings: Settings) -> dict[str, str]:
     }
 
 
-def _broker(mqtt: Mqtt) -> str:
+def _broker(mqtt: MqttSettings) -> str:
     known = f"as the user in {mqtt.credentials_file}" if mqtt.credentials_file else "without a user"
     inputs = ", ".join(part.topic for part in (mqtt.wind, mqtt.safe) if part.topic) or "none"
     return (

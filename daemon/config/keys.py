@@ -150,7 +150,7 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class SettingsTable:
     """One section of the file: its path, what it is about, and its own keys."""
 
     path: str
@@ -159,7 +159,7 @@ class Table:
 
 
 @cache
-def tables() -> dict[str, Table]:
+def tables() -> dict[str, SettingsTable]:
     """Return all sections by their path, in the order of the models."""
     return {table.path: table for table in _walk(Settings(), "")}
 
@@ -267,7 +267,7 @@ def _leaf(path: str) -> str:
     return path.rpartition(".")[2]
 
 
-def _walk(section: Section, path: str) -> Iterator[Table]:
+def _walk(section: Section, path: str) -> Iterator[SettingsTable]:
     kind = type(section)
     properties = kind.model_json_schema()["properties"]
     prefix = f"{path}." if path else ""
@@ -277,7 +277,7 @@ def _walk(section: Section, path: str) -> Iterator[Table]:
         for name, value in inner.items()
         if not isinstance(value, Section)
     ]
-    yield Table(path, cleandoc(kind.__doc__ or ""), tuple(own))
+    yield SettingsTable(path, cleandoc(kind.__doc__ or ""), tuple(own))
     for name, value in inner.items():
         if isinstance(value, Section):
             yield from _walk(value, prefix + name)

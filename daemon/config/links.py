@@ -58,7 +58,7 @@ JsonPath = Annotated[str, text_of("json-path")]
 HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
 
 
-class Bridge(Section):
+class BridgeSettings(Section):
     """How scans get from the cube to the trackers: over UDP or a broker, signed with a key that both sides have."""
 
     transport: Literal["udp", "mqtt"] = Field(
@@ -96,7 +96,7 @@ class Bridge(Section):
     late_after_s: Duration = Field(10.0, description="A scan that took longer on its way is not used.")
 
 
-class Store(Section):
+class StoreSettings(Section):
     """Where records are kept, in one SQLite file; without a directory they are not."""
 
     directory: FilePath | None = Field(None, examples=["records"], description="Folder of the records.")
@@ -111,7 +111,7 @@ class Store(Section):
     )
 
 
-class Api(Section):
+class ApiSettings(Section):
     """The local HTTP interface, for `heliocube status`, `heliocube stow` and other programs on this machine."""
 
     enabled: bool = Field(default=True, description="Whether there is one.")
@@ -155,7 +155,7 @@ class SafeInput(Section):
     stow_at_least_s: Duration = Field(900.0, description="Time that it must have been safe before stow ends.")
 
 
-class Mqtt(Section):
+class MqttSettings(Section):
     """Telemetry and commands over an MQTT broker, described in docs/mqtt.md."""
 
     enabled: bool = Field(default=False, description="Whether a broker is used at all.")

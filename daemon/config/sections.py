@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from daemon.config.instruments import Instruments, Load
-from daemon.config.links import Api, Bridge, Mqtt, Store
+from daemon.config.links import ApiSettings, BridgeSettings, MqttSettings, StoreSettings
 from daemon.config.section import Duration, FilePath, NotNegative, Positive, Section, with_defaults
-from daemon.config.simulation import Simulation
-from solar.ephemeris import Site as Place
+from daemon.config.simulation import SimulationSettings
+from solar.ephemeris import Site
 from solar.frames import Limits
 
 Azimuth = Annotated[float, Field(ge=0, lt=360)]
@@ -20,7 +20,7 @@ WindSpeed = Annotated[float, Field(gt=0, le=40)]
 LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
 
 
-class Site(Section):
+class SiteSettings(Section):
     """Where the rig stands. The default is the paper's: SIRTA, Palaiseau."""
 
     name: str = Field("SIRTA", description="Name of the place, for people.")
@@ -33,12 +33,12 @@ class Site(Section):
     longitude_deg: float = Field(2.209002, ge=-180, le=180, description="Longitude, east positive.")
     altitude_m: float = Field(156.0, ge=-430, le=9000, description="Height above sea level.")
 
-    def place(self) -> Place:
+    def place(self) -> Site:
         """Return the site as the science knows it."""
-        return Place(self.latitude_deg, self.longitude_deg, self.altitude_m)
+        return Site(self.latitude_deg, self.longitude_deg, self.altitude_m)
 
 
-class Face(Section):
+class FaceSettings(Section):
     """One sensor of the cube: irradiance = gain x (voltage - offset)."""
 
     channel: Channel = Field(description="Multiplexer input that the sensor is wired to.")
@@ -55,7 +55,7 @@ class Face(Section):
     tilt_deg: float = Field(90.0, ge=0, le=180, description="Tilt of the face: 0 looks up, 90 at the horizon.")
 
 
-class Cube(Section):
+class CubeSettings(Section):
     """The cube and the rhythm in which its four faces are read."""
 
     name: str = Field(
@@ -91,10 +91,10 @@ class Cube(Section):
     self_test_limit_mv: Positive = Field(
         0.5, le=100, description="Largest voltage of a short-circuited input that passes the self-test."
     )
-    east: Face = Face(channel=0)
-    south: Face = Face(channel=1)
-    west: Face = Face(channel=2)
-    zenith: Face = Face(channel=3, tilt_deg=0.0)
+    east: FaceSettings = FaceSettings(channel=0)
+    south: FaceSettings = FaceSettings(channel=1)
+    west: FaceSettings = FaceSettings(channel=2)
+    zenith: FaceSettings = FaceSettings(channel=3, tilt_deg=0.0)
 
     @field_validator("east", "south", "west", "zenith", mode="before")
     @classmethod
@@ -140,7 +140,7 @@ class Law(Section):
     moves_per_day: int = Field(250, ge=1, le=1440, description="optimal: moves in a day that are never exceeded.")
 
 
-class Windows(Section):
+class WindowSettings(Section):
     """The rhythm of control: the paper's mean over 120 s, every 300 s."""
 
     mean_s: Duration = Field(120.0, description="Span of the newest readings that a decision averages.")
@@ -169,7 +169,7 @@ class LimitSettings(Section):
         return Limits(self.a_min_deg, self.a_max_deg, self.b_min_deg, self.b_max_deg)
 
 
-class Motion(Section):
+class MotionSettings(Section):
     """When a move is worth it, and what counts as having arrived."""
 
     deadband_deg: NotNegative = Field(0.6, le=30, description="A smaller change of direction is not worth a move.")
@@ -190,7 +190,7 @@ class Motion(Section):
     )
 
 
-class Safety(Section):
+class SafetySettings(Section):
     """When not to track."""
 
     scan_stale_s: Duration = Field(15.0, description="Age from which the newest scan is not used any more.")
@@ -227,17 +227,17 @@ class Safety(Section):
 class Sections(Section):
     """Everything that a file may set, section by section."""
 
-    site: Site = Site()
-    cube: Cube = Cube()
+    site: SiteSettings = SiteSettings()
+    cube: CubeSettings = CubeSettings()
     instruments: Instruments = Instruments()
     load: Load = Load()
     law: Law = Law()
-    windows: Windows = Windows()
+    windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()
-    motion: Motion = Motion()
-    safety: Safety = Safety()
-    bridge: Bridge = Bridge()
-    store: Store = Store()
-    api: Api = Api()
-    mqtt: Mqtt = Mqtt()
-    simulation: Simulation = Simulation()
+    motion: MotionSettings = MotionSettings()
+    safety: SafetySettings = SafetySettings()
+    bridge: BridgeSettings = BridgeSettings()
+    store: StoreSettings = StoreSettings()
+    api: ApiSettings = ApiSettings()
+    mqtt: MqttSettings = MqttSettings()
+    simulation: SimulationSettings = SimulationSettings()

@@ -21,7 +21,7 @@ def _no_misspelt_weather(path: Path) -> Path:
 WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
 
 
-class Simulation(Section):
+class SimulationSettings(Section):
     """The simulated rig: its sky, its clock and its imperfections.
 
     Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.

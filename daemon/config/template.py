@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from daemon.config import keys as config_keys
 from daemon.config import rules as config_rules
-from daemon.config.keys import Key, Table
+from daemon.config.keys import Key, SettingsTable
 
 Role = Literal["both", "cube", "tracker"]
 
@@ -95,7 +95,7 @@ def _heading(role: Role) -> str:
     return "\n".join(_comment(line) for line in lines)
 
 
-def _block(table: Table, values: Mapping[str, Any]) -> str:
+def _block(table: SettingsTable, values: Mapping[str, Any]) -> str:
     rule = "# " + "-" * (_WIDTH - 2)
     lines = [] if "." in table.path else [rule]
     lines += [_comment(table.about), f"[{table.path}]"]

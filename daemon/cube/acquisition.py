@@ -10,7 +10,7 @@ from random import Random
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
 from drivers.errors import DeadlineError, DeviceError, DriverHungError, OverRangeError, ProtocolError
@@ -51,7 +51,7 @@ class Acquisition:
 
     def __init__(
         self,
-        cube: Cube,
+        cube: CubeSettings,
         settle_s: float,
         multiplexer: Multiplexer,
         voltmeter: Voltmeter,

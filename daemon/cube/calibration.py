@@ -15,7 +15,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Event
 from daemon.config.section import NotNegative, Positive, Section
-from daemon.config.sections import Cube, Face
+from daemon.config.sections import CubeSettings, FaceSettings
 
 log = logging.getLogger("heliocube.calibration")
 
@@ -122,12 +122,12 @@ def read_calibration(path: Path) -> CubeCalibration:
     return calibration
 
 
-def calibration_in_force(cube: Cube) -> CubeCalibration | None:
+def calibration_in_force(cube: CubeSettings) -> CubeCalibration | None:
     """Return the calibration that the settings name, or None; raises `UserError` as `read_calibration` does."""
     return None if cube.calibration_file is None else read_calibration(cube.calibration_file)
 
 
-def calibrated_cube(cube: Cube, calibration: CubeCalibration) -> Cube:
+def calibrated_cube(cube: CubeSettings, calibration: CubeCalibration) -> CubeSettings:
     """Return the cube's settings with the gains and offsets of a calibration."""
     faces = {
         name: getattr(cube, name).model_copy(
@@ -193,7 +193,7 @@ _LEARNING_RATE = 1 / 300
 _LARGEST_MV = 0.5
 
 
-def calibrated(voltage_mv: float, face: Face) -> float:
+def calibrated(voltage_mv: float, face: FaceSettings) -> float:
     """Return the irradiance [W/m2] of a face from its sensor's voltage [mV]: gain x (voltage - offset)."""
     return face.gain_w_m2_per_mv * (voltage_mv - face.offset_mv)
 

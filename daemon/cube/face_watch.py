@@ -9,7 +9,7 @@ from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
-from daemon.config.sections import Cube, Site
+from daemon.config.sections import CubeSettings, SiteSettings
 from solar.ephemeris import SunDirection
 from solar.frames import Array
 from solar.plausible import LOWEST_SINE, Doubt, doubts, lit
@@ -29,7 +29,7 @@ _WHY = {
 }
 
 
-def face_normals(cube: Cube, latitude_deg: float) -> Array:
+def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
     """Return the unit normals of east, south, west and zenith, shape (4, 3); the south face looks to the equator."""
     named = (90.0, 180.0 if latitude_deg >= 0 else 0.0, 270.0, 180.0)
     faces = [getattr(cube, name) for name in FACES]
@@ -55,7 +55,7 @@ class FaceWatch:
         Told which face is not believed, and why.
     """
 
-    def __init__(self, site: Site, cube: Cube, clock: Clock, alarms: Alarms) -> None:
+    def __init__(self, site: SiteSettings, cube: CubeSettings, clock: Clock, alarms: Alarms) -> None:
         self._sun_direction = SunDirection(site.place())
         self._normals = face_normals(cube, site.latitude_deg)
         self._clock = clock

@@ -20,7 +20,7 @@ from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
-from daemon.config.sections import Motion as MotionSettings
+from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.reference import Doubts
 from daemon.motion.rehoming import Rehoming

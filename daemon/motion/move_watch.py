@@ -4,7 +4,7 @@ from enum import StrEnum
 
 from daemon.base.records import Pose, Target
 from daemon.config.instruments import PositionerSettings
-from daemon.config.sections import Motion
+from daemon.config.sections import MotionSettings
 from daemon.motion.watch import jitter
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
@@ -49,7 +49,7 @@ class Follow:
         target: Target,
         start: Pose,
         limits: Limits,
-        settings: Motion,
+        settings: MotionSettings,
         expected: PositionerSettings,
         now_s: float,
     ) -> None:

@@ -11,7 +11,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
-from daemon.config.sections import Motion as MotionSettings
+from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.move_watch import Follow, Progress
 from daemon.motion.reference import NOT_FINISHED

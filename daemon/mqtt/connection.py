@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 
 import aiomqtt
 
-from daemon.config.links import Mqtt
+from daemon.config.links import MqttSettings
 from daemon.mqtt.credentials import load_user, tls_context
 from daemon.mqtt.outbox import Message
 
@@ -56,7 +56,7 @@ class Connection:
         How many times as fast as the machine's the event loop's clock runs: a broker's time is the machine's.
     """
 
-    def __init__(self, settings: Mqtt, client_id: str, will: Message, speed: float) -> None:
+    def __init__(self, settings: MqttSettings, client_id: str, will: Message, speed: float) -> None:
         self._client = _Client(
             settings.host,
             settings.port,
@@ -161,7 +161,7 @@ class _TlsSocket(ssl.SSLSocket):
 class _Client(aiomqtt.Client):
     """The library's client with its two gaps filled: a bounded dial, and nothing left behind after a failure."""
 
-    settings: Mqtt
+    settings: MqttSettings
     refusal: str | None = None
     dialled = False
 

@@ -8,7 +8,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import read_secret
 
 if TYPE_CHECKING:
-    from daemon.config.links import Mqtt
+    from daemon.config.links import MqttSettings
 
 _LONGEST = 4096
 
@@ -38,7 +38,7 @@ def load_user(path: Path) -> tuple[str, str]:
     return user, password
 
 
-def tls_context(settings: "Mqtt") -> ssl.SSLContext:
+def tls_context(settings: "MqttSettings") -> ssl.SSLContext:
     """Return how the broker is recognised, and how this client is; raises `CredentialsError`."""
     try:
         context = ssl.create_default_context(cafile=settings.ca_file)

@@ -11,7 +11,7 @@ from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
-from daemon.config.links import Mqtt
+from daemon.config.links import MqttSettings
 from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
 from daemon.mqtt.outbox import Message, Outbox
 from daemon.mqtt.topics import Topics
@@ -51,7 +51,7 @@ class Link:
 
     def __init__(
         self,
-        settings: Mqtt,
+        settings: MqttSettings,
         topics: Topics,
         clock: Clock,
         random: Random,

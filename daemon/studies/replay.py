@@ -21,8 +21,8 @@ from daemon.base.process import Notifier
 from daemon.base.records import FACES, Bus, FaceReading, Mode, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.links import Store
-from daemon.config.sections import Cube
+from daemon.config.links import StoreSettings
+from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion, Polling
 from daemon.rigs.simulated import build_simulated_positioner
@@ -132,7 +132,7 @@ def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
     changes = {
         "cube": settings.cube.model_copy(update={"scan_every_s": max(every_s, _QUICKEST_S)}),
         "safety": settings.safety.model_copy(update={"scan_stale_s": stale_s}),
-        "store": Store(),
+        "store": StoreSettings(),
     }
     return on_a_port_of_its_own(settings, insecure=True).model_copy(update=changes)
 
@@ -269,7 +269,7 @@ class _Feeder:
         return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))
 
 
-def _scan(cube: Cube, number: int, row: Row, now_s: float) -> Scan:
+def _scan(cube: CubeSettings, number: int, row: Row, now_s: float) -> Scan:
     utc_s = row.time_utc_s
     low, high = cube.minimum_w_m2, cube.maximum_w_m2
     faces = []

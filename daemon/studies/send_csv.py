@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from random import Random
 
     from daemon.base.clock import Clock
-    from daemon.config.links import Bridge
+    from daemon.config.links import BridgeSettings
 
 COLUMNS = ("time", *FACES)
 
@@ -60,7 +60,7 @@ def read_csv(path: Path) -> list[Row]:
 
 async def send_csv(
     path: Path,
-    settings: "Bridge",
+    settings: "BridgeSettings",
     key: bytes | None,
     clock: "Clock",
     rng: "Random",

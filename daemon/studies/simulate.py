@@ -14,7 +14,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.links import Store
+from daemon.config.links import StoreSettings
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.motion.motion import SIMULATED
@@ -78,7 +78,7 @@ def simulate(
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
-    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
     tally = _Tally(start_utc_s)
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import Alarms
 from daemon.base.files import replace_file
-from daemon.config.sections import Motion as MotionSettings
+from daemon.config.sections import MotionSettings
 from solar.ephemeris import DAY_S
 
 log = logging.getLogger("heliocube.control")

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.files import replace_file
 from daemon.base.records import Estimate, Quality, Scan, Target
-from daemon.config.sections import Law, Site
+from daemon.config.sections import Law, SiteSettings
 from daemon.tracker.pointing import Aim
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Array, Limits, azimuth_from_direction, direction_from_azimuth
@@ -108,7 +108,7 @@ class OptimalPointing:
     """
 
     def __init__(
-        self, site: Site, settings: Law, limits: Limits, scan_every_s: float, utc_s: float, file: LearnedFile
+        self, site: SiteSettings, settings: Law, limits: Limits, scan_every_s: float, utc_s: float, file: LearnedFile
     ) -> None:
         self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
         self._scan_every_s = scan_every_s

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daemon.base.records import NO_ESTIMATE, Estimate, Irradiances, Target
-from daemon.config.sections import Law, LawName, Site
+from daemon.config.sections import Law, LawName, SiteSettings
 from solar.ephemeris import SunPosition, sun_position
 from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
 from solar.laws import paper as laws
@@ -50,7 +50,7 @@ class Pointing:
         Of the tracker.
     """
 
-    def __init__(self, site: Site, law: Law, limits: Limits) -> None:
+    def __init__(self, site: SiteSettings, law: Law, limits: Limits) -> None:
         self._site = site
         self._law = law
         self._limits = limits

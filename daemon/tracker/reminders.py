@@ -7,7 +7,7 @@ from collections.abc import Callable
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Record
-from daemon.config.sections import Site
+from daemon.config.sections import SiteSettings
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
 
@@ -29,7 +29,7 @@ class Reminders:
         Called with the events of maintenance, whose alarms are muted.
     """
 
-    def __init__(self, clock: Clock, site: Site, alarms: Alarms, publish: Callable[[Record], None]) -> None:
+    def __init__(self, clock: Clock, site: SiteSettings, alarms: Alarms, publish: Callable[[Record], None]) -> None:
         self._clock = clock
         self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
         self._alarms = alarms

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from daemon.config.sections import Safety
+from daemon.config.sections import SafetySettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class WindStow:
         Of the source, for people.
     """
 
-    def __init__(self, safety: Safety, wind_speed_m_s: Callable[[], float | None], name: str = "wind") -> None:
+    def __init__(self, safety: SafetySettings, wind_speed_m_s: Callable[[], float | None], name: str = "wind") -> None:
         self.name = name
         self._safety = safety
         self._wind_speed_m_s = wind_speed_m_s

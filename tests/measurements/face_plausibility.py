@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy import measured_minutes
@@ -31,7 +31,9 @@ def cube_of(utc_s: Array, dni: Array, dhi: Array, model: SkyModel, albedo: float
     random = np.random.default_rng(seed)
     sun = sun_direction(utc_s, *LYNGBY)
     light = sky(model, sun, dni, dhi, extraterrestrial_dni(utc_s))
-    faces = np.stack([light.irradiance_on(n, albedo) for n in face_normals(Cube(), LYNGBY.latitude_deg)], axis=-1)
+    faces = np.stack(
+        [light.irradiance_on(n, albedo) for n in face_normals(CubeSettings(), LYNGBY.latitude_deg)], axis=-1
+    )
     noise = random.normal(0.0, NOISE_MV / np.sqrt(SCANS_PER_MINUTE), faces.shape)
     voltages = 0.1 * faces * (1.0 + 0.03 * random.standard_normal(4)) + noise
     return 10.0 * voltages, voltages

@@ -6,7 +6,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.studies.calibrate.readings import Readings, Reference, span_text
 from solar.agreement import Agreement, agreement
 from solar.calibration.comparison import Interval, SeriesGain, fitted_offset, lag_s, series_gain
@@ -78,7 +78,7 @@ def compare(
     reference: Reference,
     readings: Readings,
     site: Site,
-    cube: Cube,
+    cube: CubeSettings,
     *,
     lag: float | None,
     reference_uncertainty_percent: float,

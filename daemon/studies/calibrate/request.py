@@ -7,7 +7,7 @@ from pathlib import Path
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.config.file import load_settings, override
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibration_in_force
 from daemon.studies.calibrate.readings import Readings, read_csv, read_store
@@ -29,7 +29,7 @@ class Rig:
     """
 
     site: Site
-    cube: Cube
+    cube: CubeSettings
     calibration: CubeCalibration | None
 
 

@@ -13,7 +13,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
-from daemon.config.links import Store
+from daemon.config.links import StoreSettings
 from daemon.config.sections import LawName
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import SimulatedPair
@@ -89,7 +89,7 @@ def side_by_side(
     -------
     In the order of time, the first tracker's measurement before the other's; only while there is light.
     """
-    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": Store()})
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, start_utc_s)
         pair = build(clock)

@@ -16,12 +16,12 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender
-from daemon.config.links import Bridge
+from daemon.config.links import BridgeSettings
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0
 PEER = ("127.0.0.1", 40000)
-SETTINGS = Bridge(listen="127.0.0.1:0")
+SETTINGS = BridgeSettings(listen="127.0.0.1:0")
 
 
 class HandClock:
@@ -64,7 +64,7 @@ class Desk:
     def __init__(self, key=KEY, **settings):
         self.clock = HandClock()
         self.scans = []
-        self.receiver = BridgeReceiver(Bridge(**settings), key, self.clock, self.scans.append)
+        self.receiver = BridgeReceiver(BridgeSettings(**settings), key, self.clock, self.scans.append)
 
     def take(self, datagram, time_s=None, peer=PEER):
         if time_s is not None:
@@ -162,9 +162,9 @@ def test_over_a_real_socket_good_scans_arrive_and_every_bad_datagram_is_counted_
 
 def test_sender_and_receiver_agree_over_loopback_with_and_without_a_key_and_over_ipv6():
     async def main(listen, key, insecure):
-        settings = Bridge(listen=listen, insecure=insecure)
+        settings = BridgeSettings(listen=listen, insecure=insecure)
         async with port(settings, key) as (receiver, clock, scans, settle):
-            sender = BridgeSender(Bridge(send_to=(receiver.address,), insecure=insecure), key, clock)
+            sender = BridgeSender(BridgeSettings(send_to=(receiver.address,), insecure=insecure), key, clock)
             await sender.open()
             sender.send(scan())
             await settle(1)
@@ -185,7 +185,7 @@ def test_one_multicast_send_reaches_the_group():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("0.0.0.0", 0))
             number = probe.getsockname()[1]
-        settings = Bridge(
+        settings = BridgeSettings(
             listen=f"0.0.0.0:{number}",
             send_to=(),
             multicast_group=f"239.255.20.71:{number}",
@@ -446,7 +446,7 @@ def test_a_network_that_doubles_every_datagram_is_reported_once(caplog):
 def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
     async def main():
         async with port() as (receiver, *_):
-            second = BridgeReceiver(Bridge(listen=receiver.address), KEY, HandClock(), print)
+            second = BridgeReceiver(BridgeSettings(listen=receiver.address), KEY, HandClock(), print)
             with pytest.raises(BridgeError, match="in use by another program: stop that program") as caught:
                 await second.open()
             assert receiver.address in str(caught.value)
@@ -455,20 +455,22 @@ def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
 
 
 def test_an_address_of_another_machine_cannot_be_listened_on():
-    receiver = BridgeReceiver(Bridge(listen="192.0.2.1:20571"), KEY, HandClock(), print)
+    receiver = BridgeReceiver(BridgeSettings(listen="192.0.2.1:20571"), KEY, HandClock(), print)
     with pytest.raises(BridgeError, match=r"192\.0\.2\.1:20571 is not an address of this machine"):
         asyncio.run(receiver.open())
 
 
 def test_a_group_that_cannot_be_joined_is_one_sentence():
-    settings = Bridge(listen="0.0.0.0:20579", multicast_group="239.255.20.71:20579", multicast_interface="192.0.2.1")
+    settings = BridgeSettings(
+        listen="0.0.0.0:20579", multicast_group="239.255.20.71:20579", multicast_interface="192.0.2.1"
+    )
     with pytest.raises(BridgeError, match=r"cannot be joined .* set bridge\.multicast_interface"):
         asyncio.run(BridgeReceiver(settings, KEY, HandClock(), print).open())
 
 
 def test_a_receiver_on_every_network_is_reached_by_this_machine_over_loopback():
     async def main(listen, reached):
-        receiver = BridgeReceiver(Bridge(listen=listen), KEY, HandClock(), print)
+        receiver = BridgeReceiver(BridgeSettings(listen=listen), KEY, HandClock(), print)
         assert receiver.address == reached
 
     asyncio.run(main("0.0.0.0:20571", "127.0.0.1:20571"))
@@ -502,5 +504,5 @@ def test_a_receiver_opens_again_after_it_was_closed_and_still_knows_its_session(
 )
 def test_wrong_settings_are_one_sentence_with_their_key(settings, key, words):
     with pytest.raises(BridgeError) as caught:
-        BridgeReceiver(Bridge(**settings), key, HandClock(), print)
+        BridgeReceiver(BridgeSettings(**settings), key, HandClock(), print)
     assert words in str(caught.value)

@@ -11,7 +11,7 @@ from daemon.base.addresses import Address, BridgeError, parse_address
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.sender import BridgeSender
-from daemon.config.links import Bridge
+from daemon.config.links import BridgeSettings
 
 KEY = bytes(range(1, 33))
 
@@ -54,7 +54,7 @@ def closed_port():
 
 @contextmanager
 def sending(*targets, key=KEY, clock=None, **settings):
-    sender = BridgeSender(Bridge(send_to=targets, **settings), key, clock or HandClock())
+    sender = BridgeSender(BridgeSettings(send_to=targets, **settings), key, clock or HandClock())
     asyncio.run(sender.open())
     try:
         yield sender
@@ -163,12 +163,12 @@ def test_a_target_that_comes_and_goes_is_one_outage(caplog):
 
 def test_the_shipped_defaults_need_a_key_or_an_explicit_insecure():
     with pytest.raises(BridgeError, match=r"bridge\.key_file is not set: make a key"):
-        BridgeSender(Bridge(), None, HandClock())
+        BridgeSender(BridgeSettings(), None, HandClock())
 
 
 def test_a_sender_without_a_target_is_refused():
     with pytest.raises(BridgeError, match=r"bridge\.send_to is empty and bridge\.multicast_group is not set"):
-        BridgeSender(Bridge(send_to=()), KEY, HandClock())
+        BridgeSender(BridgeSettings(send_to=()), KEY, HandClock())
 
 
 def test_an_interface_that_this_machine_does_not_have_is_an_outage_not_an_error():

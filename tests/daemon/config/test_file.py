@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
-from daemon.config.links import Bridge
+from daemon.config.links import BridgeSettings
 from daemon.config.section import Section
-from daemon.config.sections import LimitSettings, Safety
+from daemon.config.sections import LimitSettings, SafetySettings
 from daemon.config.settings import Settings
 from daemon.config.template import example, reference
 from tests.support import DOCS
@@ -236,7 +236,7 @@ def test_a_rule_is_silent_about_keys_that_are_wrong_themselves(problems):
 
 def test_settings_made_in_python_keep_the_same_rules():
     with pytest.raises(ValidationError, match=r"safety.release_wind_m_s must be below safety.stow_wind_m_s \(15 m/s\)"):
-        Settings(safety=Safety(release_wind_m_s=20.0))
+        Settings(safety=SafetySettings(release_wind_m_s=20.0))
     with pytest.raises(ValidationError, match=r"limits.a_min_deg must be below"):
         Settings(limits=LimitSettings(a_min_deg=10.0, a_max_deg=5.0))
 
@@ -368,7 +368,7 @@ def test_the_reference_document_is_current():
 
 
 words = st.sampled_from(
-    [*Settings.model_fields, *Bridge.model_fields, "east", "channel", "mean_s", "x", "a.b", "", "é\n"]
+    [*Settings.model_fields, *BridgeSettings.model_fields, "east", "channel", "mean_s", "x", "a.b", "", "é\n"]
 )
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.dates() | st.datetimes()
 contents = st.dictionaries(

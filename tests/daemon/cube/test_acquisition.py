@@ -10,7 +10,7 @@ import pytest
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.cube.acquisition import Acquisition
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
@@ -64,7 +64,7 @@ def run():
     def runs(scenario, *, settle_s=0.3, latency_s=0.0, sun_deg=DAY, **cube):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             loop = runner.get_loop()
-            rig = Rig(loop, Cube(**cube), settle_s, latency_s, sun_deg)
+            rig = Rig(loop, CubeSettings(**cube), settle_s, latency_s, sun_deg)
 
             async def beside():
                 working = asyncio.create_task(rig.acquisition.run())

@@ -14,7 +14,7 @@ from daemon.bridge.refusals import RefusedError
 from daemon.bridge.senml import decode, encode
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings
-from daemon.config.sections import Cube
+from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibration, read_calibration, write_calibration
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, Rows, open_for_writing
@@ -100,7 +100,7 @@ def test_a_missing_file_is_refused(tmp_path):
 
 
 def test_its_gains_and_offsets_replace_those_of_the_faces_and_nothing_else():
-    cube = calibrated_cube(Cube(), calibration())
+    cube = calibrated_cube(CubeSettings(), calibration())
     assert (cube.zenith.gain_w_m2_per_mv, cube.zenith.offset_mv) == (10.4, -0.02)
     assert cube.east.gain_w_m2_per_mv == 10.1
     assert (cube.zenith.channel, cube.zenith.tilt_deg) == (3, 0.0)

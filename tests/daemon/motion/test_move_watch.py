@@ -4,7 +4,7 @@ import math
 
 from daemon.base.records import Pose, Target
 from daemon.config.instruments import PositionerSettings
-from daemon.config.sections import Motion
+from daemon.config.sections import MotionSettings
 from daemon.motion.move_watch import Follow, Progress
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
@@ -29,7 +29,7 @@ def follow(a=20.0, b=60.0, start=(0.0, 90.0)):
         Target(a, b, "test"),
         Pose(0.0, 0.0, *start, moving=False),
         Limits(),
-        Motion(tolerance_deg=0.8),
+        MotionSettings(tolerance_deg=0.8),
         PositionerSettings(slowest_deg_per_s=0.5),
         now_s=0.0,
     )

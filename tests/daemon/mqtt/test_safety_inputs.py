@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.config.links import SafeInput, WindInput
-from daemon.config.sections import Safety
+from daemon.config.sections import SafetySettings
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.tracker.stow import WindStow
@@ -27,9 +27,13 @@ class Told:
 def wind(**settings):
     told, woken = Told(), []
     readings = WindReadings(
-        WindInput(topic="lab/wind", **settings), Safety().stow_wind_m_s, lambda: 0.0, lambda: woken.append(1), told
+        WindInput(topic="lab/wind", **settings),
+        SafetySettings().stow_wind_m_s,
+        lambda: 0.0,
+        lambda: woken.append(1),
+        told,
     )
-    return readings, WindStow(Safety(), readings.since_last_asked), told, woken
+    return readings, WindStow(SafetySettings(), readings.since_last_asked), told, woken
 
 
 def said(payload, retained=False):

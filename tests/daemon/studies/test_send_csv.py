@@ -12,7 +12,7 @@ from daemon.base.addresses import BridgeError
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.config.links import Bridge
+from daemon.config.links import BridgeSettings
 from daemon.studies.send_csv import read_csv, send_csv
 
 KEY = bytes(range(1, 33))
@@ -61,10 +61,10 @@ def sent(path, ahead_s=7200.0, **options):
         clock = LoopClock(loop.time, START_S + ahead_s)
         got, progress = [], []
         receiver = BridgeReceiver(
-            Bridge(listen="127.0.0.1:0"), KEY, clock, lambda scan: got.append((loop.time(), scan))
+            BridgeSettings(listen="127.0.0.1:0"), KEY, clock, lambda scan: got.append((loop.time(), scan))
         )
         await receiver.open()
-        settings = Bridge(send_to=(str(receiver.address),))
+        settings = BridgeSettings(send_to=(str(receiver.address),))
         try:
             count = await send_csv(
                 path,

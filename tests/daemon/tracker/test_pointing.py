@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daemon.base.records import Irradiances
-from daemon.config.sections import Law, Site
+from daemon.config.sections import Law, SiteSettings
 from daemon.tracker.pointing import Pointing
 from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.paper import sun_vector
@@ -17,7 +17,7 @@ JUNE_MORNING = datetime(2022, 6, 21, 5, 0, tzinfo=UTC).timestamp()
 
 def aim(name, faces, utc_s=NOON, *, sun_known=True, **law):
     mean = None if faces is None else Irradiances(*faces, 1.0)
-    return Pointing(Site(), Law(**law), Limits()).aim(name, mean, utc_s, sun_known=sun_known)
+    return Pointing(SiteSettings(), Law(**law), Limits()).aim(name, mean, utc_s, sun_known=sun_known)
 
 
 def test_the_albedo_of_the_settings_is_that_of_sun_vector():
@@ -45,8 +45,8 @@ def test_the_gain_uncertainty_of_the_settings_is_that_of_sun_vector():
 
 def beyond_the_east_west_plane():
     """Return the faces of a June morning, with the sun in the north-east, and its azimuth."""
-    sun = Pointing(Site(), Law(), Limits()).sun(JUNE_MORNING)
-    south, east, up = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, Site().latitude_deg)
+    sun = Pointing(SiteSettings(), Law(), Limits()).sun(JUNE_MORNING)
+    south, east, up = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, SiteSettings().latitude_deg)
     assert south < 0
     return (600 * east + 40.0, 40.0, 40.0, 600 * up + 60.0), sun.azimuth_deg
 
@@ -59,7 +59,7 @@ def test_sun_vector_is_completed_by_the_ephemeris_beyond_the_east_west_plane():
 
 def test_with_the_clock_in_doubt_nothing_comes_from_the_ephemeris():
     faces, _ = beyond_the_east_west_plane()
-    seen, _ = azimuth_from_direction(sun_vector(faces), Site().latitude_deg)
+    seen, _ = azimuth_from_direction(sun_vector(faces), SiteSettings().latitude_deg)
     assert aim("sun-vector", faces, JUNE_MORNING, sun_known=False).azimuth_deg == pytest.approx(float(seen)) == 90.0
     assert aim("chronometric", None, sun_known=False).target is None
     assert aim("chronometric", None).target is not None

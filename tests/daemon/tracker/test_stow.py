@@ -2,10 +2,10 @@
 
 import math
 
-from daemon.config.sections import Safety
+from daemon.config.sections import SafetySettings
 from daemon.tracker.stow import OperatorStow, WindStow
 
-SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
+SAFETY = SafetySettings(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
 
 
 class Wind:

@@ -6,11 +6,11 @@ import re
 
 import pytest
 
-from daemon.config.sections import Safety
+from daemon.config.sections import SafetySettings
 from daemon.tracker.stow import WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 
-SAFETY = Safety(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
+SAFETY = SafetySettings(stow_wind_m_s=15, release_wind_m_s=10, stow_at_least_s=900, wind_stale_s=300)
 
 
 class SetClock:
