@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-Axis = Literal["a", "b"]
+AxisName = Literal["a", "b"]
 
 
 class Multiplexer(Protocol):
@@ -140,7 +140,7 @@ class Positioner(Protocol):
     async def disable_autonomy(self) -> None:
         """Switch the unit's own sun tracking off; `RefusedError` if it stays on."""
 
-    async def move_to(self, a_deg: float, b_deg: float, *, first: Axis = "a") -> None:
+    async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
         """Start a move, axis `first` before the other, and return once the unit has taken the target.
 
         Raises `ValueError` for a target outside the driver's own limits (NaN included) and `RefusedError` if the unit
@@ -153,7 +153,7 @@ class Positioner(Protocol):
     async def halt(self) -> None:
         """Send stop again and again until telemetry shows both axes standing; `StillMovingError` if they do not."""
 
-    async def home(self, axis: Axis) -> None:
+    async def home(self, axis: AxisName) -> None:
         """Halt both axes, start a reference run of one to its low end switch, and return once it has begun."""
 
     async def clear_faults(self, *, forgive: bool = True) -> Telemetry:

@@ -13,7 +13,7 @@ _CALM_M_S = 1.0
 _MILD_C = 15.0
 
 
-class Light(NamedTuple):
+class SourceLight(NamedTuple):
     """What falls on the module [W/m2], and how warm its cells are [degC]."""
 
     irradiance_w_m2: float | Array
@@ -50,22 +50,22 @@ class PvSource:
         self._utc_s = utc_s
         self._module = module
 
-    def light(self, now: float) -> Light:
+    def light(self, now: float) -> SourceLight:
         """Return the light at a time [s]."""
         utc_s, pose = self._utc_s(now), self._pose(now)
         irradiance = self._scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s)
         air, wind = self._scene.air_temperature(utc_s), self._scene.wind_speed(utc_s)
         warm = cell_temperature(irradiance, _MILD_C if air is None else air, _CALM_M_S if wind is None else wind)
-        return Light(irradiance, float(warm))
+        return SourceLight(irradiance, float(warm))
 
-    def current(self, light: Light, voltage_v: ArrayLike) -> Array:
+    def current(self, light: SourceLight, voltage_v: ArrayLike) -> Array:
         """Return the current [A] at a voltage."""
         return curve(self._module, *light, voltage_v)
 
-    def voltage(self, light: Light, current_a: ArrayLike) -> Array:
+    def voltage(self, light: SourceLight, current_a: ArrayLike) -> Array:
         """Return the voltage [V] at a current; that of the open circuit for none."""
         return voltage(self._module, *light, current_a)
 
-    def maximum(self, light: Light) -> MaximumPower:
+    def maximum(self, light: SourceLight) -> MaximumPower:
         """Return the true maximum power point."""
         return maximum_power(self._module, *light)

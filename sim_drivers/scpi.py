@@ -35,7 +35,7 @@ class ScpiError(Exception):
         self.code = code
 
 
-class Message(NamedTuple):
+class ScpiCommand(NamedTuple):
     """One command of a line: its full header in upper case, whether it asks, and its parameters."""
 
     header: str
@@ -54,9 +54,9 @@ def spellings(pattern: str) -> list[str]:
     return sorted({"".join(parts).removeprefix(":") for parts in product(*choices)})
 
 
-def messages(line: str) -> tuple[list[Message], int]:
+def messages(line: str) -> tuple[list[ScpiCommand], int]:
     """Cut a line into its commands; return them with the error code that ended the line, 0 if none did."""
-    found: list[Message] = []
+    found: list[ScpiCommand] = []
     path = ""
     for text in _SEMICOLON.split(line):
         if not text.strip():
@@ -71,7 +71,7 @@ def messages(line: str) -> tuple[list[Message], int]:
             full = header[1:] if header[0] == ":" else path + header
             path = full[: full.rfind(":") + 1]
         split = tuple(part.strip() for part in _COMMA.split(parameters)) if parameters else ()
-        found.append(Message(full, bool(question), split))
+        found.append(ScpiCommand(full, bool(question), split))
     return found, 0
 
 
@@ -103,7 +103,7 @@ class ErrorQueue:
         self._codes.clear()
 
 
-class Status:
+class ScpiStatus:
     """The error queue, the standard event register and the status byte made of them, as after power-up."""
 
     _POWER_ON, _COMMAND, _EXECUTION, _DEVICE, _COMPLETE = 128, 32, 16, 8, 1

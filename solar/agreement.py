@@ -1,4 +1,4 @@
-"""How far a sensor agrees with a reference: the four numbers of Table 1 of Andriamahefa et al. (2023)."""
+"""How far readings agree with a reference: the numbers of Table 1 of Andriamahefa et al. (2023)."""
 
 from typing import NamedTuple
 
@@ -7,34 +7,46 @@ from numpy.typing import ArrayLike
 
 
 class Agreement(NamedTuple):
-    """Table 1 of Andriamahefa et al. (2023) for one sensor.
+    """How far readings are from their reference, as in Table 1 of Andriamahefa et al. (2023).
 
     Attributes
     ----------
-    mbe_w_m2, mae_w_m2
-        Mean bias and mean absolute error, sensor less reference.
+    pairs
+        How many pairs there are.
+    mbe, mae
+        Mean bias and mean absolute error, reading less reference, in the unit of both.
     rmbe_percent, rmae_percent
         The same over the reference's mean.
     """
 
-    mbe_w_m2: float
+    pairs: int
+    mbe: float
     rmbe_percent: float
-    mae_w_m2: float
+    mae: float
     rmae_percent: float
 
 
-def agreement(sensor_w_m2: ArrayLike, reference_w_m2: ArrayLike) -> Agreement:
-    """Return MBE = mean(x - r), MAE = mean|x - r| and both over mean(r), for arrays of one shape.
+def agreement(readings: ArrayLike, references: ArrayLike) -> Agreement:
+    """Return MBE = mean(x - r), MAE = mean|x - r| and both over mean(r), for arrays of one shape and one unit.
 
-    Pairs with NaN are left out; raises `ValueError` when none is left or the reference's mean is not positive.
+    Pairs with NaN are left out; raises `ValueError` when none is left, when the reference's mean is not positive, or
+    when the shapes differ.
     """
-    sensor, reference = np.broadcast_arrays(np.asarray(sensor_w_m2, float), np.asarray(reference_w_m2, float))
-    both = np.isfinite(sensor) & np.isfinite(reference)
+    reading, reference = np.asarray(readings, dtype=np.float64), np.asarray(references, dtype=np.float64)
+    if reading.shape != reference.shape:
+        raise ValueError(f"arrays of one shape are needed, not of shapes {reading.shape} and {reference.shape}")
+    both = np.isfinite(reading) & np.isfinite(reference)
     if not both.any():
         raise ValueError("there is no pair of readings to compare")
     mean = float(np.mean(reference[both]))
     if not mean > 0.0:
-        raise ValueError(f"the reference's mean is {mean:g} W/m2, and errors relative to it mean nothing")
-    error = sensor[both] - reference[both]
+        raise ValueError(f"the reference's mean is {mean:g}, and errors relative to it mean nothing")
+    error = reading[both] - reference[both]
     mbe, mae = float(np.mean(error)), float(np.mean(np.abs(error)))
-    return Agreement(mbe, 100.0 * mbe / mean, mae, 100.0 * mae / mean)
+    return Agreement(
+        pairs=int(both.sum()),
+        mbe=mbe,
+        rmbe_percent=100.0 * mbe / mean,
+        mae=mae,
+        rmae_percent=100.0 * mae / mean,
+    )

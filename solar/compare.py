@@ -15,38 +15,6 @@ DEGREE = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
-    """How far a power is from its reference over n instants.
-
-    Attributes
-    ----------
-    count
-        How many instants.
-    mbe_w, mae_w
-        Mean of power minus reference, and of its absolute value.
-    rmbe_pct, rmae_pct
-        The same in % of the mean reference.
-    """
-
-    count: int
-    mbe_w: float
-    rmbe_pct: float
-    mae_w: float
-    rmae_pct: float
-
-
-def agreement(power_w: ArrayLike, reference_w: ArrayLike) -> Agreement:
-    """Return the statistics of `power_w` against `reference_w`; `ValueError` without a positive mean reference."""
-    power, reference = _alike(power_w, reference_w)
-    level_w = float(np.mean(reference)) if reference.size else 0.0
-    if not level_w > 0.0:
-        raise ValueError("there is no power to compare with: the mean reference must be positive")
-    difference = power - reference
-    mbe_w, mae_w = float(np.mean(difference)), float(np.mean(np.abs(difference)))
-    return Agreement(reference.size, mbe_w, 100.0 * mbe_w / level_w, mae_w, 100.0 * mae_w / level_w)
-
-
-@dataclass(frozen=True, slots=True)
 class ChainBias:
     """What turns the power of one measuring chain into what the other would have measured: c0 + c1 P + c2 P^2.
 

@@ -32,7 +32,7 @@ class Shining(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Weather:
+class DaylightWeather:
     """The n instants with the sun up and irradiance known, and the days they fall in.
 
     Attributes
@@ -87,7 +87,7 @@ class Weather:
         return np.where(total > 0.0, np.digitize(fraction, _DAY_TYPE_BOUNDS), -1)
 
 
-def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0) -> Weather:
+def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0) -> DaylightWeather:
     """Return the daylight part of weather at instants `utc_s`, multiples of `step_s`, in solar days of the site.
 
     NaN is missing weather; negative values count as zero. Raises `ValueError` if no instant has sun and weather.
@@ -101,7 +101,7 @@ def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: 
     per_day = round(DAY_S / step_s)
     solar = steps + round(site.longitude_deg * 240.0 / step_s)
     day, step = solar // per_day, solar % per_day
-    return Weather(
+    return DaylightWeather(
         utc_s,
         sun,
         np.maximum(dni_w_m2[used], 0.0),
@@ -115,7 +115,7 @@ def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: 
     )
 
 
-def build_sky(weather: Weather, model: str) -> Shining:
+def build_sky(weather: DaylightWeather, model: str) -> Shining:
     """Return the weather's sky under one of SKIES; `ValueError` for another name."""
     if model == ALL_WEATHER:
         return all_weather_sky(weather.sun, weather.dni_w_m2, weather.dhi_w_m2, weather.extra_w_m2)
@@ -130,7 +130,7 @@ def faces_under(light: Shining, albedo: float) -> Array:
     return np.stack([light.irradiance_on(normal[None, :], albedo) for normal in _FACE_NORMALS], axis=-1)
 
 
-def best_possible(weather: Weather, light: Shining, limits: Limits, albedo: float) -> Array:
+def best_possible(weather: DaylightWeather, light: Shining, limits: Limits, albedo: float) -> Array:
     """Return the irradiance [W/m2] at the best (A, B) of every instant, shape (n,): no controller can beat it.
 
     Found by search: a grid of 10 by 7.5 deg, then a pattern search down to 0.25 deg.
@@ -198,7 +198,7 @@ class Harvest:
 Steer = Callable[[int, Array, Array], tuple[Array, Array]]
 
 
-def harvest(weather: Weather, light: Shining, albedo: float, drive: Drive, steer: Steer) -> Harvest:
+def harvest(weather: DaylightWeather, light: Shining, albedo: float, drive: Drive, steer: Steer) -> Harvest:
     """Drive a tracker through every day at once and add up what its plane receives.
 
     Parameters

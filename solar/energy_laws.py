@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from solar.energy import Steer, Weather
+from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
 from solar.laws import paper as laws
@@ -14,20 +14,20 @@ PAPER_EVERY_S = 300.0
 PAPER_MEAN_S = 120.0
 
 
-def fixed(weather: Weather, tilt_deg: float) -> Steer:
+def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
     """Stand still: a plane that never moves after dawn, tilted towards the equator; the limits do not hold for it."""
     days = weather.shape[1]
     return lambda _step, _a, _b: (np.zeros(days), np.full(days, 90.0 - tilt_deg))
 
 
-def chronometric(weather: Weather, limits: Limits) -> Steer:
+def chronometric(weather: DaylightWeather, limits: Limits) -> Steer:
     """Follow the sun itself, at every step."""
     a_deg, b_deg = angles_within(weather.gridded(weather.sun, np.nan), limits)
     return lambda step, a, b: _or_stay(a_deg[step], b_deg[step], a, b)
 
 
 def from_faces(
-    weather: Weather,
+    weather: DaylightWeather,
     faces: Array,
     limits: Limits,
     law: str,
@@ -55,7 +55,7 @@ def from_faces(
 
 
 def optimal(
-    weather: Weather, faces: Array, limits: Limits, settings: OptimalSettings, start: Learned | None = None
+    weather: DaylightWeather, faces: Array, limits: Limits, settings: OptimalSettings, start: Learned | None = None
 ) -> Steer:
     """Run the law of :mod:`solar.laws.optimal`; what each day teaches of the site serves the days after it."""
     days = weather.shape[1]
@@ -76,7 +76,7 @@ def optimal(
     return steer
 
 
-def learned_by_day(weather: Weather, faces: Array, start: Learned | None = None) -> Learned:
+def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None = None) -> Learned:
     """Return what is known of the site on the morning of each day, arrays of shape (days,).
 
     What the faces teach does not depend on where the tracker points, so this can be known before it is driven.

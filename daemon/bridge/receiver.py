@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
 from daemon.bridge import senml, signing
-from daemon.bridge.refusals import Refusal, RefusedError, Statistics, Tally
-from daemon.bridge.sequence import Follower
+from daemon.bridge.refusals import Refusal, ScanRefusedError, Statistics, Tally
+from daemon.bridge.sequence import SequenceGuard
 
 if TYPE_CHECKING:
     from daemon.base.clock import Clock
@@ -59,7 +59,7 @@ class BridgeReceiver(asyncio.DatagramProtocol):
             self._group = parse_address(settings.multicast_group)
             self._check_group(self._group)
         self._accept_from = frozenset(_ip_of(text) for text in settings.accept_from)
-        self._follower = Follower(settings.clock_skew_s, settings.late_after_s)
+        self._guard = SequenceGuard(settings.clock_skew_s, settings.late_after_s)
         self._tally = Tally()
         self._transport: asyncio.DatagramTransport | None = None
         self._gone = asyncio.Event()
@@ -75,7 +75,7 @@ class BridgeReceiver(asyncio.DatagramProtocol):
     @property
     def statistics(self) -> Statistics:
         """A snapshot of all counts."""
-        return self._tally.statistics(self._follower.lost)
+        return self._tally.statistics(self._guard.lost)
 
     async def open(self) -> None:
         """Bind the port and join the group; `BridgeError` says in one sentence why that is not possible."""
@@ -105,7 +105,7 @@ class BridgeReceiver(asyncio.DatagramProtocol):
         utc_s = self._clock.utc()
         try:
             scan = self._examine(data, host, utc_s, now_s)
-        except RefusedError as refused:
+        except ScanRefusedError as refused:
             self._tally.refuse(refused, sender, utc_s, now_s)
             return
         self._tally.accept(now_s)
@@ -123,16 +123,18 @@ class BridgeReceiver(asyncio.DatagramProtocol):
 
     def _examine(self, data: bytes, host: str | None, utc_s: float, now_s: float) -> "Scan":
         if len(data) > LARGEST_DATAGRAM:
-            raise RefusedError(Refusal.OVERSIZED, f"has {len(data)} bytes; a scan has {LARGEST_DATAGRAM} at the most")
+            raise ScanRefusedError(
+                Refusal.OVERSIZED, f"has {len(data)} bytes; a scan has {LARGEST_DATAGRAM} at the most"
+            )
         if host is not None and self._accept_from and _ip_of(host) not in self._accept_from:
-            raise RefusedError(Refusal.REFUSED_SENDER, "is not from an address in bridge.accept_from")
+            raise ScanRefusedError(Refusal.REFUSED_SENDER, "is not from an address in bridge.accept_from")
         if self._key is not None:
             data = signing.verify(data, self._key)
         elif data[:3] == b"eyJ":
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.FORGED, "is signed, and this receiver has no key to check it: set bridge.key_file"
             )
-        return self._follower.admit(senml.decode(data), utc_s, now_s)
+        return self._guard.admit(senml.decode(data), utc_s, now_s)
 
     def _check_group(self, group: Address) -> None:
         if self._listen.port != group.port:

@@ -27,7 +27,7 @@ class Refusal(StrEnum):
     LATE = "late"
 
 
-class RefusedError(Exception):
+class ScanRefusedError(Exception):
     """One datagram is refused.
 
     Parameters
@@ -114,7 +114,7 @@ class Tally:
                 _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap_refusals)
             self._gap_began_s = None
 
-    def refuse(self, refused: RefusedError, sender: str, utc_s: float, now_monotonic_s: float) -> None:
+    def refuse(self, refused: ScanRefusedError, sender: str, utc_s: float, now_monotonic_s: float) -> None:
         """Count a datagram that is not passed on, and log it if it is news."""
         kind = refused.kind
         if self._last_utc_s is None or now_monotonic_s - self._last_monotonic_s >= QUIET_S:

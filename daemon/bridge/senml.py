@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from daemon.base.records import FACES, FaceReading, Quality, Scan
-from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 UNIT = "W/m2"
 EARLIEST_UTC_S = 2.0**28  # RFC 8428, section 4.5.3: smaller times are relative ones
@@ -188,5 +188,5 @@ def _shown(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def _malformed(reason: str) -> RefusedError:
-    return RefusedError(Refusal.MALFORMED, reason)
+def _malformed(reason: str) -> ScanRefusedError:
+    return ScanRefusedError(Refusal.MALFORMED, reason)

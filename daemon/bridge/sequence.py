@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import inf
 
 from daemon.base.records import FaceReading, Scan
-from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 SOURCE_HELD_S = 60.0
 DELAY_WINDOW_S = 300.0
@@ -13,7 +13,7 @@ SEQUENCE_WINDOW = 64
 SESSIONS_REMEMBERED = 64
 
 
-class Follower:
+class SequenceGuard:
     """Follows one source at a time and brings its scans to the receiver's monotonic clock.
 
     Parameters
@@ -52,7 +52,7 @@ class Follower:
         """
         followed = scan.source == self._source
         if not followed and arrival_monotonic_s - self._accepted_at_s < SOURCE_HELD_S:
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.OTHER_SOURCE,
                 f"is from the cube {scan.source} while {self._source} is followed: give each cube a port of its own,"
                 " or name the right sender in bridge.accept_from",
@@ -62,7 +62,7 @@ class Follower:
             # First of all, so that a number counts as having come even where its scan is then refused.
             self._numbers.note(scan.sequence)
         elif followed and scan.session in self._superseded:
-            raise RefusedError(Refusal.REPLAYED, f"belongs to the session {scan.session}, which has been replaced")
+            raise ScanRefusedError(Refusal.REPLAYED, f"belongs to the session {scan.session}, which has been replaced")
         self._check_skew(scan, arrival_utc_s)
         if not continued:
             self._begin(scan, arrival_utc_s, followed=followed)
@@ -72,7 +72,7 @@ class Follower:
         skew_s = scan.time_utc_s - arrival_utc_s
         if not (abs(skew_s) <= self._clock_skew_s):
             side = "ahead of" if skew_s > 0 else "behind"
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.SKEWED,
                 f"is stamped {abs(skew_s):.1f} s {side} this machine's clock, more than {self._clock_skew_s:g} s:"
                 " keep both clocks by NTP",
@@ -82,7 +82,7 @@ class Follower:
         # A stamp beyond any that could be accepted now is from before this machine's clock was set back.
         comparable = self._accepted_utc_s <= arrival_utc_s + self._clock_skew_s
         if comparable and not (scan.time_utc_s > self._accepted_utc_s):
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.REPLAYED, f"begins the session {scan.session} with a scan older than one accepted before"
             )
         if followed:
@@ -99,13 +99,13 @@ class Follower:
         offset_s = self._delays.add(arrival_monotonic_s, delay_s)
         lateness_s = delay_s - offset_s
         if not (lateness_s <= self._late_after_s):
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.LATE,
                 f"was {lateness_s:.1f} s longer under way than others, more than {self._late_after_s:g} s",
             )
         time_s = scan.time_monotonic_s + offset_s
         if time_s < self._latest_scan_s:
-            raise RefusedError(
+            raise ScanRefusedError(
                 Refusal.LATE, "is older by its sender's steady clock than the scan before: that clock must not step"
             )
         self._latest_scan_s = time_s
@@ -128,7 +128,7 @@ class _Numbers:
         self.lost = 0
 
     def note(self, number: int) -> None:
-        """Take a higher number; raise `RefusedError` for any other."""
+        """Take a higher number; raise `ScanRefusedError` for any other."""
         ahead = number - self._highest
         if ahead > 0:
             self.lost += ahead - 1
@@ -136,14 +136,14 @@ class _Numbers:
             self._highest = number
             return
         if -ahead >= SEQUENCE_WINDOW:
-            raise RefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self._highest}")
+            raise ScanRefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self._highest}")
         bit = 1 << -ahead
         if self._seen & bit:
-            raise RefusedError(Refusal.DUPLICATE, f"repeats the number {number}")
+            raise ScanRefusedError(Refusal.DUPLICATE, f"repeats the number {number}")
         self._seen |= bit
         if number > self._first:
             self.lost -= 1
-        raise RefusedError(Refusal.REORDERED, f"has the number {number}, after {self._highest}")
+        raise ScanRefusedError(Refusal.REORDERED, f"has the number {number}, after {self._highest}")
 
 
 class _SlidingMinimum:

@@ -10,7 +10,7 @@ import jwt
 
 from daemon.base.addresses import BridgeError
 from daemon.base.files import read_secret, write_secret
-from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 KEY_BYTES = 32
 EXAMPLE_KEY = bytes(range(KEY_BYTES))  # printed in docs/bridge.md, hence no secret
@@ -41,24 +41,24 @@ def verify(datagram: bytes, key: bytes) -> bytes:
         ``malformed`` for what is no complete JWS, ``forged`` for one that is not of this kind or not of this key.
     """
     if datagram[:1] == b"[":
-        raise RefusedError(
+        raise ScanRefusedError(
             Refusal.FORGED, "is not signed, and this receiver has a key: set bridge.key_file at the sender too"
         )
     parts = datagram.split(b".")
     if len(parts) != 3:
-        raise RefusedError(Refusal.MALFORMED, "is not a signed scan, or is cut short")
+        raise ScanRefusedError(Refusal.MALFORMED, "is not a signed scan, or is cut short")
     if parts[0] != _HEADER_PART:
         _check_header(parts[0])
     if _SIGNATURE.fullmatch(parts[2]) is None:
-        raise RefusedError(Refusal.MALFORMED, "has no whole signature: it may be cut short")
+        raise ScanRefusedError(Refusal.MALFORMED, "has no whole signature: it may be cut short")
     try:
         payload: bytes = _jws.decode(datagram, key, algorithms=["HS256"])
     except jwt.InvalidSignatureError:
-        raise RefusedError(
+        raise ScanRefusedError(
             Refusal.FORGED, "was not signed with this receiver's key: give both sides the same key file"
         ) from None
     except jwt.InvalidTokenError:
-        raise RefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS") from None
+        raise ScanRefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS") from None
     return payload
 
 
@@ -67,9 +67,9 @@ def _check_header(part: bytes) -> None:
     try:
         header = json.loads(base64.urlsafe_b64decode(part + b"=" * (-len(part) % 4)))
     except (ValueError, RecursionError):
-        raise RefusedError(Refusal.MALFORMED, "does not begin with the header of a JWS") from None
+        raise ScanRefusedError(Refusal.MALFORMED, "does not begin with the header of a JWS") from None
     if header != HEADER:
-        raise RefusedError(
+        raise ScanRefusedError(
             Refusal.FORGED,
             f"has the header {ascii(header)[:80]} and not {json.dumps(HEADER)}",
         )

@@ -1,6 +1,5 @@
 """`heliocube compare`: two trackers side by side, as in the paper's experiment."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -8,6 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands.options import TableFormat
 from daemon.studies.inputs import instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
@@ -20,13 +20,6 @@ if TYPE_CHECKING:
 Name = TypeVar("Name", bound=str)
 
 app = typer.Typer(help="Hold two trackers against each other: T-Cube and T-Chrono.", no_args_is_help=True)
-
-
-class FormatChoice(StrEnum):
-    """Kinds of tables."""
-
-    csv = "csv"
-    parquet = "parquet"
 
 
 DataArgument = Annotated[
@@ -61,7 +54,7 @@ def simulate(
     config: ConfigOption = None,
     site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
-    table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of table.")] = FormatChoice.csv,
+    table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of table.")] = TableFormat.csv,
 ) -> None:
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
     from contextlib import ExitStack

@@ -1,7 +1,6 @@
 """`heliocube config`: check a configuration file, write a commented one."""
 
 import contextlib
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
+from daemon.commands.options import RoleChoice
 from daemon.config.links import MqttSettings
 from daemon.config.settings import Settings
 
@@ -19,14 +19,6 @@ TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 app = typer.Typer(
     help="Check a configuration file, or write a commented one.", no_args_is_help=True, rich_markup_mode="rich"
 )
-
-
-class RoleChoice(StrEnum):
-    """The roles as the command line names them."""
-
-    both = "both"
-    cube = "cube"
-    tracker = "tracker"
 
 
 @app.command()

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.options import FILES
+from daemon.commands.options import FILES, TableFormat
 from daemon.studies.inputs import instant
 
 app = typer.Typer()
@@ -25,13 +25,6 @@ class KindChoice(StrEnum):
     curves = "curves"
 
 
-class FormatChoice(StrEnum):
-    """Kinds of tables."""
-
-    csv = "csv"
-    parquet = "parquet"
-
-
 @app.command(rich_help_panel=FILES)
 def export(
     out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
@@ -39,7 +32,7 @@ def export(
         str | None, typer.Option("--from", metavar="UTC", help="First instant, such as 2022-10-14.")
     ] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")] = None,
-    table_format: Annotated[FormatChoice, typer.Option("--format", help="Kind of tables.")] = FormatChoice.csv,
+    table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
     kind: Annotated[
         list[KindChoice] | None,
         typer.Option(

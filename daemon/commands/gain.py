@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track
 
 from daemon.base.errors import UserError
-from daemon.studies.gain.choices import Device, PlotKind, TableFormat
+from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
 
 if TYPE_CHECKING:
     from daemon.studies.gain.request import Request
@@ -59,7 +59,7 @@ def gain(
         typer.Option(help="Kind of figure."),
     ] = None,
     table_format: Annotated[
-        TableFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
+        AnswerFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File for CSV or Parquet instead of standard output.")] = None,
 ) -> None:
@@ -80,7 +80,7 @@ def gain(
         if clash is not None:
             raise UserError(f"--points answers its own rows; leave out {clash}")
         rows = evaluate_points(request.read_points(points), with_printed=printed)
-        output.write(rows, table_format or TableFormat.CSV, out, console, None)
+        output.write(rows, table_format or AnswerFormat.CSV, out, console, None)
         return
 
     if day is not None and year:
@@ -110,7 +110,7 @@ def gain(
         kind = plot_kind or _fitting(asked)
         plots.draw(kind, asked, columns, sky, plot)
         errors.print(f"figure in {plot}", markup=False, highlight=False, soft_wrap=True)
-    output.write(columns, table_format or TableFormat.TABLE, out, console, sky.label if sky else None)
+    output.write(columns, table_format or AnswerFormat.TABLE, out, console, sky.label if sky else None)
 
 
 def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: float | None) -> "SkySource | None":

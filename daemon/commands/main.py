@@ -12,7 +12,7 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.commands import calibrate, compare, energy, export, gain, operate, probe, tools
 from daemon.commands import config as config_commands
-from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE
+from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, RoleChoice, TableFormat
 from daemon.commands.simulate import progress_bar, replay, report
 from daemon.config.settings import Settings
 from daemon.studies.inputs import instant, site_values, weather_choice
@@ -34,14 +34,6 @@ app.command("bench-ctl", rich_help_panel=BENCH)(tools.control)
 app.add_typer(export.app)
 
 
-class RoleChoice(StrEnum):
-    """The roles as the command line names them."""
-
-    both = "both"
-    cube = "cube"
-    tracker = "tracker"
-
-
 class LawChoice(StrEnum):
     """The laws as the command line names them."""
 
@@ -50,13 +42,6 @@ class LawChoice(StrEnum):
     optimal = "optimal"
     chronometric = "chronometric"
     flat = "flat"
-
-
-class TableFormat(StrEnum):
-    """Kinds of tables."""
-
-    csv = "csv"
-    parquet = "parquet"
 
 
 ConfigOption = Annotated[

@@ -29,7 +29,7 @@ class Progress(StrEnum):
     TIMED_OUT = "timed-out"
 
 
-class Follow:
+class MoveWatch:
     """One move from its start to a verdict.
 
     Parameters

@@ -13,11 +13,11 @@ from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
-from daemon.motion.move_watch import Follow, Progress
+from daemon.motion.move_watch import MoveWatch, Progress
 from daemon.motion.reference import NOT_FINISHED
 from daemon.motion.retry import Retries
 from drivers.errors import DeviceError, RefusedError
-from drivers.interfaces import Axis, Positioner
+from drivers.interfaces import AxisName, Positioner
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")
@@ -27,7 +27,7 @@ T = TypeVar("T")
 _BETWEEN_ATTEMPTS_S = 1.0
 # The unit itself gives up after 10 min.
 _HOMING_WITHIN_S = 900.0
-_AXES: tuple[Axis, Axis] = ("a", "b")
+_AXES: tuple[AxisName, AxisName] = ("a", "b")
 
 
 class _HomingFailedError(Exception):
@@ -137,7 +137,7 @@ class Runs:
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
                 await self._positioner.move_to(target.a_deg, target.b_deg, first="b" if self._stow else "a")
-                outcome, why = await self._follow(target, start)
+                outcome, why = await self._watch_move(target, start)
             except RefusedError as error:
                 # One axis may have taken the target, or both another one.
                 guard.watch.pardon()
@@ -158,10 +158,10 @@ class Runs:
         """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
         return None if self._stow else self._guard.doubts.reference
 
-    async def _follow(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
+    async def _watch_move(self, target: Target, start: Pose) -> tuple[MoveOutcome, str]:
         guard = self._guard
         await guard.expect_move()
-        follow = Follow(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
+        watch = MoveWatch(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
         while True:
             telemetry = await guard.look(moving=True)
             if self._interrupted or telemetry.button_pressed:
@@ -173,7 +173,7 @@ class Runs:
             if (doubt := self._doubt()) is not None:
                 await guard.halt()
                 return MoveOutcome.STALLED, doubt
-            progress, why = follow.judge(telemetry, self._clock.monotonic())
+            progress, why = watch.judge(telemetry, self._clock.monotonic())
             if progress is Progress.ARRIVED:
                 guard.watch.arrived(telemetry)
                 return MoveOutcome.ARRIVED, target.why
@@ -264,7 +264,7 @@ class Runs:
         self._tell("homing finished")
         return None
 
-    async def _home_one(self, axis: Axis) -> None:
+    async def _home_one(self, axis: AxisName) -> None:
         guard = self._guard
         before = await guard.look(moving=True)
         guard.watch.expect_homing(axis, before)

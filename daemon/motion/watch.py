@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from drivers.interfaces import Axis, Telemetry
+from drivers.interfaces import AxisName, Telemetry
 
 # In the unit's own position units. Two Hall counts and a shake by the wind are no motion; what adds up to more than
 # the second number from where an axis came to rest is, however slowly.
@@ -18,7 +18,7 @@ _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
 # While homing the unit aims so many of its position units inwards of where it is.
 _HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
-_AXES: tuple[Axis, Axis] = ("a", "b")
+_AXES: tuple[AxisName, AxisName] = ("a", "b")
 
 
 def jitter(position_unit: str) -> float:
@@ -70,7 +70,7 @@ class Watch:
         self._aim: tuple[float, float] | None = None
         self._gaps = [0.0, 0.0]
         self._settled_s = -math.inf
-        self._homing: frozenset[Axis] = frozenset()
+        self._homing: frozenset[AxisName] = frozenset()
 
     @property
     def stands_since_s(self) -> float | None:
@@ -120,7 +120,7 @@ class Watch:
         """Whether an order explains motion at present."""
         return bool(self._homing) or self._settled_s == math.inf
 
-    def expect_homing(self, axis: Axis, telemetry: Telemetry) -> None:
+    def expect_homing(self, axis: AxisName, telemetry: Telemetry) -> None:
         """Let one axis make a reference run while the other stands."""
         self.rest(telemetry)
         self._homing, self._shown = frozenset((axis,)), False

@@ -17,7 +17,7 @@ from daemon.mqtt.discovery import discovery
 from daemon.mqtt.link import Handler, Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
-from daemon.mqtt.telemetry import Telemetry, encoded
+from daemon.mqtt.telemetry import TelemetryPublisher, encoded
 from daemon.mqtt.topics import Topics, unusable
 from daemon.service.operator import Operator
 from daemon.service.operator_commands import NAMES
@@ -63,7 +63,7 @@ class Mqtt:
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
         self._look_again: Callable[[], None] = lambda: None
-        self._telemetry: Telemetry | None = None
+        self._telemetry: TelemetryPublisher | None = None
         self._commands: Commands | None = None
 
     @property
@@ -101,7 +101,7 @@ class Mqtt:
         mqtt, simulated = self._settings.mqtt, service.rig.simulated
         if service.control is not None:
             self._look_again = service.control.look_again
-        self._telemetry = Telemetry(
+        self._telemetry = TelemetryPublisher(
             self.link, self._topics, state, mqtt.state_every_s * self._speed, simulated=simulated
         )
         service.bus.subscribe(self._telemetry.note)

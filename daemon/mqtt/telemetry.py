@@ -24,7 +24,7 @@ _MANNERS = {
 }
 
 
-class Telemetry:
+class TelemetryPublisher:
     """Sends records and state.
 
     Parameters

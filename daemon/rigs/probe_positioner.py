@@ -9,7 +9,7 @@ from daemon.base.clock import Clock
 from daemon.config.settings import Settings
 from daemon.rigs.real import axis_setups, build_positioner, positioner_port
 from drivers.errors import RefusedError
-from drivers.interfaces import Axis, PositionerIdentity, Telemetry
+from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.unit_setup import unheard
@@ -164,7 +164,7 @@ async def _time_moves(
             raise RefusedError("positioner", "has faults or has restarted: home it before it is moved")
         if not (setups[0].allows(start.a_deg) and setups[1].allows(start.b_deg)):
             raise RefusedError("positioner", "stands outside the configured limits, so it is not moved from there")
-        axes: tuple[tuple[Axis, AxisSetup, float], ...] = (
+        axes: tuple[tuple[AxisName, AxisSetup, float], ...] = (
             ("a", setups[0], start.a_deg),
             ("b", setups[1], start.b_deg),
         )
@@ -178,7 +178,7 @@ async def _time_moves(
         await positioner.halt()
 
 
-async def _watch(positioner: PozsolPositioner, axis: Axis, clock: Clock) -> str:
+async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> str:
     """Follow one axis until it stands, and return what was seen."""
     begin_s = last_s = first_s = clock.monotonic()
     seen = await positioner.read_telemetry()

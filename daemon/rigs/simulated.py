@@ -23,8 +23,8 @@ from drivers.interfaces import ElectronicLoad, Positioner
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import Drive, Setup
-from sim_drivers.pv_source import Light, PvSource
+from sim_drivers.pozsol.setup import AxisDrive, Setup
+from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.voltmeter.core import VoltmeterCore
@@ -180,7 +180,7 @@ def _build_tracker(
 
 
 class _Module(PvSource):
-    def light(self, now: float) -> Light:
+    def light(self, now: float) -> SourceLight:
         with _weather_may_end():
             return super().light(now)
 
@@ -238,7 +238,7 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
 
 def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
     speed = settings.simulation.motor_speed_mm_s
-    return PositionerCore(clock.monotonic(), Setup(drive=Drive(speed, acceleration_mm_s2=speed / _RAMP_S)))
+    return PositionerCore(clock.monotonic(), Setup(drive=AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S)))
 
 
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:

@@ -15,10 +15,10 @@ from solar import energy_laws
 from solar.energy import (
     DAY_TYPES,
     SKIES,
+    DaylightWeather,
     Drive,
     Harvest,
     Steer,
-    Weather,
     best_possible,
     build_sky,
     faces_under,
@@ -35,7 +35,7 @@ _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class EnergyRow:
     """One law under one sky, whole days of weather.
 
     Attributes
@@ -84,10 +84,14 @@ def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
 
 
 def run_benchmark(
-    weather: Weather, skies: Sequence[str], law_names: Sequence[str], terms: Terms, progress: Callable[[float], None]
-) -> list[Row]:
+    weather: DaylightWeather,
+    skies: Sequence[str],
+    law_names: Sequence[str],
+    terms: Terms,
+    progress: Callable[[float], None],
+) -> list[EnergyRow]:
     """Run every law under every sky, chronometric and bound first; `progress` is told the share that is done."""
-    rows: list[Row] = []
+    rows: list[EnergyRow] = []
     total = len(skies) * (len(law_names) + 1)
     types = weather.day_types()
     for sky_name in skies:
@@ -109,7 +113,7 @@ def run_benchmark(
     return rows
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
+def write_csv(rows: Sequence[EnergyRow], path: Path) -> None:
     """Write the rows, one line each."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -122,7 +126,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
             writer.writerow((row.sky, row.law, *cells))
 
 
-def as_text(rows: Sequence[Row], weather: Weather, terms: Terms) -> str:
+def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -> str:
     """Return the tables of all skies and what they assume, for reading."""
     types = weather.day_types()
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
@@ -153,12 +157,14 @@ def _cell(value: float, width: int, form: str) -> str:
     return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
 
 
-def _row(sky_name: str, law: str, result: Harvest, *, types: NDArray[np.intp], reference: Array, bound: Array) -> Row:
+def _row(
+    sky_name: str, law: str, result: Harvest, *, types: NDArray[np.intp], reference: Array, bound: Array
+) -> EnergyRow:
     energy = result.energy_kwh_m2
     lit = types >= 0
     room = float((bound[lit] - reference[lit]).sum())
     clear = types == 0
-    return Row(
+    return EnergyRow(
         sky_name,
         law,
         float(energy.sum()),
@@ -192,7 +198,7 @@ def _parameter(name: str) -> float | None:
     raise UserError(f"--laws: there is no law '{name}'; choose from {', '.join(LAWS)}, DEG in 0..90, THRIFT in 0..1000")
 
 
-def _steer(name: str, weather: Weather, faces: Array, terms: Terms) -> Steer:
+def _steer(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
     law, number = name.partition(":")[0], _parameter(name)
     if law in ("flat", "fixed"):
         return energy_laws.fixed(weather, number or 0.0)

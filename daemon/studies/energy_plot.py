@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from daemon.studies.energy import Row
+from daemon.studies.energy import EnergyRow
 from solar.energy import DAY_TYPES
 
 _MOVING_WORST_PCT = -5.0
 
 
-def plot(rows: Sequence[Row], path: Path) -> None:
+def plot(rows: Sequence[EnergyRow], path: Path) -> None:
     """Draw both panels to a PNG file; laws that lose more than 5 % (planes that never move) get no bars."""
     figure = Figure(figsize=(12.0, 4.8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -48,7 +48,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
-def _draw_wear(axes: Axes, rows: Sequence[Row], name: str, colour: str) -> None:
+def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], name: str, colour: str) -> None:
     line = sorted((row.travel_deg_per_day, row.share_pct) for row in rows if row.law.startswith("optimal"))
     if line:
         axes.plot(*zip(*line, strict=True), "o-", color=colour, label=name, markersize=4)

@@ -32,7 +32,7 @@ _MOST_STALE_LINES = 20
 _CLOSE_S = 1.0
 
 
-class Line(Protocol):
+class VoltmeterLine(Protocol):
     """The meter's line; blocking, for use in one thread. Raises `drivers.errors.DeviceError` and nothing else."""
 
     def send(self, text: str) -> None:
@@ -65,7 +65,7 @@ class Keithley2000:
     """
 
     def __init__(
-        self, connect: Callable[[], Line], *, range_v: float = 1.0, nplc: float = 1.0, deadline_s: float = 2.0
+        self, connect: Callable[[], VoltmeterLine], *, range_v: float = 1.0, nplc: float = 1.0, deadline_s: float = 2.0
     ) -> None:
         self._connect = connect
         self._settings = _Settings(range_v, nplc)
@@ -140,7 +140,7 @@ class _Settings:
 class _Session:
     """One connection to the meter; blocking, for use in one thread."""
 
-    def __init__(self, line: Line, settings: _Settings, deadline_s: float) -> None:
+    def __init__(self, line: VoltmeterLine, settings: _Settings, deadline_s: float) -> None:
         self._line = line
         self._settings = settings
         self._deadline_s = deadline_s

@@ -6,7 +6,7 @@ from typing import Any
 
 from sim_drivers.load.dialects import DialectName
 from sim_drivers.load.instrument import LoadInstrument
-from sim_drivers.scpi import Message, Parser, ScpiError, boolean, choice, integer, messages, number, spellings
+from sim_drivers.scpi import Parser, ScpiCommand, ScpiError, boolean, choice, integer, messages, number, spellings
 
 Step = Callable[[LoadInstrument, float], str | None]
 Program = tuple[Step, ...]
@@ -29,7 +29,7 @@ def compile_line(line: str, make: DialectName) -> Program:
     return tuple(steps)
 
 
-def _step(message: Message, make: DialectName) -> Step:
+def _step(message: ScpiCommand, make: DialectName) -> Step:
     command = _COMMANDS[make].get((message.header, message.query))
     if command is None:
         return _failing(-113)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_drivers.load.dialects import DIALECTS, RATINGS, DialectName
-from sim_drivers.pv_source import Light
-from sim_drivers.scpi import Status
+from sim_drivers.pv_source import SourceLight
+from sim_drivers.scpi import ScpiStatus
 from solar.frames import Array
 
 OVERFLOW = 9.9e37
@@ -23,15 +23,15 @@ TRIPS: tuple[Trip, ...] = ("over-temperature", "over-voltage", "over-current", "
 
 
 class Source(Protocol):
-    """What is at the terminals; `Light` may hold arrays of the voltages' shape."""
+    """What is at the terminals; `SourceLight` may hold arrays of the voltages' shape."""
 
-    def light(self, now: float) -> Light:
+    def light(self, now: float) -> SourceLight:
         """Return the state of the source at a time [s]."""
 
-    def current(self, light: Light, voltage_v: ArrayLike) -> Array:
+    def current(self, light: SourceLight, voltage_v: ArrayLike) -> Array:
         """Return the current [A] at a voltage."""
 
-    def voltage(self, light: Light, current_a: ArrayLike) -> Array:
+    def voltage(self, light: SourceLight, current_a: ArrayLike) -> Array:
         """Return the voltage [V] at a current."""
 
 
@@ -77,7 +77,7 @@ class LoadInstrument:
     event_enable: int
     selected: int
     latched: set[Trip]
-    scpi: Status
+    scpi: ScpiStatus
     # What the terminals come from, None for the open circuit.
     _before_v: float | None
 
@@ -101,7 +101,7 @@ class LoadInstrument:
         """Whether it would draw current: the input is on, in constant voltage, and no protection is latched."""
         return self.on and self.mode.startswith(("VOLT", "CV")) and not self.latched
 
-    def hold(self, light: Light, level_v: ArrayLike) -> Held:
+    def hold(self, light: SourceLight, level_v: ArrayLike) -> Held:
         """Return what is at the terminals while the load holds `level_v`, or comes as near as it can."""
         level, least_v, most_a = np.asarray(level_v, dtype=np.float64), self.rating.least_v, self.limit_a
         held_v = np.maximum(level, least_v)
@@ -114,13 +114,13 @@ class LoadInstrument:
             drawn_a = np.maximum(drawn_a, 0.0)
         return Held(held_v, drawn_a, np.abs(held_v - level) < 1e-6)
 
-    def trace(self, first: Light, last: Light, levels_v: Array, settle_s: float) -> tuple[Array, Array]:
+    def trace(self, first: SourceLight, last: SourceLight, levels_v: Array, settle_s: float) -> tuple[Array, Array]:
         """Return the voltages and currents read at one level after another; fewer than the levels if it trips.
 
         The light goes evenly from `first` to `last`; the input is on before and, unless it trips, after.
         """
         count = levels_v.size
-        light = Light(*(np.linspace(before, after, count) for before, after in zip(first, last, strict=True)))
+        light = SourceLight(*(np.linspace(before, after, count) for before, after in zip(first, last, strict=True)))
         voltage_v, current_a, _ = self.hold(light, levels_v)
         left = np.exp(-settle_s / SETTLING_S)
         if left > _SETTLED:
@@ -196,7 +196,7 @@ class LoadInstrument:
         self._before_v, self._changed_s, self._dropped_until_s = None, now, now
 
     def _power_up(self, now: float) -> None:
-        self.scpi = Status()
+        self.scpi = ScpiStatus()
         self.latched = set()
         self.reset(now)
 

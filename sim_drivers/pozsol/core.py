@@ -10,7 +10,7 @@ import math
 import re
 import struct
 
-from drivers.interfaces import Axis
+from drivers.interfaces import AxisName
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol import faults, screens
@@ -32,7 +32,7 @@ _DECIMAL = re.compile(_SPACE + rb"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)", re.
 _NO_NUMBER = re.compile(_SPACE + rb"[+-]?(?:nan|inf)", re.IGNORECASE)
 _WHOLE = re.compile(_SPACE + rb"([+-]?\d+)")
 _LARGEST_WHOLE = (1 << 31) - 1
-_JOG: dict[bytes, tuple[Axis, bool]] = {
+_JOG: dict[bytes, tuple[AxisName, bool]] = {
     b"1": ("b", True),
     b"2": ("a", True),
     b"3": ("b", False),

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from drivers.interfaces import Axis as AxisName
+from drivers.interfaces import AxisName
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
 

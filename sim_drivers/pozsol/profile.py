@@ -6,7 +6,7 @@ Positions are in mm of actuator travel, times in seconds; outwards is positive.
 import math
 from dataclasses import dataclass, replace
 
-from sim_drivers.pozsol.setup import Drive
+from sim_drivers.pozsol.setup import AxisDrive
 
 _FAR_MM = 1e5
 _FIRST_EDGE_S = 0.05
@@ -94,7 +94,7 @@ class Profile:
         return math.inf
 
 
-def coast(start_s: float, position: float, velocity: float, drive: Drive) -> Profile:
+def coast(start_s: float, position: float, velocity: float, drive: AxisDrive) -> Profile:
     """Plan how an axis runs out with its motor off."""
     rate = drive.speed_mm_s / drive.run_out_s
     duration = abs(velocity) / rate
@@ -104,13 +104,13 @@ def coast(start_s: float, position: float, velocity: float, drive: Drive) -> Pro
     return Profile((piece,), end_s, position + 0.5 * velocity * duration, start_s, last_s)
 
 
-def drive_on(start_s: float, position: float, velocity: float, side: float, drive: Drive) -> Profile:
+def drive_on(start_s: float, position: float, velocity: float, side: float, drive: AxisDrive) -> Profile:
     """Plan a motion to one side (-1 in, 1 out) that has no end of its own."""
     return _drive(start_s, position, velocity, position + side * _FAR_MM, drive, starts=False)
 
 
 def drive_to(
-    start_s: float, position: float, velocity: float, target: float, drive: Drive, *, starts: bool = True
+    start_s: float, position: float, velocity: float, target: float, drive: AxisDrive, *, starts: bool = True
 ) -> Profile:
     """Plan a motion to `target` as the unit does it: braked close before it, at rest a little beyond.
 
@@ -122,7 +122,9 @@ def drive_to(
     return _drive(start_s, position, velocity, target, drive, starts=starts)
 
 
-def _drive(start_s: float, position: float, velocity: float, target: float, drive: Drive, *, starts: bool) -> Profile:
+def _drive(
+    start_s: float, position: float, velocity: float, target: float, drive: AxisDrive, *, starts: bool
+) -> Profile:
     pieces: list[_Piece] = []
     first_s = start_s if velocity else start_s + _FIRST_EDGE_S
     if velocity * (target - position) < 0:
@@ -151,7 +153,7 @@ def _drive(start_s: float, position: float, velocity: float, target: float, driv
     return Profile(tuple(pieces), end_s, target + side * beyond, first_s, last_s, crosses_s)
 
 
-def _top_speed(distance: float, speed: float, drive: Drive) -> tuple[float, float]:
+def _top_speed(distance: float, speed: float, drive: AxisDrive) -> tuple[float, float]:
     """Return the highest speed on the way, and how far before the target that has to be given up."""
     brake = 0.0
     top = speed

@@ -81,7 +81,7 @@ B_ACTUATOR = Actuator(300.0, 300.0, apex_deg=37.5, low_deg=13.0, high_deg=92.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class AxisDrive:
     """How an axis moves. The defaults are those of the maker's firmware on mechanics of 235 impulses per second.
 
     Attributes
@@ -116,7 +116,7 @@ class Drive:
             raise ValueError(f"dead-band, braking distance and overshoot must not be negative, not {self}")
 
 
-_DRIVE = Drive()
+_DRIVE = AxisDrive()
 
 FLAT = Angles(0.0, 90.0)
 
@@ -153,7 +153,7 @@ class Setup:
 
     a_actuator: Actuator = A_ACTUATOR
     b_actuator: Actuator = B_ACTUATOR
-    drive: Drive = _DRIVE
+    drive: AxisDrive = _DRIVE
     start: Angles = FLAT
     synchronous: bool = False
     high_switches: bool = True

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from drivers.interfaces import Axis as AxisName
+from drivers.interfaces import AxisName
 from drivers.positioners.pozsol import wire
 from sim_drivers.pozsol.modes import OwnModes
 from sim_drivers.pozsol.motion import Axis

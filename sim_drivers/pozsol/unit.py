@@ -7,7 +7,7 @@ chosen one: only that axis' impulses are counted, and only its motor is controll
 import math
 from typing import Literal
 
-from drivers.interfaces import Axis as AxisName
+from drivers.interfaces import AxisName
 from sim_drivers.pozsol.modes import OwnModes
 from sim_drivers.pozsol.motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
 from sim_drivers.pozsol.screens import Readout, axis_readout

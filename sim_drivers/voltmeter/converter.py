@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_drivers.voltmeter.settings import RANGES_V, VoltmeterSettings
+from sim_drivers.voltmeter.settings import RANGES_V, MeterSettings
 
 OVERFLOW = "9.9E37"
 OVERRANGE, DOWNRANGE = 1.2, 0.1
@@ -47,9 +47,9 @@ class Converter:
         self.range_v = RANGES_V[-1]
         self._autozero_off_s = 0.0
         self._was_autozero = True
-        self.configure(VoltmeterSettings(), 0.0)
+        self.configure(MeterSettings(), 0.0)
 
-    def configure(self, settings: VoltmeterSettings, now: float) -> None:
+    def configure(self, settings: MeterSettings, now: float) -> None:
         """Take new settings; the filter starts anew."""
         if self._was_autozero and not settings.autozero:
             self._autozero_off_s = now

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sim_drivers.scpi import ScpiError, Status
+from sim_drivers.scpi import ScpiError, ScpiStatus
 from sim_drivers.voltmeter.converter import Converter
-from sim_drivers.voltmeter.settings import PRESET, RANGES_V, VoltmeterSettings
+from sim_drivers.voltmeter.settings import PRESET, RANGES_V, MeterSettings
 
 _MAXIMUM_READINGS = 1024
 
@@ -46,8 +46,8 @@ class VoltmeterInstrument:
         if not (45.0 <= line_frequency_hz <= 440.0):
             raise ValueError(f"the line frequency must be 45 to 440 Hz, not {line_frequency_hz}")
         self.identity: str = identity
-        self.settings: VoltmeterSettings = PRESET
-        self.status: Status = Status()
+        self.settings: MeterSettings = PRESET
+        self.status: ScpiStatus = ScpiStatus()
         self._converter = Converter(input_voltage, random, 1.0 / line_frequency_hz)
         self._now = self._cursor_s = self._ready_s = self._free_since_s = now
         self._free_index = 0
@@ -106,7 +106,7 @@ class VoltmeterInstrument:
         self._awaits_trigger = False
         self._ready_s = self._cursor_s = self._now
 
-    def reset(self, settings: VoltmeterSettings) -> None:
+    def reset(self, settings: MeterSettings) -> None:
         """Take all settings from ``*RST`` or from the bench defaults; the front panel stays as it is."""
         self.abort()
         self._last = None
@@ -119,7 +119,7 @@ class VoltmeterInstrument:
 
     def _power_up(self, now: float) -> None:
         self.settings = PRESET
-        self.status = Status()
+        self.status = ScpiStatus()
         self._now = now
         self.reset(PRESET)
 

@@ -6,7 +6,7 @@ RANGES_V = (0.1, 1.0, 10.0, 100.0, 1000.0)
 
 
 @dataclass(frozen=True, slots=True)
-class VoltmeterSettings:
+class MeterSettings:
     """Everything that commands set. The defaults are those of ``*RST``.
 
     Attributes
@@ -53,6 +53,6 @@ class VoltmeterSettings:
         return ",".join(parts)
 
 
-RESET = VoltmeterSettings()
-PRESET = VoltmeterSettings(filter_on=True, continuous=True, elements=("READ", "CHAN", "UNIT"))
+RESET = MeterSettings()
+PRESET = MeterSettings(filter_on=True, continuous=True, elements=("READ", "CHAN", "UNIT"))
 """The bench defaults, which also hold after power-up: free-running, with the moving filter on."""

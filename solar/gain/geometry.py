@@ -21,7 +21,7 @@ _ROUNDING = 1e-15
 
 
 @dataclass(frozen=True, slots=True)
-class SunDay:
+class SunPath:
     """One day's path of the sun, or many; each field has the shape that latitude and day number broadcast to.
 
     Attributes
@@ -67,7 +67,7 @@ def declination_deg(n: ArrayLike) -> Array:
     return declination
 
 
-def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunDay:
+def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunPath:
     """Return the sun's path at latitudes [deg] on days 1..365, broadcast together; Maiga (2022), (7), (22), (23).
 
     Sunset is where cos w0 = -tan(phi) tan(delta), that is tan^2(w0/2) = cos(phi - delta)/cos(phi + delta), which is
@@ -78,7 +78,7 @@ def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunDay:
     delta = declination_deg(day)
     noon, midnight = cosdg(phi - delta), cosdg(phi + delta)
     w0 = 2.0 * np.arctan2(np.sqrt(np.maximum(noon, 0.0)), np.sqrt(np.maximum(midnight, 0.0)))
-    return SunDay(sindg(phi), cosdg(phi), sindg(delta), cosdg(delta), noon, midnight, w0)
+    return SunPath(sindg(phi), cosdg(phi), sindg(delta), cosdg(delta), noon, midnight, w0)
 
 
 def half_day_h(phi_deg: ArrayLike, n: ArrayLike) -> Array:

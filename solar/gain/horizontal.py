@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunDay, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
 
 
 def k_dh(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: ArrayLike = 0.0) -> Array:
@@ -53,7 +53,7 @@ def horizontal_parts(phi_deg: ArrayLike, n: ArrayLike) -> tuple[Array, Array, Ar
     return scale * _across(day), scale * southward, scale * upward
 
 
-def _across(day: SunDay) -> Array:
+def _across(day: SunPath) -> Array:
     """Integral of cos(alpha) cos(delta) sin w from noon to sunset [rad]: -H11, with both its limits in general.
 
     With the zenith angles at noon and midnight it is (P(noon) - P(sunset))/(2 cos phi), P(s) = asin s + s sqrt(1-s^2).

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunDay, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
 
 _TURN = 2.0 * np.pi
 
@@ -70,7 +70,7 @@ def k_ds(
     return energy_ratio(sun_day(phi_deg, n).max_h, energy.abs_h if rear_face else energy.clip_h)
 
 
-def _energy(day: SunDay, sin_beta: Array, cos_beta: Array, sin_lambda: Array, cos_lambda: Array) -> StaticEnergy:
+def _energy(day: SunPath, sin_beta: Array, cos_beta: Array, sin_lambda: Array, cos_lambda: Array) -> StaticEnergy:
     axial = cos_beta * day.sin_phi - sin_beta * day.cos_phi * cos_lambda
     noonward = cos_beta * day.cos_phi + sin_beta * day.sin_phi * cos_lambda
     eastward = sin_beta * sin_lambda

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, elliprd, elliprf, elliprj, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunDay, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
 
 # Stands for zero where phi = delta: the integrals have a removable logarithm there.
 _TINY = 1e-30
@@ -35,12 +35,12 @@ def vertical_energy_h(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike) -> 
     return energy
 
 
-def half_day_sine(day: SunDay) -> Array:
+def half_day_sine(day: SunPath) -> Array:
     """Return the integral of sin(elevation) over the hour angle from noon to sunset [rad]; Maiga (2022), (A2.12)."""
     return day.a * day.w0 + day.b * np.sin(day.w0)
 
 
-def half_day_cosine(day: SunDay) -> Array:
+def half_day_cosine(day: SunPath) -> Array:
     """Return the integral of cos(elevation) over the hour angle from noon to sunset [rad].
 
     Stands for the power series of Maiga (2022), (16)-(19), (A2.13)-(A2.18). With u = phi - delta, v = phi + delta,

@@ -14,8 +14,8 @@ from sim_drivers.bench.line_host import LineHost, VoltmeterHost
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.load.core import LoadCore
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import Drive, Setup
-from sim_drivers.pv_source import Light
+from sim_drivers.pozsol.setup import AxisDrive, Setup
+from sim_drivers.pv_source import SourceLight
 from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.pv_module import Q_PEAK_G4_1_305, curve, voltage
 from tests.support import ROOT
@@ -69,7 +69,7 @@ class Module:
     """A module in light that a test sets."""
 
     def __init__(self):
-        self.now = Light(800.0, 40.0)
+        self.now = SourceLight(800.0, 40.0)
 
     def light(self, _now):
         return self.now
@@ -104,7 +104,7 @@ def positioner_host(tmp_path):
     async def served(setup=None):
         now = asyncio.get_running_loop().time
         core = PositionerCore(
-            now(), setup or Setup(drive=Drive(speed_mm_s=40.0, acceleration_mm_s2=400.0, run_out_s=0.01))
+            now(), setup or Setup(drive=AxisDrive(speed_mm_s=40.0, acceleration_mm_s2=400.0, run_out_s=0.01))
         )
         host = PositionerHost(core, tmp_path / "positioner", now, np.random.default_rng(1))
         async with _running(host):

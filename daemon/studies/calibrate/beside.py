@@ -7,7 +7,7 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings
-from daemon.studies.calibrate.readings import Readings, Reference, span_text
+from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
 from solar.agreement import Agreement, agreement
 from solar.calibration.comparison import Interval, SeriesGain, fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, night_offset
@@ -75,8 +75,8 @@ class Comparison:
 
 
 def compare(
-    reference: Reference,
-    readings: Readings,
+    reference: ReferenceReadings,
+    readings: FaceReadings,
     site: Site,
     cube: CubeSettings,
     *,
@@ -153,7 +153,7 @@ def compare(
     )
 
 
-def _common(reference: Reference, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
+def _common(reference: ReferenceReadings, utc_s: Array, voltage: Array) -> tuple[Array, Array, Array]:
     """Bring both to means over minutes, the sensors' to the instants of the reference's by straight lines.
 
     Readings a moment apart may fall in different minutes, so that minutes of one number may be a minute apart.

@@ -7,8 +7,8 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.studies.calibrate.beside import MEAN_S
-from daemon.studies.calibrate.readings import Readings
-from daemon.studies.calibrate.request import Rig
+from daemon.studies.calibrate.readings import FaceReadings
+from daemon.studies.calibrate.request import CubeSetup
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
 from solar.calibration.selection import block_means, night_offset
 from solar.frames import Array
@@ -39,7 +39,7 @@ class FieldResult:
 
 
 def calibrate_field(
-    readings: Readings, made_on: Rig, *, model: SkyModel, water_cm: float, cosine_error: float
+    readings: FaceReadings, made_on: CubeSetup, *, model: SkyModel, water_cm: float, cosine_error: float
 ) -> FieldResult:
     """Return gains, attitude and albedo; raises `UserError` that says what the readings lack."""
     old = [getattr(made_on.cube, name) for name in FACES]

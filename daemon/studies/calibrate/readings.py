@@ -22,7 +22,7 @@ _LARGEST = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class FaceReadings:
     """Readings of the four faces.
 
     Attributes
@@ -45,7 +45,7 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class ReferenceReadings:
     """Global horizontal irradiance by a reference pyranometer, shape (n,) each; without gaps."""
 
     source: str
@@ -53,7 +53,7 @@ class Reference:
     ghi_w_m2: Array
 
 
-def read_reference(path: Path) -> Reference:
+def read_reference(path: Path) -> ReferenceReadings:
     """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
     frame, utc_s, lines = _table(path)
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
@@ -63,10 +63,10 @@ def read_reference(path: Path) -> Reference:
     there = np.isfinite(ghi)
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}")
-    return Reference(str(path), utc_s[there], ghi[there])
+    return ReferenceReadings(str(path), utc_s[there], ghi[there])
 
 
-def read_csv(path: Path) -> Readings:
+def read_csv(path: Path) -> FaceReadings:
     """Read a CSV with time and either east_mv .. zenith_mv or east_w_m2 .. zenith_w_m2.
 
     Tables of `heliocube export` and `heliocube simulate` are such files: a face whose quality is not ok has no
@@ -89,10 +89,10 @@ def read_csv(path: Path) -> Readings:
         if f"{face}_quality" in frame:
             faces[frame[f"{face}_quality"].to_numpy() != "ok", place] = np.nan
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
-    return Readings(str(path), utc_s, faces, ending == _MV, made_with)
+    return FaceReadings(str(path), utc_s, faces, ending == _MV, made_with)
 
 
-def read_store(directory: Path, start: datetime | None, end: datetime | None) -> Readings:
+def read_store(directory: Path, start: datetime | None, end: datetime | None) -> FaceReadings:
     """Read the scans that a store holds from `start` up to `end`; raises `UserError` without any."""
     low = -np.inf if start is None else start.timestamp()
     high = np.inf if end is None else end.timestamp()
@@ -110,7 +110,7 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
         raise UserError(f"the store {path} has no scans in that time; see --from and --to")
     table = np.array(rows, dtype=np.float64)
     _, first = np.unique(table[:, 0], return_index=True)
-    return Readings(
+    return FaceReadings(
         f"the store {path}", table[first, 0], table[first, 1:], False, frozenset(row[0] for row in made_with)
     )
 

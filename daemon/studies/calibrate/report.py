@@ -11,7 +11,7 @@ from daemon.cube.calibration import CubeCalibration, new_calibration
 from daemon.studies.calibrate.beside import Comparison
 from daemon.studies.calibrate.in_field import FieldResult
 from daemon.studies.calibrate.readings import span_text
-from daemon.studies.calibrate.request import Rig
+from daemon.studies.calibrate.request import CubeSetup
 from solar.frames import azimuth_from_direction
 
 # Left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
@@ -19,9 +19,9 @@ _DOUBTFUL = 0.002
 # The order of the paper's Table 1.
 _TABLE_ORDER = ("zenith", "west", "south", "east")
 _ROWS = (
-    ("MBE (W/m2)", "mbe_w_m2"),
+    ("MBE (W/m2)", "mbe"),
     ("rMBE (%)", "rmbe_percent"),
-    ("MAE (W/m2)", "mae_w_m2"),
+    ("MAE (W/m2)", "mae"),
     ("rMAE (%)", "rmae_percent"),
 )
 
@@ -66,7 +66,7 @@ def comparison_lines(found: Comparison) -> list[str]:
     return lines
 
 
-def field_lines(found: FieldResult, made_on: Rig, sky: str) -> list[str]:
+def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
     """Return gains, attitude and albedo as lines of text."""
     fit, latitude = found.fit, made_on.site.latitude_deg
     rows = [("", "gain W/m2/mV", "U (k=2)", "change", "offset mV")]
@@ -134,7 +134,7 @@ def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str]
 
 
 def field_calibration(
-    found: FieldResult, made_on: Rig, sky: str, serials: dict[str, str], valid_days: float
+    found: FieldResult, made_on: CubeSetup, sky: str, serials: dict[str, str], valid_days: float
 ) -> CubeCalibration:
     """Return the calibration for the file; its day is that of the last clear sky."""
     fit = found.fit

@@ -10,7 +10,7 @@ from daemon.config.file import load_settings, override
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibration_in_force
-from daemon.studies.calibrate.readings import Readings, read_csv, read_store
+from daemon.studies.calibrate.readings import FaceReadings, read_csv, read_store
 from daemon.studies.inputs import site_values
 from solar.ephemeris import Site
 
@@ -19,7 +19,7 @@ _REFERENCE = "reference"
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class CubeSetup:
     """Where the readings were made, and with what gains.
 
     Attributes
@@ -33,7 +33,7 @@ class Rig:
     calibration: CubeCalibration | None
 
 
-def rig(config: Path | None, site: str | None) -> Rig:
+def rig(config: Path | None, site: str | None) -> CubeSetup:
     """Return site and gains: those of a configuration, of --site, or the built-in ones; raises `UserError`."""
     settings = Settings() if config is None else load_settings(config)
     if site is not None:
@@ -43,12 +43,12 @@ def rig(config: Path | None, site: str | None) -> Rig:
     place = settings.site
     calibration = calibration_in_force(settings.cube)
     cube = settings.cube if calibration is None else calibrated_cube(settings.cube, calibration)
-    return Rig(Site(place.latitude_deg, place.longitude_deg, place.altitude_m), cube, calibration)
+    return CubeSetup(Site(place.latitude_deg, place.longitude_deg, place.altitude_m), cube, calibration)
 
 
 def readings(
-    sensors: Path | None, store: Path | None, start: datetime | None, end: datetime | None, made_on: Rig
-) -> Readings:
+    sensors: Path | None, store: Path | None, start: datetime | None, end: datetime | None, made_on: CubeSetup
+) -> FaceReadings:
     """Return the readings that one of the two names.
 
     Raises

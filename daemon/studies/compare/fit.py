@@ -11,12 +11,15 @@ import numpy as np
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.pairs import Pairs
-from solar.compare import Agreement, ChainBias, agreement, fit_chain_bias, lies_flat
+from solar.agreement import Agreement, agreement
+from solar.compare import ChainBias, fit_chain_bias, lies_flat
 
 LEAST_PAIRS = 100
 # Below this a chain measures its own noise.
 LEAST_W = 1.0
 _FORMAT = "heliocube chain bias 1"
+# The file's names for the fields of `Agreement`, in their order.
+_AGREEMENT_KEYS = ("count", "mbe_w", "rmbe_pct", "mae_w", "rmae_pct")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +82,12 @@ def fit(flat: Pairs) -> Fit:
     except ValueError as error:
         raise UserError(f"the bias cannot be fitted: {error}; measure in changing light") from None
     return Fit(
-        flat.names,
-        bias,
-        float(flat.utc_s[0]),
-        float(flat.utc_s[-1]),
-        agreement(power, reference),
-        agreement(bias.corrected(power), reference),
+        names=flat.names,
+        bias=bias,
+        start_utc_s=float(flat.utc_s[0]),
+        end_utc_s=float(flat.utc_s[-1]),
+        before=agreement(power, reference),
+        after=agreement(bias.corrected(power), reference),
     )
 
 
@@ -93,7 +96,7 @@ def as_text(found: Fit) -> str:
     bias, (cube, chrono) = found.bias, found.names
     lines = [
         (
-            f"{found.before.count} pairs from {iso_utc(found.start_utc_s)[:19]}Z to {iso_utc(found.end_utc_s)[:19]}Z,"
+            f"{found.before.pairs} pairs from {iso_utc(found.start_utc_s)[:19]}Z to {iso_utc(found.end_utc_s)[:19]}Z,"
             f" {bias.lowest_w:.0f} to {bias.highest_w:.0f} W"
         ),
         (
@@ -103,7 +106,7 @@ def as_text(found: Fit) -> str:
         f"{'':8}{'MBE/W':>9}{'rMBE/%':>9}{'MAE/W':>9}{'rMAE/%':>9}",
     ]
     for name, one in (("before", found.before), ("after", found.after)):
-        lines.append(f"{name:8}{one.mbe_w:9.3f}{one.rmbe_pct:9.2f}{one.mae_w:9.3f}{one.rmae_pct:9.2f}")
+        lines.append(f"{name:8}{one.mbe:9.3f}{one.rmbe_percent:9.2f}{one.mae:9.3f}{one.rmae_percent:9.2f}")
     return "\n".join(lines) + "\n"
 
 
@@ -116,8 +119,8 @@ def write(found: Fit, path: Path) -> None:
         **asdict(found.bias),
         "from": iso_utc(found.start_utc_s),
         "to": iso_utc(found.end_utc_s),
-        "before": asdict(found.before),
-        "after": asdict(found.after),
+        "before": _content(found.before),
+        "after": _content(found.after),
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -149,4 +152,9 @@ def _fit_of(content: dict[str, Any]) -> Fit:
         raise ValueError("a coefficient is not a number")
     start, end = (datetime.fromisoformat(content[key]).timestamp() for key in ("from", "to"))
     names = (str(content["corrects"]), str(content["reference"]))
-    return Fit(names, ChainBias(*numbers), start, end, Agreement(**content["before"]), Agreement(**content["after"]))
+    before, after = (Agreement(*(content[name][key] for key in _AGREEMENT_KEYS)) for name in ("before", "after"))
+    return Fit(names=names, bias=ChainBias(*numbers), start_utc_s=start, end_utc_s=end, before=before, after=after)
+
+
+def _content(statistics: Agreement) -> dict[str, float]:
+    return dict(zip(_AGREEMENT_KEYS, statistics, strict=True))

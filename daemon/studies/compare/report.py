@@ -123,7 +123,14 @@ def fit_table(found: Fit) -> Table:
     """Return the fit's statistics for the page."""
     columns = ("", "pairs", "MBE W", "rMBE %", "MAE W", "rMAE %")
     body = [
-        (name, str(one.count), f"{one.mbe_w:+.3f}", f"{one.rmbe_pct:+.2f}", f"{one.mae_w:.3f}", f"{one.rmae_pct:.2f}")
+        (
+            name,
+            str(one.pairs),
+            f"{one.mbe:+.3f}",
+            f"{one.rmbe_percent:+.2f}",
+            f"{one.mae:.3f}",
+            f"{one.rmae_percent:.2f}",
+        )
         for name, one in (("before", found.before), ("after", found.after))
     ]
     return Table(f"Bias of {found.names[0]}'s chain against {found.names[1]}'s", columns, body)

@@ -11,7 +11,7 @@ class Device(StrEnum):
     HORIZONTAL = "horizontal"
 
 
-class TableFormat(StrEnum):
+class AnswerFormat(StrEnum):
     """How the answer is written."""
 
     TABLE = "table"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.studies.gain.choices import Device, TableFormat
+from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
 
 LONGEST_TABLE = 200
@@ -19,16 +19,16 @@ _RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL
 _ETA = {Device.VERTICAL: "eta_VS", Device.HORIZONTAL: "eta_HS"}
 
 
-def write(columns: Columns, kind: TableFormat, out: Path | None, console: Console, sky_label: str | None) -> None:
+def write(columns: Columns, kind: AnswerFormat, out: Path | None, console: Console, sky_label: str | None) -> None:
     """Write `columns` to `out`, or to standard output without; `UserError` if that cannot be done."""
-    if kind is TableFormat.TABLE:
+    if kind is AnswerFormat.TABLE:
         if out is not None:
             raise UserError("--out takes a CSV or a Parquet file; add --format csv or --format parquet")
         show(columns, console, sky_label)
         return
-    encode = _csv if kind is TableFormat.CSV else _parquet
+    encode = _csv if kind is AnswerFormat.CSV else _parquet
     if out is None:
-        if kind is TableFormat.PARQUET and sys.stdout.isatty():
+        if kind is AnswerFormat.PARQUET and sys.stdout.isatty():
             raise UserError("Parquet is not for a terminal; give a file with --out")
         encode(columns, sys.stdout.buffer)
         sys.stdout.buffer.flush()

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from drivers.interfaces import Axis
+from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, Status
+from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
 # B moves for certain, and did so when the status was sent.
 _MOVES = 0.1
@@ -46,7 +46,7 @@ class BLayout:
 class SwitchCheck:
     """Compares the low end switch of an axis with the count whenever a new status has come."""
 
-    axis: Axis
+    axis: AxisName
     setup: AxisSetup
     _status_s: float = 0.0
     _before: bool = False
@@ -56,7 +56,7 @@ class SwitchCheck:
         """Whether the next status decides."""
         return self._before
 
-    def look(self, position: float, status: Status, status_s: float) -> str:
+    def look(self, position: float, status: StatusWord, status_s: float) -> str:
         """Return what does not fit, seen in two statuses one after the other; empty if all fits."""
         if status_s <= self._status_s:
             return ""

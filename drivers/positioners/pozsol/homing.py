@@ -6,9 +6,9 @@ dips. So the verdict takes the homing bit, the position and the end switch toget
 
 from dataclasses import dataclass, field
 
-from drivers.interfaces import Axis
+from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.wire import Status
+from drivers.positioners.pozsol.wire import StatusWord
 
 # More than an axis runs out on its ramp, in the unit's position units.
 _MOVED = 1.0
@@ -22,14 +22,14 @@ _SLIP_DEG = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class AxisObservation:
     """What one look shows of one axis; `time_s` is that of its position, `status_s` that of the status."""
 
     position: float
     destination: float
     remain: float
     time_s: float
-    status: Status
+    status: StatusWord
     status_s: float
 
 
@@ -58,9 +58,9 @@ class HomingRun:
         Once over without failure: how the switch contradicts the count; empty if it does not.
     """
 
-    axis: Axis
+    axis: AxisName
     setup: AxisSetup
-    before: Seen
+    before: AxisObservation
     sent_s: float
     trusted: bool
     begun: bool = False
@@ -71,7 +71,7 @@ class HomingRun:
     _last: float | None = field(default=None, repr=False)
     _changed_s: float = field(default=0.0, repr=False)
 
-    def look(self, seen: Seen) -> None:
+    def look(self, seen: AxisObservation) -> None:
         """Take note of the newest telemetry."""
         if self.over or seen.time_s <= self.sent_s:
             return
@@ -86,22 +86,22 @@ class HomingRun:
             self.over = True
             self._judge(seen)
 
-    def _moved(self, seen: Seen) -> bool:
+    def _moved(self, seen: AxisObservation) -> bool:
         return abs(seen.position - self.before.position) > _MOVED and not self._at_zero(seen)
 
-    def _begins(self, seen: Seen, fresh: bool) -> bool:
+    def _begins(self, seen: AxisObservation, fresh: bool) -> bool:
         inwards = seen.destination < seen.position - _AIMS_INWARDS
         # An axis that stands on its switch is home before anybody can look.
         return (fresh and bool(self._bit(seen.status))) or self._moved(seen) or inwards or self._at_zero(seen)
 
-    def _bit(self, status: Status) -> bool | None:
+    def _bit(self, status: StatusWord) -> bool | None:
         return status.a_homing if self.axis == "a" else status.b_homing
 
-    def _at_zero(self, seen: Seen) -> bool:
+    def _at_zero(self, seen: AxisObservation) -> bool:
         coast = self.setup.units(_COAST_DEG)
         return abs(seen.position) <= coast and abs(seen.destination) <= coast
 
-    def _judge(self, seen: Seen) -> None:
+    def _judge(self, seen: AxisObservation) -> None:
         name, faults = self.axis.upper(), [fault for fault in seen.status.faults if fault.startswith(self.axis)]
         if faults:
             self.failure = f"the reference run of {name} ended with {', '.join(faults)}"
@@ -112,7 +112,7 @@ class HomingRun:
         else:
             self.mismatch = self._mismatch(seen)
 
-    def _mismatch(self, seen: Seen) -> str:
+    def _mismatch(self, seen: AxisObservation) -> str:
         slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
         if not self.travelled and abs(self.before.position) > slip:
             return (

@@ -38,7 +38,7 @@ class Heard(NamedTuple):
     restarted_s: float | None = None
 
 
-class Line(Protocol):
+class PositionerLine(Protocol):
     """The positioner's link. Raises `drivers.errors.DeviceError` and nothing else."""
 
     simulated: bool

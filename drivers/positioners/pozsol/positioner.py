@@ -18,10 +18,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
-from drivers.interfaces import Axis, PositionerIdentity, Telemetry
+from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.link import Line
+from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.stream import Value
 from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
@@ -30,8 +30,8 @@ from drivers.positioners.pozsol.wire import Field, encode_command
 
 _DEVICE = "positioner"
 _IDENTITY = (Field.BOARD, Field.VERSION, Field.SERIAL)
-_HOME: dict[Axis, str] = {"a": wire.HOME_A, "b": wire.HOME_B}
-_TARGET: dict[Axis, Field] = {"a": Field.A_DESTINATION, "b": Field.B_DESTINATION}
+_HOME: dict[AxisName, str] = {"a": wire.HOME_A, "b": wire.HOME_B}
+_TARGET: dict[AxisName, Field] = {"a": Field.A_DESTINATION, "b": Field.B_DESTINATION}
 
 _HEAR_WITHIN_S = 2.5
 _KNOW_WITHIN_S = 8.0
@@ -71,7 +71,7 @@ class PozsolPositioner:
 
     def __init__(
         self,
-        line: Line,
+        line: PositionerLine,
         now: Callable[[], float],
         a: AxisSetup,
         b: AxisSetup,
@@ -82,7 +82,7 @@ class PozsolPositioner:
     ) -> None:
         self._line = line
         self._now = now
-        self._axes: dict[Axis, AxisSetup] = {"a": a, "b": b}
+        self._axes: dict[AxisName, AxisSetup] = {"a": a, "b": b}
         self._boards = boards
         self._watch = PositionerWatch(now, self._axes, stale_s, b_out_bit)
         self._jitter = (a.step, b.step)
@@ -140,7 +140,7 @@ class PozsolPositioner:
             _STATUS_SHOWS_S,
         )
 
-    async def move_to(self, a_deg: float, b_deg: float, *, first: Axis = "a") -> None:
+    async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
         """Send both targets as whole positions, `first` first, and wait until the unit shows them, within a second.
 
         Nothing is sent while a fault or a reference run shows, or while angle and position do not go together.
@@ -150,7 +150,7 @@ class PozsolPositioner:
             limits = f"A {a.minimum_deg:g} to {a.maximum_deg:g}, B {b.minimum_deg:g} to {b.maximum_deg:g} deg"
             raise ValueError(f"target A {a_deg}, B {b_deg} deg is outside the limits ({limits})")
         try:
-            whole: dict[Axis, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
+            whole: dict[AxisName, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
         except ValueError as error:
             raise RefusedError(_DEVICE, f"is not given a target: {error}") from error
         what = f"the target A {a_deg:.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
@@ -191,7 +191,7 @@ class PozsolPositioner:
         self._stops += 1
         await self._stand(self._stops, heeding=False)
 
-    async def home(self, axis: Axis) -> None:
+    async def home(self, axis: AxisName) -> None:
         """Halt, start a reference run and wait until it shows, up to 7 s.
 
         To home one axis while the other moves would leave that one running without control.
@@ -261,7 +261,7 @@ class PozsolPositioner:
                 return
             await asyncio.sleep(_LOOK_EVERY_S)
 
-    def _jitter_of(self, axis: Axis, fields: dict[int, str]) -> float:
+    def _jitter_of(self, axis: AxisName, fields: dict[int, str]) -> float:
         step = count_step(fields, axis)
         return self._axes[axis].step if step is None else _JITTER_COUNTS * step
 

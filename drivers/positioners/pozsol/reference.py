@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from drivers.interfaces import Axis
+from drivers.interfaces import AxisName
 
-_BOTH: frozenset[Axis] = frozenset(("a", "b"))
+_BOTH: frozenset[AxisName] = frozenset(("a", "b"))
 
 
 @dataclass
 class _Doubt:
     text: str
-    axes: set[Axis]
+    axes: set[AxisName]
     needs_travel: bool = False
 
 
@@ -30,11 +30,11 @@ class Reference:
         """What `forgive` takes."""
         return tuple(self._doubts)
 
-    def doubts(self, axis: Axis) -> bool:
+    def doubts(self, axis: AxisName) -> bool:
         """Tell whether the count of one axis is in doubt."""
         return any(axis in doubt.axes for doubt in self._doubts.values())
 
-    def note(self, kind: str, text: str, axis: Axis | None = None, *, needs_travel: bool = False) -> None:
+    def note(self, kind: str, text: str, axis: AxisName | None = None, *, needs_travel: bool = False) -> None:
         """Note a doubt of one axis or, with None, of both; an event that can happen again needs a kind of its own.
 
         With `needs_travel` only a reference run on which the axis has moved settles it.
@@ -42,7 +42,7 @@ class Reference:
         known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel))
         known.axes |= _BOTH if axis is None else {axis}
 
-    def proven(self, axis: Axis, *, travelled: bool) -> None:
+    def proven(self, axis: AxisName, *, travelled: bool) -> None:
         """Forget what one axis' good reference run has settled."""
         for kind, doubt in list(self._doubts.items()):
             if travelled or not doubt.needs_travel:

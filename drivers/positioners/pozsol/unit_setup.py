@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.interfaces import Axis
+from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 
 _FIRST = {"a": 70, "b": 96}
@@ -20,7 +20,7 @@ _MODE = {"a": 83, "b": 107}
 _LOWEST = {"a": 110, "b": 111}
 _OFFSET = {"a": 192, "b": 193}
 _PLACES = (_GEAR, _HIGHEST, _COORDINATE, _MODE, _LOWEST, _OFFSET)
-_AXES: tuple[Axis, Axis] = ("a", "b")
+_AXES: tuple[AxisName, AxisName] = ("a", "b")
 SETUP_FIELDS = frozenset([*(place[axis] for place in _PLACES for axis in _AXES), *range(70, 78), *range(96, 104)])
 """What has to be heard for a full comparison."""
 
@@ -39,7 +39,7 @@ def unheard(fields: Mapping[int, str]) -> tuple[int, ...]:
     return tuple(sorted(code for code in SETUP_FIELDS if math.isnan(_number(fields, code))))
 
 
-def count_step(fields: Mapping[int, str], axis: Axis) -> float | None:
+def count_step(fields: Mapping[int, str], axis: AxisName) -> float | None:
     """Return the position units of one Hall count, or None if the unit does not tell."""
     counts = _number(fields, _GEAR[axis])
     return 1.0 / counts if counts >= 1.0 else None
@@ -47,7 +47,7 @@ def count_step(fields: Mapping[int, str], axis: Axis) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    axis: Axis
+    axis: AxisName
     setup: AxisSetup
     fields: Mapping[int, str]
 

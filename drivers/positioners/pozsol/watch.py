@@ -5,16 +5,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from drivers.errors import LinkLostError, ProtocolError
-from drivers.interfaces import Axis, Telemetry
+from drivers.interfaces import AxisName, Telemetry
 from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.homing import HomingRun, Seen
+from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import Heard
 from drivers.positioners.pozsol.reference import Reference
-from drivers.positioners.pozsol.wire import OWN_MOVES, Field, Status, own_moves, parse_status
+from drivers.positioners.pozsol.wire import OWN_MOVES, Field, StatusWord, own_moves, parse_status
 
 _DEVICE = "positioner"
-AXES: tuple[Axis, Axis] = ("a", "b")
+AXES: tuple[AxisName, AxisName] = ("a", "b")
 FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
 SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
@@ -45,7 +45,7 @@ class PositionerWatch:
     """
 
     def __init__(
-        self, now: Callable[[], float], setups: dict[Axis, AxisSetup], stale_s: float, b_out_bit: int | None
+        self, now: Callable[[], float], setups: dict[AxisName, AxisSetup], stale_s: float, b_out_bit: int | None
     ) -> None:
         self._now = now
         self._setups = setups
@@ -91,11 +91,11 @@ class PositionerWatch:
         self._last = (heard, telemetry) if heard.as_of_s > -math.inf and at_rest else None
         return telemetry
 
-    def begin_run(self, axis: Axis, before: Telemetry, sent_s: float) -> HomingRun:
+    def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
-        seen = Seen(before.position_a, before.destination_a, before.a_remain, 0.0, _NO_STATUS, 0.0)
+        seen = AxisObservation(before.position_a, before.destination_a, before.a_remain, 0.0, _NO_STATUS, 0.0)
         if axis == "b":
-            seen = Seen(before.position_b, before.destination_b, before.b_remain, 0.0, _NO_STATUS, 0.0)
+            seen = AxisObservation(before.position_b, before.destination_b, before.b_remain, 0.0, _NO_STATUS, 0.0)
         self.run = HomingRun(axis, self._setups[axis], seen, sent_s, trusted=not self.reference.doubts(axis))
         self._last = None
         return self.run
@@ -134,9 +134,9 @@ class PositionerWatch:
             )
         )
         a_amps, b_amps, a_left, b_left = (known[field].number if field in known else math.nan for field in _EXTRA)
-        seen: dict[Axis, Seen] = {
-            "a": Seen(a_at, a_to, a_left, time_s, status, status_s),
-            "b": Seen(b_at, b_to, b_left, time_s, status, status_s),
+        seen: dict[AxisName, AxisObservation] = {
+            "a": AxisObservation(a_at, a_to, a_left, time_s, status, status_s),
+            "b": AxisObservation(b_at, b_to, b_left, time_s, status, status_s),
         }
         homing = self._follow_run(seen) or status.homing
         self._note_doubts(heard, seen, homing)
@@ -172,7 +172,7 @@ class PositionerWatch:
         if now_s - fast_s > self._stale_s or now_s - slow_s > max(_SLOW_STALE_S, self._stale_s):
             raise LinkLostError(_DEVICE, f"has been silent for {now_s - min(fast_s, slow_s):.1f} s")
 
-    def _follow_run(self, seen: dict[Axis, Seen]) -> bool:
+    def _follow_run(self, seen: dict[AxisName, AxisObservation]) -> bool:
         """Let the reference run see the newest look; return whether one is on."""
         run = self.run
         if run is None:
@@ -190,7 +190,7 @@ class PositionerWatch:
             self.reference.note(f"{run.axis} mismatch {run.sent_s}", run.mismatch, run.axis, needs_travel=stuck)
         return False
 
-    def _note_doubts(self, heard: Heard, seen: dict[Axis, Seen], homing: bool) -> None:
+    def _note_doubts(self, heard: Heard, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
         status = seen["a"].status
         if status.was_reset:
             self.reference.note("reset", "the positioner has restarted")
@@ -206,4 +206,4 @@ class PositionerWatch:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
 
 
-_NO_STATUS: Status = parse_status("0")
+_NO_STATUS: StatusWord = parse_status("0")

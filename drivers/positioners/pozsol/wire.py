@@ -194,7 +194,7 @@ def parse_number(field: int, value: bytes) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class StatusWord:
     """The status word, field 136.
 
     Attributes
@@ -271,7 +271,7 @@ _MEMORY_BITS = (14, 30)
 
 
 @lru_cache(maxsize=64)
-def parse_status(text: str, b_out_bit: int | None = None) -> Status:
+def parse_status(text: str, b_out_bit: int | None = None) -> StatusWord:
     """Read the status word from its text, a signed decimal number of 32 bits.
 
     Parameters
@@ -298,7 +298,7 @@ def parse_status(text: str, b_out_bit: int | None = None) -> Status:
         b_homing = bool(word >> b_out_bit + 2 & 1)
         if word >> B_HIGH_BIT_STM & 1:
             switches.append("b_high")
-    return Status(
+    return StatusWord(
         word=word,
         faults=tuple(name for name, bit in FAULT_BITS.items() if word >> bit & 1),
         was_reset=bool(word >> RESET_BIT & 1),

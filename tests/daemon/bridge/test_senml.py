@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
-from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 UTC_S = 1665742815.125
 STEADY_S = 86403.25
@@ -32,7 +32,7 @@ def pack(**changes):
 
 
 def refusal(payload):
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(ScanRefusedError) as caught:
         senml.decode(payload)
     assert caught.value.kind is Refusal.MALFORMED
     return caught.value.reason
@@ -104,7 +104,7 @@ def test_a_pack_with_any_value_replaced_is_decoded_or_refused_and_raises_nothing
     record[data.draw(st.sampled_from(sorted(record)))] = data.draw(json_values)
     try:
         got = senml.decode(json.dumps(records).encode())
-    except RefusedError:
+    except ScanRefusedError:
         return
     assert all(abs(f.irradiance_w_m2) <= 10_000 or f.quality is not Quality.OK for f in got.faces)
     assert math.isfinite(got.time_utc_s + got.time_monotonic_s)
@@ -147,7 +147,7 @@ def test_a_pack_with_any_value_replaced_is_decoded_or_refused_and_raises_nothing
     ],
 )
 def test_a_pack_that_breaks_a_rule_is_refused_and_the_reason_names_the_place(changes, words):
-    with pytest.raises(RefusedError, match=words):
+    with pytest.raises(ScanRefusedError, match=words):
         senml.decode(pack(**changes))
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from daemon.base.records import Quality
 from daemon.bridge import senml, signing
-from daemon.bridge.refusals import Refusal, RefusedError
+from daemon.bridge.refusals import Refusal, ScanRefusedError
 from daemon.bridge.signing import KeyFileError
 from tests.support import DOCS
 
@@ -35,7 +35,7 @@ def jws(header, payload=PAYLOAD, key=KEY, digest=hashlib.sha256):
 
 
 def refusal(datagram, key=KEY):
-    with pytest.raises(RefusedError) as caught:
+    with pytest.raises(ScanRefusedError) as caught:
         signing.verify(datagram, key)
     return caught.value
 

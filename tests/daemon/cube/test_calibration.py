@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from daemon.base.errors import UserError
 from daemon.base.records import FaceReading, Quality, Scan
-from daemon.bridge.refusals import RefusedError
+from daemon.bridge.refusals import ScanRefusedError
 from daemon.bridge.senml import decode, encode
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings
@@ -141,7 +141,7 @@ def test_the_identifier_crosses_the_bridge_and_its_absence_does_too():
 @pytest.mark.parametrize("text", ["", "2022-3-20", "20220320-ABCDEF01", "20220320-abcdef012"])
 def test_an_identifier_that_is_none_is_refused(text):
     good = calibration().identifier.encode()
-    with pytest.raises(RefusedError, match="calibration"):
+    with pytest.raises(ScanRefusedError, match="calibration"):
         decode(encode(scan(good.decode())).replace(good, text.encode()))
 
 

@@ -5,7 +5,7 @@ import math
 from daemon.base.records import Pose, Target
 from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
-from daemon.motion.move_watch import Follow, Progress
+from daemon.motion.move_watch import MoveWatch, Progress
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
 
@@ -25,7 +25,7 @@ def look(a, b, faults=(), pending=0.0):
 
 
 def follow(a=20.0, b=60.0, start=(0.0, 90.0)):
-    return Follow(
+    return MoveWatch(
         Target(a, b, "test"),
         Pose(0.0, 0.0, *start, moving=False),
         Limits(),

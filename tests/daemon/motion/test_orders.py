@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
-from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.daemon.motion.test_rule import moves_for, quiet
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, alarms, drive_b, lose, show
@@ -221,7 +221,7 @@ def test_a_move_that_overshoots_ends_with_stop(run_rig, monkeypatch):
         assert sent[-1][1].startswith(STOP_PACKET)
         assert await moves_for(bench, 30) <= 1.0
 
-    run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=Drive(overshoot_mm=12.0)))
+    run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
 
 
 def test_a_move_that_stalls_ends_with_stop(run_rig, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Event, Mode, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
-from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show
 
@@ -251,7 +251,7 @@ def test_a_button_pressed_in_mid_move_ends_the_move(run_rig):
     run_rig(scenario)
 
 
-@pytest.mark.parametrize("drive_of_unit", [Drive(), Drive(overshoot_mm=1.0), Drive(speed_mm_s=1.0)])
+@pytest.mark.parametrize("drive_of_unit", [AxisDrive(), AxisDrive(overshoot_mm=1.0), AxisDrive(speed_mm_s=1.0)])
 def test_small_and_large_moves_are_never_taken_for_unexplained(run_rig, drive_of_unit):
     async def scenario(bench):
         await quiet(bench)

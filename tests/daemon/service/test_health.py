@@ -9,7 +9,7 @@ import pytest
 from daemon.base.process import Notifier
 from daemon.base.records import Mode, Move, MoveOutcome
 from daemon.service.health import Watchdog
-from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 
 
 @pytest.fixture
@@ -78,5 +78,5 @@ def test_an_axis_that_runs_past_its_target_is_stopped_and_named(run_rig):
         await bench.until_mode(Mode.FAULT, 300)
         assert "beyond its target" in bench.control.why
 
-    bench = run_rig(scenario, setup=Setup(drive=Drive(overshoot_mm=25.0)))
+    bench = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
     assert MoveOutcome.OVERSHOT in [move.outcome for move in bench.of(Move)]

@@ -11,7 +11,7 @@ from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.agilent6063b import Agilent6063B
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.sweep import SweepSettings
-from sim_drivers.pv_source import Light
+from sim_drivers.pv_source import SourceLight
 from solar.pv_module import Q_PEAK_G4_1_305, curve
 
 MAKES = ["chroma63600", "agilent6063b"]
@@ -313,7 +313,7 @@ def test_a_late_reply_is_never_taken_for_the_next_one(load_host):
             with pytest.raises(DeadlineError):
                 await load.sweep(steps(*LEVELS), never)
             host.delay_s = 0.0
-            host.core.source.now = Light(400.0, 40.0)
+            host.core.source.now = SourceLight(400.0, 40.0)
             for _ in range(5):
                 with contextlib.suppress(DeviceError):
                     await load.open()

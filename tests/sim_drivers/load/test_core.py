@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from sim_drivers.load.core import LoadCore
 from sim_drivers.load.instrument import OVERFLOW
-from sim_drivers.pv_source import Light
+from sim_drivers.pv_source import SourceLight
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, voltage
 
 
@@ -13,7 +13,7 @@ class Module:
     """A module in light that a test sets; `scale` makes it a string of that many."""
 
     def __init__(self, irradiance=800.0, cell_c=40.0, scale=1.0):
-        self.now, self.scale = Light(irradiance, cell_c), scale
+        self.now, self.scale = SourceLight(irradiance, cell_c), scale
 
     def light(self, _now):
         return self.now

@@ -9,7 +9,7 @@ from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command, 
 from sim_drivers.pozsol.core import FAULTS, PositionerCore
 from sim_drivers.pozsol.profile import coast, drive_to
 from sim_drivers.pozsol.screens import SLOW_SCREENS
-from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, Drive, Setup
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, AxisDrive, Setup
 from solar.frames import Angles
 
 STOP = encode_command(Field.ACTION, wire.STOP)
@@ -78,7 +78,7 @@ SPEEDS = st.floats(-3.13, 3.13)
 
 @given(POSITIONS, SPEEDS, POSITIONS)
 def test_a_move_is_continuous_keeps_to_its_speed_and_ends_a_little_beyond_its_target(start, velocity, target):
-    drive = Drive()
+    drive = AxisDrive()
     profile = drive_to(10.0, start, velocity, target, drive)
     assert abs(profile.end - target) <= drive.overshoot_mm + 1e-9
     assert profile.at(10.0) == pytest.approx((start, velocity), abs=1e-6)
@@ -95,14 +95,14 @@ def test_a_move_is_continuous_keeps_to_its_speed_and_ends_a_little_beyond_its_ta
 @given(POSITIONS, SPEEDS, POSITIONS, st.floats(1, 300))
 def test_a_move_is_cut_exactly_where_it_meets_a_hard_stop(start, velocity, target, limit):
     start = min(max(start, -limit), limit)
-    profile = drive_to(0.0, start, velocity, target, Drive()).cut_at(-limit, limit)
+    profile = drive_to(0.0, start, velocity, target, AxisDrive()).cut_at(-limit, limit)
     assert all(abs(profile.at(i * profile.end_s / 100)[0]) <= limit + 1e-6 for i in range(101))
     assert abs(profile.at(profile.end_s - 1e-9)[0] - profile.end) < 1e-3
     assert abs(profile.end) <= limit
 
 
 def test_an_axis_runs_out_at_a_steady_rate():
-    profile = coast(5.0, 100.0, -3.2, Drive(speed_mm_s=3.2, run_out_s=0.5))
+    profile = coast(5.0, 100.0, -3.2, AxisDrive(speed_mm_s=3.2, run_out_s=0.5))
     assert profile.end_s == 5.5
     assert profile.end == pytest.approx(99.2)
 
@@ -111,7 +111,7 @@ def test_a_move_takes_the_time_of_its_speed_and_ramps_and_counts_as_one_for_anot
     core = PositionerCore()
     start = number(core, Field.A_POSITION, 0.0)
     core.feed(encode_command(Field.A_DESTINATION, int(start) + 65), 0.001)
-    drive = Drive()
+    drive = AxisDrive()
     way = int(start) + 65 - start
     arrival_s = 0.02 + way / drive.speed_mm_s + 0.5 * drive.speed_mm_s / drive.acceleration_mm_s2
     assert status(core, arrival_s - 0.1).a_moving
@@ -148,7 +148,7 @@ def test_a_synchronous_unit_says_so_and_takes_turns_all_the_same():
 
 
 def test_a_move_smaller_than_the_dead_band_waits_until_it_is_the_axis_turn():
-    core = PositionerCore(setup=Setup(drive=Drive(dead_band_mm=1.0)))
+    core = PositionerCore(setup=Setup(drive=AxisDrive(dead_band_mm=1.0)))
     before = number(core, Field.B_POSITION, 0.0)
     core.feed(encode_command(Field.B_DESTINATION, int(before)), 0.0)
     assert number(core, Field.B_DESTINATION, 1.0) == int(before)
@@ -156,7 +156,7 @@ def test_a_move_smaller_than_the_dead_band_waits_until_it_is_the_axis_turn():
 
 
 def test_overshoot_leaves_the_axis_beyond_its_target_in_the_direction_of_the_move():
-    core = PositionerCore(setup=Setup(drive=Drive(overshoot_mm=0.7)))
+    core = PositionerCore(setup=Setup(drive=AxisDrive(overshoot_mm=0.7)))
     core.feed(encode_command(Field.A_DESTINATION, 250), 0.0)
     assert number(core, Field.A_POSITION, 100.0) == pytest.approx(250.7, abs=0.05)
     core.feed(encode_command(Field.A_DESTINATION, 200), 100.0)
@@ -440,7 +440,7 @@ def test_stop_ends_a_homing_run():
 
 
 def test_homing_gives_up_after_600_s():
-    core = PositionerCore(setup=Setup(drive=Drive(speed_mm_s=0.2)))
+    core = PositionerCore(setup=Setup(drive=AxisDrive(speed_mm_s=0.2)))
     core.feed(HOME_A, 0.0)
     assert status(core, 600.0).homing
     late = status(core, 600.1)

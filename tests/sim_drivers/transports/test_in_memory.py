@@ -17,7 +17,7 @@ from drivers.errors import (
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import Drive, Setup
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
 from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.frames import Angles, Limits
@@ -534,7 +534,7 @@ def test_the_drive_of_the_setup_sets_the_pace():
     async def scene(now):
         reached = []
         for speed in (1.6, 3.2):
-            tracker = Tracker(now, drive=Drive(speed_mm_s=speed))
+            tracker = Tracker(now, drive=AxisDrive(speed_mm_s=speed))
             await tracker.positioner.open()
             await tracker.positioner.move_to(40.0, 90.0)
             await asyncio.sleep(20.0)

@@ -1,11 +1,8 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from sim_drivers.scene import Scene
 from sim_drivers.weather import GeneratedWeather
-from solar.agreement import agreement
 from solar.calibration.comparison import fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, clear_sky_ghi, night_offset
 from solar.ephemeris import Site
@@ -16,25 +13,6 @@ MIDNIGHT = 1_647_302_400.0  # 2022-03-15
 
 def clouds(utc_s):
     return 500.0 + 200.0 * np.sin(utc_s / 97.0) + 100.0 * np.sin(utc_s / 41.0 + 1.0)
-
-
-def test_table_1_by_hand():
-    found = agreement([110.0, 90.0, 205.0], [100.0, 100.0, 200.0])
-    assert found == pytest.approx((5 / 3, 1.25, 25 / 3, 6.25))
-
-
-def test_pairs_without_a_number_do_not_count():
-    assert agreement([np.nan, 90.0, 110.0], [100.0, np.nan, 100.0]).mbe_w_m2 == pytest.approx(10.0)
-    with pytest.raises(ValueError, match="no pair"):
-        agreement([np.nan], [100.0])
-    with pytest.raises(ValueError, match="mean is -1"):
-        agreement([1.0], [-1.0])
-
-
-@given(st.lists(st.tuples(st.floats(0, 1500), st.floats(1, 1500)), min_size=1, max_size=30))
-def test_the_mean_absolute_error_is_never_below_the_bias(pairs):
-    found = agreement(*np.array(pairs).T)
-    assert found.mae_w_m2 >= abs(found.mbe_w_m2) - 1e-9
 
 
 def test_means_are_over_the_readings_that_are_there():

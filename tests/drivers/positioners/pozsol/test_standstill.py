@@ -4,7 +4,7 @@ import pytest
 
 from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
-from drivers.positioners.pozsol.homing import HomingRun, Seen
+from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.reference import Reference
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
@@ -33,9 +33,9 @@ def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
 
 
 def run(*looks, before=100.0, trusted=True):
-    homing = HomingRun("a", A, Seen(before, before, 0.0, 0.0, QUIET, 0.0), 1.0, trusted)
+    homing = HomingRun("a", A, AxisObservation(before, before, 0.0, 0.0, QUIET, 0.0), 1.0, trusted)
     for time_s, position, destination, remain, status in looks:
-        homing.look(Seen(position, destination, remain, time_s, status, time_s))
+        homing.look(AxisObservation(position, destination, remain, time_s, status, time_s))
     return homing
 
 
