@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.base.errors import UserError
+from daemon.base.installation import damage
 
 _URGENT = ("stop", "stow")
 _OPTIONS = {"--config": "config", "-c": "config", "--api": "api", "--token-file": "token_file", "--why": "why"}
@@ -14,12 +15,22 @@ def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
     command, *rest = sys.argv[1:] or [""]
     given = _plainly_given(rest) if command in _URGENT else None
+    if command not in _URGENT:
+        _refuse_a_damaged_installation()
     if given is None:
         from daemon.commands.main import main as command_line  # noqa: PLC0415 - the large libraries
 
         command_line()
     else:
         _at_once(command, given)
+
+
+def _refuse_a_damaged_installation() -> None:
+    """Leave with code 2 where another distribution has taken a package of ours; a stop is given as far as it can be."""
+    found = damage()
+    if found is not None:
+        sys.stderr.write(f"heliocube: {found}\n")
+        sys.exit(2)
 
 
 def _plainly_given(words: Sequence[str]) -> dict[str, str] | None:

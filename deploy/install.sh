@@ -130,7 +130,7 @@ fingerprint() {
     else
       cd "$from"
       cat pyproject.toml
-      find solar drivers sim_drivers daemon -type f ! -name '*.pyc' | LC_ALL=C sort | while read -r file; do
+      find solar drivers sim_drivers daemon heliocube -type f ! -name '*.pyc' | LC_ALL=C sort | while read -r file; do
         printf '%s\n' "$file"
         cat "$file"
       done

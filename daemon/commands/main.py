@@ -4,7 +4,7 @@ import sys
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -15,7 +15,7 @@ from daemon.commands import config as config_commands
 from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, RoleChoice, TableFormat
 from daemon.commands.simulate import progress_bar, replay, report
 from daemon.config.settings import Settings
-from daemon.studies.inputs import instant, site_values, weather_choice
+from daemon.studies.inputs import instant, settings_for, site_values
 
 app = typer.Typer(
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
@@ -160,23 +160,15 @@ def _settings(
     start: str | None,
 ) -> Settings:
     """Read the file, if any, and lay the command line's choices over it."""
-    from daemon.config.file import load_settings, override
-
-    settings = load_settings(config) if config is not None else Settings()
-    changes: dict[str, dict[str, Any]] = {"simulation": {}, "law": {}, "site": {}}
-    if weather is not None:
-        changes["simulation"]["weather"] = weather_choice(weather)
-    if law is not None:
-        changes["law"]["name"] = law.value
-    if site is not None:
-        changes["site"] = site_values(site)
-    if seed is not None:
-        changes["simulation"]["seed"] = seed
-    if speed is not None:
-        changes["simulation"]["speed"] = speed
-    if start is not None:
-        changes["simulation"]["start_utc"] = instant(start, "--start")
-    return override(settings, changes)
+    return settings_for(
+        config,
+        weather=weather,
+        law=None if law is None else law.value,
+        site=None if site is None else site_values(site),
+        seed=seed,
+        speed=speed,
+        start=None if start is None else instant(start, "--start"),
+    )
 
 
 def _refuse_simulation(options: dict[str, object]) -> None:

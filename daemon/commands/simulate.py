@@ -3,16 +3,15 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from daemon.config.settings import Settings
-
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.settings import Settings
     from daemon.studies.simulate import Summary
 
 
@@ -71,8 +70,7 @@ def replay(
     from rich.console import Console
 
     from daemon.base.errors import UserError
-    from daemon.config.file import load_settings, override
-    from daemon.studies.inputs import parse_site
+    from daemon.studies.inputs import settings_for, site_values
     from daemon.studies.replay import replay as run_replay
     from daemon.studies.replay import rows_of_store
     from daemon.studies.send_csv import read_csv
@@ -81,18 +79,7 @@ def replay(
         raise UserError("replay needs either FACES.csv or --store DIR")
     if site is None and config is None:
         raise UserError("replay needs --site LAT,LON[,ALT], or --config FILE with a site")
-    changes: dict[str, dict[str, Any]] = {}
-    if site is not None:
-        latitude, longitude, altitude = parse_site(site)
-        changes["site"] = {
-            "name": site,
-            "latitude_deg": latitude,
-            "longitude_deg": longitude,
-            "altitude_m": altitude,
-        }
-    if law is not None:
-        changes["law"] = {"name": law}
-    settings = override(Settings() if config is None else load_settings(config), changes)
+    settings = settings_for(config, law=law, site=None if site is None else site_values(site))
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
     if faces is not None:

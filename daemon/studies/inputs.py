@@ -1,10 +1,13 @@
 """What people give to the studies and commands as text: sites, instants, weather."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, get_args
 
 from daemon.base.errors import UserError
+from daemon.config.file import load_settings, override
+from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 
 
@@ -41,3 +44,47 @@ def site_values(text: str) -> dict[str, Any]:
 def weather_choice(text: str) -> str | Path:
     """Return the built-in weather of that name, or the file."""
     return text if text in get_args(WeatherName) else Path(text)
+
+
+def settings_for(
+    config: Path | None,
+    *,
+    weather: str | None = None,
+    law: str | None = None,
+    site: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+    speed: float | None = None,
+    start: datetime | None = None,
+) -> Settings:
+    """Return the settings of a file, or of the simulated rig as it comes, with the choices that are given laid over.
+
+    Parameters
+    ----------
+    config
+        The file.
+    weather
+        A built-in weather by name, or the path of a measured one.
+    law
+        Of pointing, by name.
+    site
+        Keys of the section site.
+    seed, speed, start
+        Of the simulation.
+
+    Raises
+    ------
+    UserError
+        The file, or a choice, cannot be used.
+    """
+    simulation = {
+        "weather": None if weather is None else weather_choice(weather),
+        "seed": seed,
+        "speed": speed,
+        "start_utc": start,
+    }
+    changes: dict[str, dict[str, Any]] = {
+        "simulation": {key: value for key, value in simulation.items() if value is not None},
+        "law": {} if law is None else {"name": law},
+        "site": dict(site or {}),
+    }
+    return override(load_settings(config) if config is not None else Settings(), changes)

@@ -109,7 +109,7 @@ def _free_port(kind):
 def checkout(tmp_path):
     """A copy of what the installation needs, which nobody changes meanwhile."""
     copy = tmp_path / "checkout"
-    for name in ("solar", "drivers", "sim_drivers", "daemon", "deploy"):
+    for name in ("solar", "drivers", "sim_drivers", "daemon", "heliocube", "deploy"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy / name)

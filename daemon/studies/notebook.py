@@ -1,0 +1,189 @@
+"""The studies as a notebook calls them: choices by keyword, tables as data frames. Public through `heliocube`."""
+
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.store.export import export
+from daemon.studies.inputs import settings_for
+from daemon.studies.replay import replay as run_replay
+from daemon.studies.send_csv import Row, read_csv
+from daemon.studies.simulate import simulate as run_simulation
+from solar.ephemeris import Site
+
+__all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
+
+Tables = dict[str, pd.DataFrame]
+
+
+def simulate(
+    start: str | datetime,
+    *,
+    days: float = 1.0,
+    weather: str | Path | None = None,
+    law: str | None = None,
+    site: Site | None = None,
+    seed: int | None = None,
+    config: Path | str | None = None,
+) -> Tables:
+    """Run the service on the simulated rig under virtual time and return its records; a day takes some seconds.
+
+    Parameters
+    ----------
+    start
+        First day or instant, such as ``"2022-10-14"``; UTC where it names no zone.
+    days
+        How many.
+    weather
+        ``clear``, ``overcast``, ``variable``, ``broken`` or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).
+    law
+        Pointing law by name, such as ``mu-prime`` or ``optimal``.
+    site
+        Where; None is the configuration's.
+    seed
+        Of weather and noise: the same one gives the same tables.
+    config
+        Configuration file; None is the simulated rig as it comes.
+
+    Returns
+    -------
+    By kind (``scans``, ``decisions``, ``moves``, ``poses``, ``modes``, ``events``, ``curves``): a frame with a UTC
+    index named ``time``. docs/data.md has the columns. A kind without a record has an empty frame.
+
+    Raises
+    ------
+    UserError
+        A choice cannot be used; one sentence says which and what would be.
+    """
+    settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
+    with TemporaryDirectory(prefix="heliocube-") as folder:
+        run_simulation(settings, _instant(start), days, Path(folder), "parquet", lambda _share: None)
+        return _tables(Path(folder))
+
+
+def read_store(
+    directory: Path | str,
+    *,
+    start: str | datetime | None = None,
+    end: str | datetime | None = None,
+    kinds: Collection[str] = (),
+) -> Tables:
+    """Return what a store holds from `start` up to, not including, `end`; the service may go on writing meanwhile.
+
+    Parameters
+    ----------
+    directory
+        Folder of the store, `store.directory` of its configuration.
+    start, end
+        UTC where they name no zone; None is as far as the store goes.
+    kinds
+        Such as ``["scans", "poses"]``; none is all.
+
+    Returns
+    -------
+    As of `simulate`, with the columns that ``heliocube export`` adds: the same quantities under pvlib's names, the run
+    and its tracker.
+
+    Raises
+    ------
+    UserError
+        There is no store, or the span is empty.
+    """
+    with TemporaryDirectory(prefix="heliocube-") as folder:
+        first, last = (None if at is None else _instant(at) for at in (start, end))
+        export(Path(directory), Path(folder), "parquet", first, last, kinds)
+        return _tables(Path(folder))
+
+
+def read_faces(path: Path | str) -> pd.DataFrame:
+    """Return recorded readings of a cube: a UTC index named ``time``, columns east, south, west, zenith [W/m2].
+
+    Parameters
+    ----------
+    path
+        CSV file, plain or ``.gz``, with the columns time,east,south,west,zenith. A face without a reading is NaN.
+
+    Raises
+    ------
+    UserError
+        One sentence with the file, the line, the value and what is expected.
+    """
+    rows = read_csv(Path(path))
+    # Seconds since 1970 in a float are good for a microsecond, and no more is written.
+    times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
+    index = pd.DatetimeIndex(times, name="time")
+    return pd.DataFrame([row.irradiances_w_m2 for row in rows], index=index, columns=list(FACES))
+
+
+def replay(
+    faces: pd.DataFrame, *, site: Site, law: str | None = None, config: Path | str | None = None
+) -> pd.DataFrame:
+    """Let recorded readings drive a simulated tracker through the code that runs live.
+
+    Parameters
+    ----------
+    faces
+        As of `read_faces`, in rising time, 1 to 60 s apart; gaps are allowed.
+    site, law, config
+        As for `simulate`.
+
+    Returns
+    -------
+    One row per reading, a UTC index named ``time``: a_set, b_set, a, b [deg] (set, and where the tracker stands), mode,
+    law, dni_est, dhi_est [W/m2], albedo_est (estimates of the law `optimal`, NaN for others).
+
+    Raises
+    ------
+    UserError
+        The rows are too few or too far apart, or a choice cannot be used.
+    """
+    settings = settings_for(_path(config), law=law, site=_place(site))
+    with TemporaryDirectory(prefix="heliocube-") as folder:
+        out = Path(folder) / "positions.csv"
+        run_replay(settings, _rows(faces), out, lambda _share: None)
+        return pd.read_csv(out, index_col="time", parse_dates=["time"])
+
+
+def _rows(faces: pd.DataFrame) -> Sequence[Row]:
+    index = faces.index
+    if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
+        raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
+    missing = [face for face in FACES if face not in faces]
+    if missing:
+        raise UserError(f"the readings have no column {', '.join(missing)}: east, south, west and zenith are needed")
+    since = index - pd.Timestamp(0, tz=UTC)
+    seconds = np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
+    values = faces[list(FACES)].to_numpy(dtype=np.float64)
+    return [
+        Row(at, (row[0], row[1], row[2], row[3])) for at, row in zip(seconds.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def _tables(folder: Path) -> Tables:
+    return {file.stem: pd.read_parquet(file) for file in sorted(folder.glob("*.parquet"))}
+
+
+def _instant(at: str | datetime) -> datetime:
+    try:
+        found = datetime.fromisoformat(at) if isinstance(at, str) else at
+    except ValueError:
+        raise UserError(f"'{at}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def _place(site: Site | None) -> dict[str, object] | None:
+    return None if site is None else {"name": f"{site.latitude_deg:g}, {site.longitude_deg:g}", **site._asdict()}
+
+
+def _path(file: Path | str | None) -> Path | None:
+    return None if file is None else Path(file)
+
+
+def _text(choice: str | Path | None) -> str | None:
+    return None if choice is None else str(choice)
