@@ -198,6 +198,12 @@ class Harvest:
 Steer = Callable[[int, Array, Array], tuple[Array, Array]]
 
 
+def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
+    """Stand still: a plane that never moves after dawn, tilted towards the equator; the limits do not hold for it."""
+    days = weather.shape[1]
+    return lambda _step, _a, _b: (np.zeros(days), np.full(days, 90.0 - tilt_deg))
+
+
 def harvest(weather: DaylightWeather, light: Shining, albedo: float, drive: Drive, steer: Steer) -> Harvest:
     """Drive a tracker through every day at once and add up what its plane receives.
 

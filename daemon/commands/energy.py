@@ -6,8 +6,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-DEFAULT_LAWS = "flat,fixed:35,chronometric,mu-prime,sun-vector,optimal,bound"
-
 
 def energy(
     weather: Annotated[list[Path], typer.Argument(help="Measured weather (CSV, BSRN, SURFRAD, MIDC, TMY3).")],
@@ -16,8 +14,12 @@ def energy(
         Path, typer.Option(help="Folder for energy.txt, energy.csv and energy.png; made if it is not there.")
     ],
     laws: Annotated[
-        str, typer.Option(help="Laws, by commas; fixed:DEG is a tilt, optimal:THRIFT a point on the frontier.")
-    ] = DEFAULT_LAWS,
+        str | None,
+        typer.Option(
+            help="Laws, by commas, or all of them; fixed:DEG is a tilt, bound what nothing can beat, NAME:VALUE a law"
+            " that has one parameter to try, such as its thrift."
+        ),
+    ] = None,
     sky: Annotated[
         str, typer.Option(help="Skies, by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance).")
     ] = "perez1990",
@@ -28,15 +30,23 @@ def energy(
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
     from daemon.base.errors import UserError
     from daemon.commands.simulate import progress_bar
-    from daemon.studies.energy import IDEAL, Terms, as_text, check_names, measured_minutes, run_benchmark, write_csv
+    from daemon.studies.energy import (
+        IDEAL,
+        Terms,
+        as_text,
+        check_names,
+        default_names,
+        measured_minutes,
+        run_benchmark,
+        write_csv,
+    )
     from daemon.studies.energy_plot import plot
     from daemon.studies.inputs import parse_site
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
     from solar.frames import Limits
-    from solar.laws.optimal import OptimalSettings
 
-    skies, names = [_words(text) for text in (sky, laws)]
+    skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
     check_names(skies, names)
     place = Site(*parse_site(site))
     console = Console(stderr=True)
@@ -47,7 +57,7 @@ def energy(
         days = lay_out(utc_s, dni, dhi, place)
     except ValueError as error:
         raise UserError(f"the weather cannot be used: {error}") from error
-    terms = Terms(albedo, Limits(), IDEAL if ideal else Drive(speed), OptimalSettings())
+    terms = Terms(albedo, Limits(), IDEAL if ideal else Drive(speed))
     with progress_bar(console, "comparing") as progress:
         rows = run_benchmark(days, skies, names, terms, progress)
     text = as_text(rows, days, terms)

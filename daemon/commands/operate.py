@@ -127,7 +127,7 @@ def clear(
 def relearn(
     config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
 ) -> None:
-    """Forget the albedo and the gains that the law 'optimal' has learned."""
+    """Forget what the law has learned of the site."""
     _command("relearn", config, api, token_file, why)
 
 

@@ -103,7 +103,7 @@ class CubeSettings(Section):
         return with_defaults(cls, value, info)
 
 
-class Law(Section):
+class LawSection(Section):
     """The pointing law and its parameters."""
 
     name: LawName = Field(
@@ -231,7 +231,7 @@ class Sections(Section):
     cube: CubeSettings = CubeSettings()
     instruments: Instruments = Instruments()
     load: Load = Load()
-    law: Law = Law()
+    law: LawSection = LawSection()
     windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()
     motion: MotionSettings = MotionSettings()

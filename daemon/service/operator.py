@@ -219,16 +219,15 @@ class Operator:
         return Answer(found, f"{forgiven if found is Seen.DONE else 'not cleared yet'}; {self._seen()}")
 
     async def relearn(self, why: str, by: str = "") -> Answer:
-        """Forget the albedo and the gains that the law `optimal` has learned."""
+        """Forget what the law has learned of the site."""
         control, _ = self._tracker()
         with _refusals():
             control.refuse_while_still("relearn")
-        if control.optimal is None:
-            law = self._service.settings.law.name
-            raise CommandError(f"there is nothing to forget: the law {law} learns nothing, only optimal does")
+        if control.pointing.law.learned is None:
+            raise CommandError(f"there is nothing to forget: the law {control.pointing.chosen.name} learns nothing")
         self._note("relearn", why, by)
-        control.optimal.relearn()
-        return Answer(Seen.DONE, "albedo and gains are learned anew")
+        control.pointing.relearn()
+        return Answer(Seen.DONE, "what was learned of the site is learned anew")
 
     def _tracker(self) -> tuple[Control, Motion]:
         control, motion = self._service.control, self._service.motion

@@ -25,16 +25,14 @@ from daemon.motion.motion import OFTEN, Motion, Polling
 from daemon.service.health import Watchdog
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
-from daemon.tracker.optimal import LearnedFile, OptimalPointing
 from daemon.tracker.orders import Orders
-from daemon.tracker.pointing import Pointing
+from daemon.tracker.pointing import build_pointing
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from daemon.tracker.wishes import WishFile
 from drivers.errors import DriverHungError
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from solar.ephemeris import SunElevation
-from solar.frames import Limits
 
 log = logging.getLogger("heliocube.service")
 
@@ -203,13 +201,12 @@ class Service:
             settings,
             self.clock,
             self.motion,
-            Pointing(settings.site, settings.law, limits),
+            build_pointing(settings, self.clock.utc()),
             self.sun_elevation_deg,
             self.stow_watch,
             Orders(self.clock, WishFile(settings.store.directory)),
             self.bus.publish,
             self.alarms,
-            self._optimal(limits),
             ClockWatch(self.clock, self.alarms, rig.clock_synchronised),
         )
         self.bus.subscribe(self.control.note)
@@ -220,14 +217,6 @@ class Service:
                 settings.load, rig.load, self.clock, self._random, self.bus.publish, self.sun_elevation_deg, stale_s
             )
             self.bus.subscribe(self.curves.note)
-
-    def _optimal(self, limits: Limits) -> OptimalPointing | None:
-        settings = self.settings
-        if settings.law.name != "optimal":
-            return None
-        file = LearnedFile(settings.store.directory)
-        scan_every_s = settings.cube.scan_every_s
-        return OptimalPointing(settings.site, settings.law, limits, scan_every_s, self.clock.utc(), file)
 
     def _look_again(self) -> None:
         if self.control is not None:

@@ -17,7 +17,6 @@ from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from daemon.store.tables import COLUMNS, with_irradiances
 from daemon.tracker.budget import DayBudget
-from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.stow_watch import StowWatch
 from daemon.tracker.wishes import Wish
@@ -103,7 +102,7 @@ def state(
                 "age_s": number(round(now_s - seen.decision.time_monotonic_s, 3))
             }
         found["next_decision_s"] = number(seen.next_decision_s)
-        found["law"] = {"name": settings.law.name} | _learned(control)
+        found["law"] = {"name": settings.law.name} | control.pointing.law.shown()
         found["wishes"] = {name: _wish(wish) for name, wish in control.wishes}
         found["today"] = _today(control.budget)
         found["tracker"] = _tracker(service.motion, now_s)
@@ -154,15 +153,6 @@ def _today(budget: DayBudget) -> dict[str, Any]:
         "moves": budget.used.moves,
         "left": {"travel_deg": budget.travel_left_deg, "moves": budget.moves_left},
     }
-
-
-def _learned(control: Control) -> dict[str, Any]:
-    """Return what the law has learned and used of its day; nothing for laws that learn nothing."""
-    if control.optimal is None:
-        return {}
-    kept = control.optimal.kept.model_dump(exclude={"day"})
-    used = {name: kept.pop(name) for name in ("travelled_deg", "moves")}
-    return {"learned": kept, "today": used}
 
 
 def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:

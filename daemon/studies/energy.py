@@ -1,17 +1,20 @@
 """The energy benchmark: laws side by side on measured weather, as a table."""
 
 import csv
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.base import plugins
 from daemon.base.errors import UserError
+from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.simulated import measured_weather, weather_misfit
-from solar import energy_laws
 from solar.energy import (
     DAY_TYPES,
     SKIES,
@@ -22,15 +25,17 @@ from solar.energy import (
     best_possible,
     build_sky,
     faces_under,
+    fixed,
     harvest,
 )
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
-from solar.laws.optimal import OptimalSettings
+from solar.laws.law import Law, LawSettings, TrackerFacts
+from solar.laws.steer import by_readings
 
-LAWS = ("flat", "fixed:DEG", "chronometric", "mu-prime", "sun-vector", "optimal", "optimal:THRIFT", "bound")
+FIXED, BOUND = "fixed", "bound"
+"""What is no law and stands beside them: a plane of some tilt that never moves, and what no controller can beat."""
 IDEAL = Drive(np.inf, 0.0, 1)
-_OF_FACES = ("mu-prime", "sun-vector")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 
 
@@ -66,12 +71,11 @@ class EnergyRow:
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What the benchmark assumes: ground, tracker, and the settings of the law `optimal`."""
+    """What the benchmark assumes of ground and tracker."""
 
     albedo: float
     limits: Limits
     drive: Drive
-    optimal: OptimalSettings
 
 
 def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
@@ -80,7 +84,12 @@ def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
         if name not in SKIES:
             raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
     for name in law_names:
-        _parameter(name)
+        _choice(name)
+
+
+def default_names() -> tuple[str, ...]:
+    """Return a fixed plane, every law that is installed, and the bound."""
+    return (f"{FIXED}:35", *plugins.names(plugins.LAWS), BOUND)
 
 
 def run_benchmark(
@@ -99,15 +108,15 @@ def run_benchmark(
         faces = faces_under(light, terms.albedo)
         bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
         run = partial(harvest, weather, light, terms.albedo)
-        reference = run(IDEAL, energy_laws.chronometric(weather, terms.limits)).energy_kwh_m2
+        reference = run(IDEAL, _steer(FALLBACK_LAW, weather, faces, terms)).energy_kwh_m2
         summarise = partial(_row, sky_name, types=types, reference=reference, bound=bound)
         for name in law_names:
             progress((len(rows) + 1) / total)
-            if name == "bound":
+            if name == BOUND:
                 nothing = np.full(len(bound), np.nan)
                 rows.append(summarise(name, Harvest(bound, nothing, nothing, nothing)))
             else:
-                drive = IDEAL if name.startswith(("flat", "fixed")) else terms.drive
+                drive = IDEAL if name.startswith(FIXED) else terms.drive
                 rows.append(summarise(name, run(drive, _steer(name, weather, faces, terms))))
     progress(1.0)
     return rows
@@ -184,30 +193,55 @@ def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
     return 100.0 * float(energy[chosen].sum() / reference[chosen].sum() - 1.0)
 
 
-def _parameter(name: str) -> float | None:
-    """Return the number behind the colon of a law's name; `UserError` for a law that does not exist."""
+class _Choice(NamedTuple):
+    """A law with its settings, or a plane of some tilt that never moves; neither for the bound."""
+
+    law: ModuleType | None = None
+    settings: LawSettings | None = None
+    tilt_deg: float | None = None
+
+
+def _choice(name: str) -> _Choice:
+    """Return what a name of the command line means; `UserError` for what does not exist."""
+    if name == BOUND:
+        return _Choice()
     law, colon, text = name.partition(":")
-    if not colon and f"{law}:DEG" not in LAWS and law in LAWS:
-        return None
     try:
-        number = float(text)
+        if law == FIXED:
+            tilt_deg = float(text)
+            if 0.0 <= tilt_deg <= 90.0:
+                return _Choice(tilt_deg=tilt_deg)
+        elif law in plugins.names(plugins.LAWS):
+            module = plugins.load(plugins.LAWS, law)
+            if not colon:
+                return _Choice(module, module.SETTINGS())
+            if module.SETTINGS.knob is not None:
+                return _Choice(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
     except ValueError:
-        number = np.nan
-    if (law == "fixed" and 0.0 <= number <= 90.0) or (law == "optimal" and 0.0 <= number <= 1e3):
-        return number
-    raise UserError(f"--laws: there is no law '{name}'; choose from {', '.join(LAWS)}, DEG in 0..90, THRIFT in 0..1000")
+        pass
+    known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))
+    knobs = [f"{each}:{module.SETTINGS.knob.upper()}" for each, module in _laws() if module.SETTINGS.knob is not None]
+    raise UserError(f"--laws: there is no law '{name}'; choose from {known}, {', '.join(knobs)}, DEG in 0..90")
 
 
 def _steer(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
-    law, number = name.partition(":")[0], _parameter(name)
-    if law in ("flat", "fixed"):
-        return energy_laws.fixed(weather, number or 0.0)
-    if law == "chronometric":
-        return energy_laws.chronometric(weather, terms.limits)
-    if law in _OF_FACES:
-        return energy_laws.from_faces(weather, faces, terms.limits, law)
-    settings = terms.optimal if number is None else replace(terms.optimal, thrift=number)
-    return energy_laws.optimal(weather, faces, terms.limits, settings)
+    choice = _choice(name)
+    if choice.law is None:
+        return fixed(weather, choice.tilt_deg or 0.0)
+    steer = getattr(choice.law, "steer", None)
+    if steer is not None:
+        return cast("Steer", steer(choice.settings, weather, faces, terms.limits))
+    build = choice.law.build
+
+    def law_of(tracker: TrackerFacts) -> Law:
+        return cast("Law", build(choice.settings, tracker))
+
+    return by_readings(law_of, weather, faces, terms.limits)
+
+
+def _laws() -> Iterator[tuple[str, ModuleType]]:
+    for name in plugins.names(plugins.LAWS):
+        yield name, plugins.load(plugins.LAWS, name)
 
 
 def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:

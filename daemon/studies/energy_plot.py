@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from daemon.studies.energy import EnergyRow
+from daemon.studies.energy import FIXED, EnergyRow
 from solar.energy import DAY_TYPES
 
 _MOVING_WORST_PCT = -5.0
@@ -42,16 +42,17 @@ def plot(rows: Sequence[EnergyRow], path: Path) -> None:
     wear.set_ylim(-5.0, 105.0)
     wear.set_xlabel("travel, A and B added [deg/day]")
     wear.set_ylabel("share of what the bound gains [%]")
-    wear.set_title("Harvest against wear (line: optimal; cross: mu-prime)")
+    wear.set_title("Harvest against wear (line: one law's frontier; cross: a law as it is)")
     if wear.has_data() and wear.get_legend_handles_labels()[0]:
         wear.legend(frameon=False, loc="lower right")
     figure.savefig(path, dpi=120)
 
 
 def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], name: str, colour: str) -> None:
-    line = sorted((row.travel_deg_per_day, row.share_pct) for row in rows if row.law.startswith("optimal"))
-    if line:
-        axes.plot(*zip(*line, strict=True), "o-", color=colour, label=name, markersize=4)
+    lines: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        if row.law == "mu-prime":
-            axes.plot(row.travel_deg_per_day, row.share_pct, "x", color=colour, label=None if line else name)
+        if np.isfinite(row.travel_deg_per_day) and not row.law.startswith(FIXED):
+            lines.setdefault(row.law.partition(":")[0], []).append((row.travel_deg_per_day, row.share_pct))
+    for law, points in lines.items():
+        style = "x" if len(points) == 1 else "o-"
+        axes.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=f"{law}, {name}")

@@ -30,10 +30,10 @@ from daemon.service.service import Rig, Role, Service
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.send_csv import Row
 from daemon.tracker.control import Control
+from daemon.tracker.pointing import Pointing
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
-from solar.laws.light import light_from_faces, usable_faces
-from solar.laws.site import Learned, SiteLearning
+from solar.laws.law import Law
 
 COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est")
 
@@ -109,12 +109,13 @@ def rows_of_store(directory: Path) -> list[Row]:
 
 
 class _Log:
-    """What the tracker did, row by row."""
+    """What the tracker did, row by row, and what pointed it."""
 
-    def __init__(self) -> None:
+    def __init__(self, pointing: Pointing) -> None:
+        self.pointing = pointing
         self.angles = array("d")
         self.modes: list[Mode] = []
-        self.learned: list[tuple[int, Learned]] = []
+        self.learned: list[tuple[int, Any]] = []
 
 
 def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
@@ -138,7 +139,6 @@ def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
 
 
 def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], None]) -> _Log:
-    log = _Log()
     # The readings stay until the end: the collector need not look at them again and again.
     gc.freeze()
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
@@ -156,6 +156,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
             Notifier({}, 0),
             polling=_POLLING,
         )
+        log = _Log(_parts(service)[0].pointing)
         runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 
@@ -204,8 +205,9 @@ class _Feeder:
             control.receive(_scan(self._cube, number, row, loop.time()))
             log.angles.extend(self._look())
             log.modes.append(control.mode)
-            if control.optimal is not None and (not log.learned or log.learned[-1][1] is not control.optimal.learned):
-                log.learned.append((number, control.optimal.learned))
+            learned = control.pointing.law.learned
+            if learned is not None and (not log.learned or log.learned[-1][1] is not learned):
+                log.learned.append((number, learned))
             if number % _PROGRESS_EVERY_ROWS == 0:
                 progress(number / len(rows))
         progress(1.0)
@@ -289,7 +291,7 @@ def _opened(path: Path, suffix: str) -> TextIO:
 def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
-    laws = {Mode.TRACKING: settings.law.name, Mode.FALLBACK: "chronometric"}
+    laws = {Mode.TRACKING: log.pointing.chosen.name, Mode.FALLBACK: log.pointing.fallback.name}
     angles = np.frombuffer(log.angles).reshape(-1, 4)
     site = settings.site.place()
     for first in range(0, len(rows), _ROWS_AT_ONCE):
@@ -298,7 +300,7 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
         faces = np.array([row.irradiances_w_m2 for row in some])
         estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
         if log.learned:
-            estimates = _estimates(faces, sun_direction(utc_s, *site), first, log.learned)
+            estimates = _estimates(log.pointing.law, faces, sun_direction(utc_s, *site), first, log.learned)
         for at, row in enumerate(some):
             mode = log.modes[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
@@ -306,19 +308,19 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> 
             writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at]])
 
 
-def _estimates(faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Learned]]) -> list[tuple[str, ...]]:
+def _estimates(
+    law: Law, faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Any]]
+) -> list[tuple[str, ...]]:
     """Return beam, diffuse and albedo for each row, by its own readings and by what was known of the site then."""
     found: list[tuple[str, ...]] = []
     ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
     for (begin, known), end in zip(learned, ends, strict=True):
         part = slice(max(begin - first, 0), max(min(end - first, len(faces)), 0))
-        readings, towards = SiteLearning(learned=known).corrected(faces[part]), sun[part]
-        usable = usable_faces(readings, towards)
-        light = light_from_faces(readings, towards, known.albedo, usable)
-        good = (usable.sum(axis=-1) >= 3) & (towards[..., 2] > 0.0)
-        albedo = f"{float(known.albedo):.4f}"
-        found += [
-            (f"{beam:.1f}", f"{uniform:.1f}", albedo) if is_good else ("", "", albedo)
-            for beam, uniform, is_good in zip(light.beam.tolist(), light.uniform.tolist(), good.tolist(), strict=True)
-        ]
+        columns = law.estimates(faces[part], sun[part], known)
+        beam, diffuse = ([_written(value, ".1f") for value in column.tolist()] for column in columns[:2])
+        found += zip(beam, diffuse, [_written(value, ".4f") for value in columns.albedo.tolist()], strict=True)
     return found
+
+
+def _written(value: float, form: str) -> str:
+    return "" if math.isnan(value) else format(value, form)

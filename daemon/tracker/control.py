@@ -10,7 +10,7 @@ import numpy as np
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
-from daemon.base.records import Decision, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
+from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Said
 from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
@@ -18,15 +18,15 @@ from daemon.motion.motion import Motion
 from daemon.tracker.budget import DayBudget
 from daemon.tracker.doors import Doors
 from daemon.tracker.modes import Data, Situation, next_mode
-from daemon.tracker.optimal import DECIDE_EVERY_S, OptimalPointing
 from daemon.tracker.orders import RELEASE, Orders
 from daemon.tracker.parking import Parking
-from daemon.tracker.pointing import Pointing
+from daemon.tracker.pointing import NamedLaw, Pointing, aim
 from daemon.tracker.readings import Readings
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.stow_watch import StowWatch
 from drivers.errors import DeviceError
-from solar.frames import normal_from_angles, separation_deg
+from solar.frames import Angles, normal_from_angles, separation_deg
+from solar.laws.law import Aim
 
 log = logging.getLogger("heliocube.control")
 
@@ -35,7 +35,6 @@ _TICK_S = 5.0
 _SHORTEST_WAIT_S = 0.001
 # Changes between the same two modes that are told each for itself.
 _FEW_CHANGES = 8
-_BY_THE_CLOCK = ("chronometric", "optimal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,7 @@ class Control(Doors):
     motion
         The only way to the axes.
     pointing
-        The laws, the sun and the limits.
+        The law, and the one that needs no readings.
     sun_elevation_deg
         Of UTC [s], to tell night from day.
     stow_watch
@@ -91,8 +90,6 @@ class Control(Doors):
         Called with decisions, mode changes and events.
     alarms
         Where what a person has to know is raised.
-    optimal
-        The law `optimal`, where it is the law; the others are in `pointing`.
     clock_watch
         Tells whether the time of day may be used.
     """
@@ -108,13 +105,11 @@ class Control(Doors):
         orders: Orders,
         publish: Callable[[Record], None],
         alarms: Alarms,
-        optimal: OptimalPointing | None = None,
         clock_watch: ClockWatch | None = None,
     ) -> None:
         super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order))
-        self.optimal = optimal
+        self.pointing = pointing
         self._clock = clock
-        self._pointing = pointing
         self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
         self._stow_watch = stow_watch
         self._publish = publish
@@ -123,7 +118,7 @@ class Control(Doors):
         self.budget = DayBudget(
             settings.motion, settings.site.longitude_deg, settings.store.directory, alarms, clock.utc()
         )
-        self._readings = Readings(settings, clock, sun_elevation_deg, optimal)
+        self._readings = Readings(settings, clock, sun_elevation_deg, pointing.law)
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
         self._decision: Decision | None = None
@@ -137,8 +132,8 @@ class Control(Doors):
     def receive(self, scan: Scan) -> None:
         """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
         self._readings.add(scan)
-        if self.optimal is not None and self._clock_watch.trusted:
-            self.optimal.receive(scan, self._clock.utc())
+        if self._clock_watch.trusted:
+            self.pointing.receive(scan, self._clock.utc())
         self._publish(scan)
         if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
             # It may be what was waited for.
@@ -212,8 +207,7 @@ class Control(Doors):
 
     def _turn_days(self, utc_s: float) -> None:
         self.budget.turn(utc_s)
-        if self.optimal is not None:
-            self.optimal.turn(utc_s)
+        self.pointing.turn(utc_s)
 
     def _watch_clock(self) -> None:
         step_s = self._clock_watch.step_s()
@@ -300,34 +294,41 @@ class Control(Doors):
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        law = self._settings.law.name if self.mode is Mode.TRACKING else "chronometric"
-        self._due_s = now_s + (DECIDE_EVERY_S if law == "optimal" else self._settings.windows.decide_every_s)
+        chosen = self.pointing.chosen if self.mode is Mode.TRACKING else self.pointing.fallback
+        self._due_s = now_s + chosen.law.decide_every_s
         utc_s = self._clock.utc()
-        heading = self._motion.target or self._motion.pose
-        if law == "optimal" and self.optimal is not None and heading is not None:
-            aim = self.optimal.aim(heading.a_deg, heading.b_deg, utc_s)
-        else:
-            aim = self._pointing.aim(law, mean, utc_s, sun_known=self._clock_watch.trusted)
-        if law in _BY_THE_CLOCK and not self._clock_watch.trusted:
-            aim = replace(aim, target=None, why="the clock was set a short while ago: the sun's position is in doubt")
-        target = aim.target or self._standing(aim.why)
-        moved = aim.target is not None and self._worth_moving(aim.target) and self._order_within_budget(aim.target)
-        log.info("%s", "moving" if moved else "staying", extra={"fields": _told(law, target)})
+        says, target = self._ask(chosen, mean, utc_s)
+        moved = says.target is not None and self._worth_moving(target) and self._order_within_budget(target)
+        log.info("%s", "moving" if moved else "staying", extra={"fields": _told(chosen.name, target)})
         self._decision = Decision(
             utc_s,
             now_s,
             self.mode,
-            law,
+            chosen.name,
             mean,
-            aim.azimuth_deg,
-            aim.elevation_deg,
-            aim.sun.azimuth_deg,
-            aim.sun.elevation_deg,
+            says.azimuth_deg,
+            says.elevation_deg,
+            says.sun.azimuth_deg,
+            says.sun.elevation_deg,
             target,
             moved,
-            aim.estimate,
+            Estimate(says.beam_w_m2, says.diffuse_w_m2, says.albedo),
         )
         self._publish(self._decision)
+
+    def _ask(self, chosen: NamedLaw, mean: Irradiances | None, utc_s: float) -> tuple[Aim, Target]:
+        """Return what the law says, and where the tracker is to be by that: where it stands, without a target."""
+        sun_known = self._clock_watch.trusted
+        whence = self._motion.target or self._motion.pose
+        heading = Angles(whence.a_deg, whence.b_deg) if whence else None
+        says = aim(chosen.law, mean, heading, utc_s, sun_known=sun_known)
+        if chosen.law.needs_sun and not sun_known:
+            says = replace(says, target=None)
+            return says, self._standing("the clock was set a short while ago: the sun's position is in doubt")
+        why = f"{chosen.name}: {says.why}" if says.why else chosen.name
+        if says.target is None:
+            return says, self._standing(why)
+        return says, Target(says.target.a_deg, says.target.b_deg, why)
 
     def _standing(self, why: str) -> Target:
         pose = self._motion.pose
@@ -344,18 +345,17 @@ class Control(Doors):
         return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
 
     def _order_within_budget(self, target: Target) -> bool:
-        """Order a move of a law within the day's limits; the plan of `optimal` holds in fallback too."""
+        """Order a move of a law within the day's limits; the law's own plan holds in fallback too."""
         heading = self._motion.target or self._motion.pose
         if heading is None:
             return self._order(target)
         distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)
-        if self.optimal is not None and not self.optimal.affords(distance_deg):
+        if not self.pointing.law.affords(distance_deg):
             return False
         if self.budget.refusal(distance_deg) is not None or not self._order(target):
             return False
         self.budget.book(distance_deg)
-        if self.optimal is not None:
-            self.optimal.book(distance_deg)
+        self.pointing.book(distance_deg)
         return True
 
     def _order(self, target: Target) -> bool:

@@ -1,93 +1,110 @@
-"""The laws by name: from the window's mean and the sun to a target inside the limits."""
+"""The law of the configuration, and the one that needs no readings: fed by scans, asked by control."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import replace
+from typing import NamedTuple, cast
 
-import numpy as np
+from daemon.base import plugins
+from daemon.base.records import FACES, Irradiances, Quality, Scan
+from daemon.config.plugged import FALLBACK_LAW
+from daemon.config.settings import Settings
+from daemon.tracker.law_file import LawFile
+from solar.frames import Angles
+from solar.laws.law import Aim, Law, LawSettings, Moment, Reading, TrackerFacts
 
-from daemon.base.records import NO_ESTIMATE, Estimate, Irradiances, Target
-from daemon.config.sections import Law, LawName, SiteSettings
-from solar.ephemeris import SunPosition, sun_position
-from solar.frames import Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
-from solar.laws import paper as laws
 
+class NamedLaw(NamedTuple):
+    """A law and what the configuration calls it."""
 
-@dataclass(frozen=True, slots=True)
-class Aim:
-    """What a law says.
-
-    Attributes
-    ----------
-    azimuth_deg, elevation_deg
-        Of the direction before limits; NaN when there is none.
-    sun
-        Ephemeris of the same instant.
-    target
-        Inside the limits; None when there is no direction.
-    why
-        In words.
-    estimate
-        What the law made of the light.
-    """
-
-    azimuth_deg: float
-    elevation_deg: float
-    sun: SunPosition[float]
-    target: Target | None
-    why: str
-    estimate: Estimate = NO_ESTIMATE
+    name: str
+    law: Law
 
 
 class Pointing:
-    """Applies a law at a site.
+    """What points one tracker.
 
     Parameters
     ----------
-    site
-        Where the tracker stands.
-    law
-        Parameters of the laws.
-    limits
-        Of the tracker.
+    chosen
+        The law of the configuration.
+    fallback
+        The law for times without good readings.
+    file
+        Keeps what the chosen law wants to remember.
     """
 
-    def __init__(self, site: SiteSettings, law: Law, limits: Limits) -> None:
-        self._site = site
-        self._law = law
-        self._limits = limits
+    def __init__(self, chosen: NamedLaw, fallback: NamedLaw, file: LawFile) -> None:
+        self.chosen = chosen
+        self.fallback = fallback
+        self._file = file
 
-    def sun(self, utc_s: float) -> SunPosition[float]:
-        """Return the sun's position at this UTC [s]."""
-        return sun_position(utc_s, self._site.latitude_deg, self._site.longitude_deg, self._site.altitude_m)
+    @property
+    def law(self) -> Law:
+        """The law of the configuration."""
+        return self.chosen.law
 
-    def aim(self, name: LawName, mean: Irradiances | None, utc_s: float, *, sun_known: bool = True) -> Aim:
-        """Return what the law `name` says of the window's mean at this UTC [s].
-
-        Unless `sun_known`, as while the clock is in doubt, the ephemeris directs nothing.
-        """
-        sun = self.sun(utc_s)
-        direction = self._direction(name, mean, sun, sun_known=sun_known)
-        if not np.isfinite(direction).all():
-            return Aim(np.nan, np.nan, sun, None, f"{name} has no direction")
-        a_deg, b_deg = angles_within(direction, self._limits)
-        azimuth, elevation = azimuth_from_direction(direction, self._site.latitude_deg)
-        return Aim(float(azimuth), float(elevation), sun, Target(float(a_deg), float(b_deg), name), name)
-
-    def _direction(self, name: LawName, mean: Irradiances | None, sun: SunPosition[float], *, sun_known: bool) -> Array:
-        if name == "flat":
-            return laws.ZENITH
-        to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self._site.latitude_deg)
-        if name == "chronometric":
-            return laws.chronometric(to_sun) if sun_known else np.full(3, np.nan)
-        if mean is None:
-            return np.full(3, np.nan)
-        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
-        law = self._law
-        if name == "mu-prime":
-            return laws.mu_prime(faces, uniform_threshold=law.uniform_threshold)
-        seen = laws.sun_vector(
-            faces,
-            albedo=law.albedo,
-            uniform_threshold=law.uniform_threshold,
-            gain_uncertainty=law.gain_uncertainty,
+    def receive(self, scan: Scan, utc_s: float) -> None:
+        """Hand a scan that has just arrived to the law."""
+        east, south, west, zenith = (
+            face.irradiance_w_m2 if face.quality is Quality.OK else math.nan for face in scan.faces
         )
-        return laws.complete_poleward(seen, to_sun) if sun_known else seen
+        self.law.observe(Reading(utc_s, scan.time_monotonic_s, (east, south, west, zenith)))
+
+    def turn(self, utc_s: float) -> None:
+        """Let the law begin a new day when it is time."""
+        if self.law.turn(utc_s):
+            self._save()
+
+    def book(self, distance_deg: float) -> None:
+        """Take a move that was ordered out of the law's plan of the day, and note that on disk."""
+        self.law.book(distance_deg)
+        self._save()
+
+    def relearn(self) -> None:
+        """Forget what was learned of the site."""
+        self.law.relearn()
+        self._save()
+
+    def _save(self) -> None:
+        self._file.save(self.law.to_dict())
+
+
+def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float, *, sun_known: bool = True) -> Aim:
+    """Ask a law where to point by the window's mean at this UTC [s]."""
+    faces = None
+    if mean is not None:
+        east, south, west, zenith = (getattr(mean, f"{face}_w_m2") for face in FACES)
+        faces = (east, south, west, zenith)
+    return law.aim(Moment(utc_s, faces, heading, sun_known))
+
+
+def build_pointing(settings: Settings, utc_s: float) -> Pointing:
+    """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
+    file = LawFile(settings.store.directory)
+    tracker = TrackerFacts(
+        site=settings.site.place(),
+        limits=settings.limits.limits(),
+        scan_every_s=settings.cube.scan_every_s,
+        decide_every_s=settings.windows.decide_every_s,
+        utc_s=utc_s,
+        kept=file.load(),
+    )
+    fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
+    return Pointing(
+        NamedLaw(settings.law.name, _build(settings, tracker, file)),
+        NamedLaw(FALLBACK_LAW, cast("Law", fallback.build(fallback.SETTINGS(), replace(tracker, kept=None)))),
+        file,
+    )
+
+
+def _build(settings: Settings, tracker: TrackerFacts, file: LawFile) -> Law:
+    module = plugins.load(plugins.LAWS, settings.law.name)
+    own: LawSettings = module.SETTINGS(
+        **{name: value for name, value in settings.law.model_dump().items() if name in module.SETTINGS.model_fields}
+    )
+    if tracker.kept is not None:
+        try:
+            return cast("Law", module.build(own, tracker))
+        except ValueError:
+            file.refuse()
+    return cast("Law", module.build(own, replace(tracker, kept=None)))

@@ -8,7 +8,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import FACES, Irradiances, Quality, Scan
 from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
-from daemon.tracker.optimal import FACES_NEEDED, OptimalPointing
+from solar.laws.law import Law
 
 
 class Readings:
@@ -22,8 +22,8 @@ class Readings:
         The service's time.
     sun_elevation_deg
         Of UTC [s], to tell night from day.
-    optimal
-        The law `optimal`, where it is the law: it can do without one of the faces.
+    law
+        Says how many faces it needs, and whether the zenith face can be believed.
 
     Attributes
     ----------
@@ -38,14 +38,14 @@ class Readings:
         settings: Settings,
         clock: Clock,
         sun_elevation_deg: Callable[[float], float],
-        optimal: OptimalPointing | None,
+        law: Law,
     ) -> None:
         self._safety = settings.safety
         self._minimum_coverage = settings.windows.minimum_coverage
         self._clock = clock
         self._sun_elevation_deg = sun_elevation_deg
-        self._optimal = optimal
-        self._faces_needed = 4 if optimal is None else FACES_NEEDED
+        self._law = law
+        self._faces_needed = law.faces_needed
         self._window = Window(
             settings.windows.mean_s,
             settings.cube.scan_every_s,
@@ -104,12 +104,12 @@ class Readings:
     def _sees_zenith(self, mean: Irradiances) -> bool:
         """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
         zenith = mean.zenith_w_m2
-        if self._optimal is None or zenith >= self._safety.night_above_w_m2:
+        if zenith >= self._safety.night_above_w_m2:
             return True
         if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
             return True
         faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
-        return self._optimal.believes_zenith(faces, self._clock.utc())
+        return self._law.believes_zenith(faces, self._clock.utc())
 
     def _judge_night(self, seen: Irradiances | None) -> str | None:
         sun_deg = self._sun_elevation_deg(self._clock.utc())

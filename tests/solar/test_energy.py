@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from daemon.studies.energy import measured_minutes
-from solar import energy_laws
-from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, harvest, lay_out
+from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, fixed, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits, angles_within, normal_from_angles
-from solar.laws.optimal import OptimalSettings
+from solar.laws import chronometric, mu_prime, optimal_live, sun_vector
 
 LIMITS = Limits()
 LYNGBY = Site(55.79064, 12.52505, 50.0)
@@ -19,6 +18,10 @@ DAY_S = 86400.0
 def weather_of(dni, dhi, days=1, site=LYNGBY):
     utc_s = 1465084800.0 + 60.0 * np.arange(1440 * days)  # 2016-06-05
     return lay_out(utc_s, np.full(utc_s.size, dni), np.full(utc_s.size, dhi), site)
+
+
+def steered(law, weather, faces=None):
+    return law.steer(law.SETTINGS(), weather, faces, LIMITS)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +35,7 @@ def january_and_june(measured):
 def test_a_plane_that_faces_the_sun_receives_dni_and_its_share_of_the_vault():
     weather = weather_of(800.0, 0.0)
     light = build_sky(weather, "isotropic")
-    result = harvest(weather, light, 0.0, IDEAL, energy_laws.chronometric(weather, LIMITS))
+    result = harvest(weather, light, 0.0, IDEAL, steered(chronometric, weather))
     normals = normal_from_angles(*angles_within(weather.sun, LIMITS))
     expected = 800.0 * np.maximum(np.sum(normals * weather.sun, axis=1), 0.0).sum() / 60e3
     assert result.energy_kwh_m2[0] == pytest.approx(expected)
@@ -41,7 +44,7 @@ def test_a_plane_that_faces_the_sun_receives_dni_and_its_share_of_the_vault():
 def test_a_flat_plane_receives_the_global_irradiance_and_travels_nowhere():
     weather = weather_of(500.0, 100.0)
     light = build_sky(weather, "perez1990")
-    result = harvest(weather, light, 0.2, IDEAL, energy_laws.fixed(weather, 0.0))
+    result = harvest(weather, light, 0.2, IDEAL, fixed(weather, 0.0))
     ghi = (500.0 * weather.sun[:, 2] + 100.0).sum() / 60e3
     assert result.energy_kwh_m2[0] == pytest.approx(ghi)
     assert result.travel_deg[0] == result.moves[0] == 0
@@ -89,10 +92,10 @@ def test_no_law_beats_the_bound(model):
     best = weather.by_day(best_possible(weather, light, LIMITS, 0.2))
     faces = faces_under(light, 0.2)
     steers = [
-        energy_laws.chronometric(weather, LIMITS),
-        energy_laws.from_faces(weather, faces, LIMITS, "mu-prime"),
-        energy_laws.from_faces(weather, faces, LIMITS, "sun-vector"),
-        energy_laws.optimal(weather, faces, LIMITS, OptimalSettings()),
+        steered(chronometric, weather),
+        steered(mu_prime, weather, faces),
+        steered(sun_vector, weather, faces),
+        steered(optimal_live, weather, faces),
     ]
     for steer in steers:
         assert (harvest(weather, light, 0.2, IDEAL, steer).energy_kwh_m2 <= best * 1.0001).all()
@@ -105,9 +108,9 @@ def test_on_measured_weather_the_law_takes_most_of_what_there_is(january_and_jun
     light = build_sky(weather, model)
     faces = faces_under(light, 0.2)
     bound = weather.by_day(best_possible(weather, light, LIMITS, 0.2))
-    sun = harvest(weather, light, 0.2, IDEAL, energy_laws.chronometric(weather, LIMITS)).energy_kwh_m2
-    paper = harvest(weather, light, 0.2, Drive(), energy_laws.from_faces(weather, faces, LIMITS, "mu-prime"))
-    ours = harvest(weather, light, 0.2, Drive(), energy_laws.optimal(weather, faces, LIMITS, OptimalSettings()))
+    sun = harvest(weather, light, 0.2, IDEAL, steered(chronometric, weather)).energy_kwh_m2
+    paper = harvest(weather, light, 0.2, Drive(), steered(mu_prime, weather, faces))
+    ours = harvest(weather, light, 0.2, Drive(), steered(optimal_live, weather, faces))
     share = (ours.energy_kwh_m2 - sun).sum() / (bound - sun).sum()
     assert share > 0.75
     assert ours.travel_deg.mean() + ours.return_deg.mean() < 650
@@ -122,13 +125,13 @@ def test_the_law_of_many_days_is_the_law_of_each(january_and_june):
     weather = january_and_june
     light = build_sky(weather, "perez1990")
     faces = faces_under(light, 0.2)
-    learned = energy_laws.learned_by_day(weather, faces)
+    learned = optimal_live.learned_by_day(weather, faces)
     chosen = weather.day == 5
     alone = lay_out(weather.utc_s[chosen], weather.dni_w_m2[chosen], weather.dhi_w_m2[chosen], LYNGBY)
     start = type(learned)(*(float(getattr(learned, name)[5]) for name in type(learned).__slots__))
-    steer = energy_laws.optimal(alone, faces[chosen], LIMITS, OptimalSettings(), start)
+    steer = optimal_live.steer(optimal_live.SETTINGS(), alone, faces[chosen], LIMITS, start)
     one = harvest(alone, build_sky(alone, "perez1990"), 0.2, Drive(), steer)
-    steer = energy_laws.optimal(weather, faces, LIMITS, OptimalSettings())
+    steer = steered(optimal_live, weather, faces)
     many = harvest(weather, light, 0.2, Drive(), steer)
     assert one.energy_kwh_m2[0] == pytest.approx(many.energy_kwh_m2[5])
     assert one.travel_deg[0] == pytest.approx(many.travel_deg[5])

@@ -148,7 +148,7 @@ class ClearDays(HandWeather):
 def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, serve, tmp_path):
     store = {"directory": tmp_path}
     taught = run_rig(until_tomorrow, law=OPTIMAL, weather=ClearDays(), store=store, start="2022-10-12T08:00")
-    learned = taught.control.optimal.kept.learned
+    learned = taught.control.pointing.law.learned
     assert learned.albedo != 0.2
 
     async def again(bench, call):
@@ -168,7 +168,7 @@ def test_a_damaged_file_is_learned_anew(run_rig, tmp_path):
     (tmp_path / "learned.json").write_text('{"albedo": 7, "day": 1}')
 
     async def scenario(bench):
-        assert bench.control.optimal.kept.albedo == 0.2
+        assert bench.control.pointing.law.learned.albedo == 0.2
 
     run_rig(scenario, law=OPTIMAL, store={"directory": tmp_path})
 

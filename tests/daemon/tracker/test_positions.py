@@ -206,7 +206,7 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
         assert len(bench.of(Move)) == 2
         assert bench.control.budget.used.moves == 2
         if law == "optimal":
-            assert bench.control.optimal.kept.moves == 2
+            assert bench.control.pointing.law.to_dict()["moves"] == 2
 
     run_rig(scenario, motion={"moves_per_day": 2}, law={"name": law, "moves_per_day": 2})
 
@@ -344,8 +344,9 @@ def test_the_law_learns_nothing_while_the_time_of_day_is_in_doubt(run_rig):
     async def scenario(bench):
         await bench.until_mode(Mode.TRACKING, 120)
         received = []
-        receive = bench.control.optimal.receive
-        bench.control.optimal.receive = lambda scan, utc_s: (received.append(utc_s), receive(scan, utc_s))
+        law = bench.control.pointing.law
+        observe = law.observe
+        law.observe = lambda reading: (received.append(reading.utc_s), observe(reading))
         bench.clock.step_s = 7200.0
         await asyncio.sleep(10)
         received.clear()

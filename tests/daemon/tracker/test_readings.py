@@ -8,6 +8,10 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
 from daemon.tracker.readings import Readings
+from solar.ephemeris import Site
+from solar.frames import Limits
+from solar.laws.flat import FlatLaw, FlatSettings
+from solar.laws.law import TrackerFacts
 
 
 class SetClock:
@@ -20,13 +24,16 @@ class SetClock:
         return self.now + 1.7e9
 
 
+FOUR_FACES = FlatLaw(FlatSettings(), TrackerFacts(Site(48.7, 2.2, 156.0), Limits(), 5.0, 300.0, 0.0))
+
+
 class Rig:
     """Readings under a sun in hand; a scan every 5 s."""
 
-    def __init__(self, optimal=None):
+    def __init__(self, law=FOUR_FACES):
         self.clock = SetClock()
         self.sun_deg = 30.0
-        self.readings = Readings(Settings(), self.clock, lambda _utc_s: self.sun_deg, optimal)
+        self.readings = Readings(Settings(), self.clock, lambda _utc_s: self.sun_deg, law)
 
     def scan(self, zenith, bad=()):
         self.clock.now += 5
@@ -50,7 +57,9 @@ class Rig:
 
 
 class Believing:
-    """A law that believes the zenith face, or does not."""
+    """A law that can do without a face, and believes the zenith face or does not."""
+
+    faces_needed = 3
 
     def __init__(self, believes):
         self.believes = believes
@@ -92,16 +101,16 @@ def test_a_dark_zenith_face_under_a_high_sun_is_a_fault():
 
 
 @pytest.mark.parametrize("believes", [False, True])
-def test_optimal_asks_whether_its_zenith_face_is_to_be_believed_only_by_day(believes):
+def test_a_law_is_asked_whether_the_zenith_face_is_to_be_believed_only_by_day(believes):
     rig = Rig(Believing(believes))
     assert rig.minutes(2.0)[0] is (Data.BAD if believes else Data.FRESH)
     rig.sun_deg = -1.0
     assert "zenith face reads 2.0" in rig.minutes(2.0)[2], "below the horizon dark is dark"
 
 
-def test_a_scan_of_which_a_face_is_bad_is_not_good_enough_but_for_optimal():
-    for optimal, expected in ((None, Data.WAITING), (Believing(believes=True), Data.FRESH)):
-        rig = Rig(optimal)
+def test_a_scan_of_which_a_face_is_bad_is_good_enough_for_a_law_that_needs_three():
+    for law, expected in ((FOUR_FACES, Data.WAITING), (Believing(believes=True), Data.FRESH)):
+        rig = Rig(law)
         rig.minutes(100.0)
         for _ in range(4):
             rig.scan(100.0, bad=("east",))

@@ -1,0 +1,65 @@
+"""Drivers and laws by name: modules that installed packages offer through entry points."""
+
+import sys
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
+
+from daemon.base.errors import UserError
+
+LAWS = "heliocube.law"
+
+
+class PluginError(UserError):
+    """There is no plug-in of that name, or it cannot be used."""
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Return the names that installed packages offer in a group, sorted; nothing is imported."""
+    return tuple(sorted({point.name for point in _points(group, tuple(sys.path))}))
+
+
+def load(group: str, name: str) -> ModuleType:
+    """Import what stands under a name in a group, and nothing else.
+
+    Parameters
+    ----------
+    group
+        Such as ``heliocube.law``.
+    name
+        As the configuration has it.
+
+    Returns
+    -------
+    A module with ``SETTINGS``, a class of settings, and ``build``, which makes the thing of them.
+
+    Raises
+    ------
+    PluginError
+        Nobody offers the name, two packages do, or what they offer cannot be imported or has no such contents.
+    """
+    kind = group.rpartition(".")[2]
+    found = [point for point in _points(group, tuple(sys.path)) if point.name == name]
+    if not found:
+        known = ", ".join(names(group)) or "none; install heliocube anew with 'pip install -e .'"
+        raise PluginError(f'there is no {kind} "{name}"; known are {known}')
+    if len(found) > 1:
+        owners = " and ".join(_owner(point) for point in found)
+        raise PluginError(f'the {kind} "{name}" is offered by {owners}; remove one of the packages')
+    try:
+        module = found[0].load()
+    except Exception as error:
+        raise PluginError(f'the {kind} "{name}" of {_owner(found[0])} cannot be imported: {error}') from error
+    if not (hasattr(module, "SETTINGS") and callable(getattr(module, "build", None))):
+        raise PluginError(f'the {kind} "{name}" of {_owner(found[0])} is no module with SETTINGS and build')
+    return module  # type: ignore[no-any-return]
+
+
+@lru_cache
+def _points(group: str, _search_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group; reading those of all packages takes some time, so once per search path."""
+    return tuple(entry_points(group=group))
+
+
+def _owner(point: EntryPoint) -> str:
+    return f"the package {point.dist.name}" if point.dist else point.value

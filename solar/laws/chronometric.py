@@ -1,0 +1,42 @@
+"""The law `chronometric`: towards the sun by ephemeris, without a cube."""
+
+import numpy as np
+
+from solar.energy import DaylightWeather, Steer
+from solar.frames import Array, Limits, angles_within
+from solar.laws import paper
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.steer import or_stay
+
+
+class ChronometricSettings(LawSettings):
+    """chronometric: towards the sun by ephemeris."""
+
+
+class ChronometricLaw(DirectionLaw):
+    """Points at the sun while it is up.
+
+    Parameters
+    ----------
+    settings, tracker
+        Nothing but the tracker's place counts.
+    """
+
+    needs_sun = True
+
+    def __init__(self, _settings: ChronometricSettings, tracker: TrackerFacts) -> None:
+        super().__init__(tracker)
+
+    def direction(self, now: Moment, to_sun: Array) -> Array:
+        """Return the sun's direction; none below the horizon or while it is in doubt."""
+        return paper.chronometric(to_sun) if now.sun_known else NO_DIRECTION
+
+
+SETTINGS = ChronometricSettings
+build = ChronometricLaw
+
+
+def steer(_settings: ChronometricSettings, weather: DaylightWeather, _faces: Array, limits: Limits) -> Steer:
+    """Follow the sun itself, at every step."""
+    a_deg, b_deg = angles_within(weather.gridded(weather.sun, np.nan), limits)
+    return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)

@@ -1,0 +1,36 @@
+"""The law `flat`: up, whatever the sky does."""
+
+from solar.energy import DaylightWeather, Steer, fixed
+from solar.frames import Array, Limits
+from solar.laws.law import DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.paper import ZENITH
+
+
+class FlatSettings(LawSettings):
+    """flat: up."""
+
+
+class FlatLaw(DirectionLaw):
+    """Points at the zenith.
+
+    Parameters
+    ----------
+    settings, tracker
+        Nothing but the tracker's limits counts.
+    """
+
+    def __init__(self, _settings: FlatSettings, tracker: TrackerFacts) -> None:
+        super().__init__(tracker)
+
+    def direction(self, _now: Moment, _to_sun: Array) -> Array:
+        """Return the zenith."""
+        return ZENITH
+
+
+SETTINGS = FlatSettings
+build = FlatLaw
+
+
+def steer(_settings: FlatSettings, weather: DaylightWeather, _faces: Array, _limits: Limits) -> Steer:
+    """Lie flat all day."""
+    return fixed(weather, 0.0)

@@ -1,0 +1,51 @@
+"""The law `mu-prime`: towards sun and bright sky, equation (12) of the paper (:func:`solar.laws.paper.mu_prime`)."""
+
+from pydantic import Field
+
+from solar.energy import DaylightWeather, Steer
+from solar.frames import Array, Limits
+from solar.laws import paper
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.steer import by_the_mean
+
+
+class MuPrimeSettings(LawSettings):
+    """mu-prime: towards sun and bright sky, the paper's (12)."""
+
+    uniform_threshold: float = Field(
+        0.01,
+        ge=0,
+        le=0.5,
+        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
+    )
+
+
+class MuPrimeLaw(DirectionLaw):
+    """Points along mu' of the mean.
+
+    Parameters
+    ----------
+    settings, tracker
+        Its parameters and what it points.
+    """
+
+    def __init__(self, settings: MuPrimeSettings, tracker: TrackerFacts) -> None:
+        super().__init__(tracker)
+        self._settings = settings
+
+    def direction(self, now: Moment, _to_sun: Array) -> Array:
+        """Return mu'; none without a mean."""
+        if now.mean_w_m2 is None:
+            return NO_DIRECTION
+        return paper.mu_prime(now.mean_w_m2, uniform_threshold=self._settings.uniform_threshold)
+
+
+SETTINGS = MuPrimeSettings
+build = MuPrimeLaw
+
+
+def steer(settings: MuPrimeSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
+    """Run the law on many days at once, in the paper's rhythm."""
+    return by_the_mean(
+        weather, faces, limits, lambda mean: paper.mu_prime(mean, uniform_threshold=settings.uniform_threshold)
+    )

@@ -1,0 +1,306 @@
+"""The law `optimal` as a tracker runs it: fed by scans, asked where to point, with a memory that outlives the process.
+
+The law itself is :class:`solar.laws.optimal.OptimalLaw`; here its readings become means of some seconds, and its days
+those of the site.
+"""
+
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from solar.energy import DaylightWeather, Steer
+from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
+from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
+from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
+from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+
+DECIDE_EVERY_S = 60.0
+FACES_NEEDED = 3
+
+_MEAN_S = 15.0
+# No reading stands for longer than this; a cube that scans more slowly leaves the rest open.
+_LONGEST_S = 60.0
+# Means that nobody asks for in some mode without decisions are taken in this many at a time.
+_MOST_WAITING = 40
+
+
+class LiveOptimalSettings(LawSettings):
+    """optimal: where the expected light is collected best, for little travel."""
+
+    knob: ClassVar[str | None] = "thrift"
+
+    albedo: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of the irradiance that the ground reflects, to begin with; the law learns its own.",
+    )
+    thrift: float = Field(
+        1.0, ge=0.1, le=100, description="Weight of wear against harvest; 2 travels less for a little energy."
+    )
+    travel_per_day_deg: float = Field(
+        1300.0, gt=0, le=100000, description="Degrees of travel in a day, A and B added, that are never exceeded."
+    )
+    moves_per_day: int = Field(250, ge=1, le=1440, description="Moves in a day that are never exceeded.")
+
+    def of_the_law(self) -> OptimalSettings:
+        """Return the law's own settings."""
+        return OptimalSettings(
+            thrift=self.thrift, travel_per_day_deg=self.travel_per_day_deg, moves_per_day=self.moves_per_day
+        )
+
+
+class Kept(BaseModel):
+    """Albedo and relative gains of the vertical faces, and the budget used on a solar day (counted from 1970)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    albedo: float = Field(ge=ALBEDO_RANGE[0], le=ALBEDO_RANGE[1])
+    gain_east: float = Field(1.0, ge=GAIN_RANGE[0], le=GAIN_RANGE[1])
+    gain_south: float = Field(1.0, ge=GAIN_RANGE[0], le=GAIN_RANGE[1])
+    gain_west: float = Field(1.0, ge=GAIN_RANGE[0], le=GAIN_RANGE[1])
+    day: int
+    travelled_deg: float = Field(0.0, ge=0.0)
+    moves: int = Field(0, ge=0)
+
+    @property
+    def learned(self) -> Learned:
+        """What the science makes of it."""
+        return Learned(self.albedo, self.gain_east, self.gain_south, self.gain_west)
+
+
+class LiveOptimal(Law):
+    """Keeps one :class:`solar.laws.optimal.OptimalLaw` informed and asks it where to point.
+
+    Parameters
+    ----------
+    settings, tracker
+        Its parameters and what it points; `ValueError` for something kept that is none of this law's.
+    """
+
+    faces_needed = FACES_NEEDED
+    needs_sun = True
+
+    def __init__(self, settings: LiveOptimalSettings, tracker: TrackerFacts) -> None:
+        super().__init__(tracker)
+        self.decide_every_s = DECIDE_EVERY_S
+        self._scan_every_s = tracker.scan_every_s
+        self._fresh = Learned(min(max(settings.albedo, ALBEDO_RANGE[0]), ALBEDO_RANGE[1]))
+        self._settings = settings.of_the_law()
+        kept = None if tracker.kept is None else Kept.model_validate(tracker.kept)
+        self._law = OptimalLaw(self._settings, self.limits, learned=self._fresh if kept is None else kept.learned)
+        self._day = self._day_of(tracker.utc_s)
+        if kept is not None and kept.day == self._day:
+            self._law.resume(kept.travelled_deg, kept.moves)
+        self._sun_day: SunDay | None = None
+        self._newest_s = -math.inf
+        self._waiting: list[tuple[float, float, list[float]]] = []
+        self._begin_mean()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was learned, and what the day has used of its budget."""
+        return self._kept().model_dump()
+
+    def shown(self) -> dict[str, dict[str, float]]:
+        """Return both apart."""
+        learned = self._kept().model_dump(exclude={"day"})
+        return {"learned": learned, "today": {name: learned.pop(name) for name in ("travelled_deg", "moves")}}
+
+    @property
+    def learned(self) -> Learned:
+        """What was learned; another object when it has changed."""
+        return self._law.site.learned
+
+    def relearn(self) -> None:
+        """Forget what was learned of the site."""
+        self._waiting.clear()
+        self._begin_mean()
+        self._law.site.reset()
+        self._law.site.learned = self._fresh
+
+    def turn(self, utc_s: float) -> bool:
+        """Begin a new day when the sun has passed its lowest point since the last call."""
+        day = self._day_of(utc_s)
+        if day == self._day:
+            return False
+        self._take_in()
+        self._day = day
+        self._law.new_day()
+        return True
+
+    def observe(self, reading: Reading) -> None:
+        """Take in a scan that has just arrived."""
+        elapsed_s = reading.monotonic_s - self._newest_s
+        self._newest_s = reading.monotonic_s
+        if not (elapsed_s <= _LONGEST_S):
+            elapsed_s = self._scan_every_s
+        self._elapsed_s += elapsed_s
+        self._middle += elapsed_s * reading.utc_s
+        sums, seconds = self._sums, self._seconds
+        for place, irradiance_w_m2 in enumerate(reading.faces_w_m2):
+            if not math.isnan(irradiance_w_m2):
+                sums[place] += elapsed_s * irradiance_w_m2
+                seconds[place] += elapsed_s
+        if self._elapsed_s >= _MEAN_S - 1e-3:
+            self._end_mean()
+
+    def aim(self, now: Moment) -> Aim:
+        """Return where the law wants to point, with no target where it wants to stay."""
+        utc_s = now.utc_s
+        # One call for all instants: it costs little more than one instant.
+        instants = np.array([utc_s, utc_s + self._settings.lead_s, *(mean[0] for mean in self._waiting)])
+        suns = sun_position(instants, *self.site)
+        directions = direction_from_azimuth(suns.azimuth_deg, suns.elevation_deg, self.site[0])
+        self._take_in(directions[2:])
+        sun = SunPosition(*(float(values[0]) for values in suns))
+        if now.heading is None:
+            return Aim(math.nan, math.nan, sun, None, "where the tracker stands is not known")
+        choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s))
+        azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
+        target, why = None, f"{float(choice.gain_w_m2):.1f} W/m2 to gain, not worth a move"
+        if choice.move:
+            why = f"{float(choice.gain_w_m2):.1f} W/m2 to gain"
+            target = Angles(float(choice.a_deg), float(choice.b_deg))
+        light = self._law.light
+        return Aim(
+            azimuth_deg=float(azimuth),
+            elevation_deg=float(elevation),
+            sun=sun,
+            target=target,
+            why=why,
+            beam_w_m2=float(light.beam),
+            diffuse_w_m2=float(light.uniform),
+            albedo=float(self.learned.albedo),
+        )
+
+    def affords(self, distance_deg: float) -> bool:
+        """Whether one more move of this length [deg] stays within the day's budget."""
+        return bool(self._law.affords(distance_deg))
+
+    def book(self, distance_deg: float) -> None:
+        """Take a move that was ordered out of the day's budget."""
+        self._law.book(distance_deg)
+
+    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:
+        """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
+        return bool(usable_faces(faces_w_m2, sun_direction(utc_s, *self.site))[3])
+
+    def estimates(self, faces: Array, sun: Array, learned: Learned) -> Estimates:
+        """Return the light that each reading shows by itself."""
+        readings = SiteLearning(learned=learned).corrected(faces)
+        usable = usable_faces(readings, sun)
+        light = light_from_faces(readings, sun, learned.albedo, usable)
+        good = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
+        return Estimates(
+            np.where(good, light.beam, np.nan),
+            np.where(good, light.uniform, np.nan),
+            np.full(len(faces), float(learned.albedo)),
+        )
+
+    def _kept(self) -> Kept:
+        return Kept(
+            **self._law.site.learned.to_dict(),
+            day=self._day,
+            travelled_deg=float(self._law.travelled_deg),
+            moves=round(float(self._law.moves)),
+        )
+
+    def _day_of(self, utc_s: float) -> int:
+        """Count the solar days from midnight to midnight."""
+        return int((utc_s + self.site[1] * DAY_S / 360.0) // DAY_S)
+
+    def _begin_mean(self) -> None:
+        self._elapsed_s = self._middle = 0.0
+        self._sums = [0.0] * 4
+        self._seconds = [0.0] * 4
+
+    def _end_mean(self) -> None:
+        faces = [
+            total / seconds if seconds > 0.0 else math.nan
+            for total, seconds in zip(self._sums, self._seconds, strict=True)
+        ]
+        self._waiting.append((self._middle / self._elapsed_s, self._elapsed_s, faces))
+        self._begin_mean()
+        if len(self._waiting) >= _MOST_WAITING:
+            self._take_in()
+
+    def _take_in(self, sun: Array | None = None) -> None:
+        """Tell the law all means that wait, in one call: it costs little more than a single one."""
+        if not self._waiting:
+            return
+        utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        if sun is None:
+            sun = sun_direction(np.array(utc_s), *self.site)
+        self._law.observe(np.array(faces), sun, np.array(elapsed_s))
+
+    def _daylight_left(self, utc_s: float) -> float:
+        if self._sun_day is None or not (abs(self._sun_day.noon_utc_s - utc_s) < 0.51 * DAY_S):
+            self._sun_day = sun_day(utc_s, *self.site)
+        day = self._sun_day
+        if day.sunrise_utc_s is None or day.sunset_utc_s is None:
+            rise_s, set_s = day.noon_utc_s - DAY_S / 2.0, day.noon_utc_s + DAY_S / 2.0
+        else:
+            rise_s, set_s = day.sunrise_utc_s, day.sunset_utc_s
+        return min(max((set_s - utc_s) / (set_s - rise_s), 0.0), 1.0)
+
+
+SETTINGS = LiveOptimalSettings
+build = LiveOptimal
+
+
+def steer(
+    settings: LiveOptimalSettings, weather: DaylightWeather, faces: Array, limits: Limits, start: Learned | None = None
+) -> Steer:
+    """Run the law on many days at once; what each day teaches of the site serves the days after it.
+
+    Parameters
+    ----------
+    settings
+        The law's; the albedo to begin with is that of `start`.
+    weather, faces, limits
+        The days, the faces under their sky [W/m2], shape (n, 4), and the tracker's range.
+    start
+        What is known on the first morning.
+    """
+    plan = settings.of_the_law()
+    days = weather.shape[1]
+    grid = weather.gridded(faces, np.nan)
+    sun = weather.gridded(weather.sun, 0.0)
+    ahead = weather.gridded(sun_direction(weather.utc_s + plan.lead_s, *weather.site), 0.0)
+    light = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
+    left = 1.0 - np.cumsum(light, axis=0) / np.maximum(light.sum(axis=0), 1.0)
+    law = OptimalLaw(plan, limits, (days,), learned_by_day(weather, faces, start))
+
+    def next_pose(step: int, a: Array, b: Array) -> tuple[Array, Array]:
+        if step == 0:
+            return a, b
+        law.observe(grid[step - 1], sun[step - 1], weather.step_s)
+        choice = law.decide(a, b, ahead[step - 1], left[step - 1])
+        return choice.a_deg, choice.b_deg
+
+    return next_pose
+
+
+def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None = None) -> Learned:
+    """Return what is known of the site on the morning of each day, arrays of shape (days,).
+
+    What the faces teach does not depend on where the tracker points, so this can be known before it is driven.
+    """
+    site = SiteLearning(learned=start)
+    known = [site.learned]
+    order = np.argsort(weather.day, kind="stable")
+    ends = np.cumsum(np.bincount(weather.day, minlength=weather.shape[1]))[:-1]
+    for rows in np.split(order, ends)[:-1]:
+        sun = weather.sun[rows]
+        corrected = site.corrected(faces[rows])
+        usable = usable_faces(corrected, sun)
+        beam = light_from_faces(corrected, sun, site.learned.albedo, usable).beam
+        site.observe(corrected, sun, usable, beam, weather.step_s)
+        site.end_of_day()
+        known.append(site.learned)
+    return Learned(*(np.array([float(getattr(each, name)) for each in known]) for name in Learned.__slots__))

@@ -1,0 +1,115 @@
+"""From a law to what steers the trackers of many days in the benchmark (:mod:`solar.energy`)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from solar.energy import DaylightWeather, Steer
+from solar.frames import Angles, Array, Limits, angles_within
+from solar.laws.law import Faces, Law, Moment, Reading, TrackerFacts
+
+PAPER_EVERY_S = 300.0
+PAPER_MEAN_S = 120.0
+
+
+def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
+    """Return the first pose [deg] where it is known, and the second one elsewhere."""
+    known = np.isfinite(a_deg) & np.isfinite(b_deg)
+    return np.where(known, a_deg, a_now), np.where(known, b_deg, b_now)
+
+
+def by_the_mean(
+    weather: DaylightWeather,
+    faces: Array,
+    limits: Limits,
+    direction: Callable[[Array], Array],
+    every_s: float = PAPER_EVERY_S,
+    mean_s: float = PAPER_MEAN_S,
+) -> Steer:
+    """Run the paper's cycle: every `every_s`, from the mean of the last `mean_s`, in force from the next step on.
+
+    Parameters
+    ----------
+    weather, faces
+        The days, and the faces under their sky [W/m2], shape (n, 4).
+    limits
+        Of the tracker.
+    direction
+        Of means (steps, days, 4), shape (steps, days, 3); NaN where there is none.
+    """
+    a_deg, b_deg = angles_within(direction(_means(weather, faces, mean_s)), limits)
+    every = max(round(every_s / weather.step_s), 1)
+
+    def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
+        return or_stay(a_deg[step - 1], b_deg[step - 1], a, b) if step > 0 and step % every == 0 else (a, b)
+
+    return steer
+
+
+def by_readings(build: Callable[[TrackerFacts], Law], weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
+    """Run any law as the service would, a law of its own for each day; nothing is learned from one day for the next.
+
+    Parameters
+    ----------
+    build
+        Returns a law for a tracker.
+    weather, faces, limits
+        As for :func:`by_the_mean`.
+    """
+    utc_s = weather.gridded(weather.utc_s, np.nan)
+    readings = weather.gridded(faces, np.nan)
+    means = _means(weather, faces, PAPER_MEAN_S)
+    days = [_Day(build, weather, limits, float(np.nanmin(column))) for column in utc_s.T]
+
+    def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
+        if step == 0:
+            return a, b
+        wanted_a, wanted_b = a.copy(), b.copy()
+        for number, day in enumerate(days):
+            now_s = float(utc_s[step - 1, number])
+            if np.isfinite(now_s):
+                heading = Angles(float(a[number]), float(b[number]))
+                target = day.steer(step, now_s, readings[step - 1, number], means[step - 1, number], heading)
+                wanted_a[number], wanted_b[number] = target
+        return wanted_a, wanted_b
+
+    return steer
+
+
+class _Day:
+    """One law on one day."""
+
+    def __init__(
+        self, build: Callable[[TrackerFacts], Law], weather: DaylightWeather, limits: Limits, begins_utc_s: float
+    ) -> None:
+        self._law = build(TrackerFacts(weather.site, limits, weather.step_s, PAPER_EVERY_S, begins_utc_s))
+        self._every = max(round(self._law.decide_every_s / weather.step_s), 1)
+
+    def steer(self, step: int, utc_s: float, reading: Array, mean: Array, heading: Angles) -> Angles:
+        law = self._law
+        law.observe(Reading(utc_s, utc_s, _four(reading)))
+        if step % self._every:
+            return heading
+        good = int(np.isfinite(mean).sum()) >= law.faces_needed
+        target = law.aim(Moment(utc_s, _four(mean) if good else None, heading)).target
+        distance_deg = 0.0 if target is None else abs(target.a_deg - heading.a_deg) + abs(target.b_deg - heading.b_deg)
+        if target is None or not law.affords(distance_deg):
+            return heading
+        law.book(distance_deg)
+        return target
+
+
+def _four(values: Array) -> Faces:
+    east, south, west, zenith = values.tolist()
+    return east, south, west, zenith
+
+
+def _means(weather: DaylightWeather, faces: Array, mean_s: float) -> Array:
+    """Return the mean of each face over the last `mean_s`, shape (steps, days, 4); NaN where a reading is missing."""
+    grid = weather.gridded(faces, np.nan)
+    count = max(round(mean_s / weather.step_s), 1)
+    mean = grid.copy()
+    for back in range(1, count):
+        mean[back:] += grid[:-back]
+    result: Array = mean / count
+    return result

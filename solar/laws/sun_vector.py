@@ -1,0 +1,67 @@
+"""The law `sun-vector`: towards the sun as the cube sees it, equation (11) (:func:`solar.laws.paper.sun_vector`)."""
+
+from pydantic import Field
+
+from solar.energy import DaylightWeather, Steer
+from solar.frames import Array, Limits
+from solar.laws import paper
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.steer import by_the_mean
+
+
+class SunVectorSettings(LawSettings):
+    """sun-vector: towards the sun as the cube sees it."""
+
+    albedo: float = Field(0.2, ge=0, le=1, description="Share of the irradiance that the ground reflects.")
+    uniform_threshold: float = Field(
+        0.01,
+        ge=0,
+        le=0.5,
+        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
+    )
+    gain_uncertainty: float = Field(
+        0.03,
+        ge=0,
+        le=0.2,
+        description="Standard error of a face's gain, as a share; a beam that such errors explain is not pointed at.",
+    )
+
+    def seen(self, faces: Array | tuple[float, ...]) -> Array:
+        """Return the direction that the faces show, shape (..., 3)."""
+        return paper.sun_vector(
+            faces,
+            albedo=self.albedo,
+            uniform_threshold=self.uniform_threshold,
+            gain_uncertainty=self.gain_uncertainty,
+        )
+
+
+class SunVectorLaw(DirectionLaw):
+    """Points along s of the mean, completed by the ephemeris where no face can see.
+
+    Parameters
+    ----------
+    settings, tracker
+        Its parameters and what it points.
+    """
+
+    def __init__(self, settings: SunVectorSettings, tracker: TrackerFacts) -> None:
+        super().__init__(tracker)
+        self._settings = settings
+
+    def direction(self, now: Moment, to_sun: Array) -> Array:
+        """Return s; none without a mean, and no completion while the sun's position is in doubt."""
+        if now.mean_w_m2 is None:
+            return NO_DIRECTION
+        seen = self._settings.seen(now.mean_w_m2)
+        return paper.complete_poleward(seen, to_sun) if now.sun_known else seen
+
+
+SETTINGS = SunVectorSettings
+build = SunVectorLaw
+
+
+def steer(settings: SunVectorSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
+    """Run the law on many days at once, in the paper's rhythm."""
+    sun = weather.gridded(weather.sun, float("nan"))
+    return by_the_mean(weather, faces, limits, lambda mean: paper.complete_poleward(settings.seen(mean), sun))

@@ -1,0 +1,64 @@
+"""What packages offer by entry points."""
+
+import subprocess
+import sys
+
+import pytest
+
+from daemon.base.plugins import LAWS, PluginError, load, names
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(
+        PluginError, match='there is no law "best"; known are chronometric, flat, mu-prime, optimal, sun'
+    ):
+        load(LAWS, "best")
+
+
+def test_only_what_is_chosen_is_imported():
+    code = (
+        "import sys; from daemon.base.plugins import LAWS, load, names; names(LAWS); load(LAWS, 'flat');"
+        "print([name for name in sys.modules if name.startswith('solar.laws.')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "solar.laws.flat" in done.stdout
+    for other in ("optimal", "mu_prime", "sun_vector", "chronometric"):
+        assert f"solar.laws.{other}" not in done.stdout
+
+
+@pytest.fixture
+def offered(tmp_path, monkeypatch):
+    """Return a function that installs a package with one law in a folder of its own."""
+
+    def offer(package, name, source):
+        folder = tmp_path / package
+        about = folder / f"{package}-1.0.dist-info"
+        about.mkdir(parents=True)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(f"[heliocube.law]\n{name} = {package}_law\n")
+        (folder / f"{package}_law.py").write_text(source)
+        monkeypatch.syspath_prepend(folder)
+        # What the package put into memory must not outlive its folder.
+        monkeypatch.setitem(sys.modules, f"{package}_law", None)
+        monkeypatch.delitem(sys.modules, f"{package}_law")
+
+    return offer
+
+
+def test_a_name_that_two_packages_offer_is_refused(offered):
+    offered("acme", "flat", "")
+    with pytest.raises(PluginError, match='"flat" is offered by the package acme and the package heliocube'):
+        load(LAWS, "flat")
+
+
+def test_a_package_that_cannot_be_imported_is_named(offered):
+    offered("acme", "bent", "raise OSError('no licence')")
+    assert "bent" in names(LAWS)
+    with pytest.raises(PluginError, match='"bent" of the package acme cannot be imported: no licence'):
+        load(LAWS, "bent")
+
+
+def test_a_module_of_other_contents_is_named(offered):
+    offered("acme", "empty", "")
+    with pytest.raises(PluginError, match='"empty" of the package acme is no module with SETTINGS and build'):
+        load(LAWS, "empty")
