@@ -1,11 +1,88 @@
-"""Small files: replaced as a whole so that a crash leaves no part, and secrets that only their owner can read."""
+"""Small files: replaced as a whole so that a crash leaves no part, kept state, and secrets for their owner alone."""
 
 import contextlib
+import logging
 import os
 import stat
 from pathlib import Path
+from typing import Generic, TypeVar
+
+from pydantic import BaseModel
 
 from daemon.base.errors import UserError
+
+State = TypeVar("State", bound=BaseModel)
+
+
+class UnreadableStateError(Exception):
+    """A file of kept state is there and cannot be used; `path` is its name."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} cannot be read")
+        self.path = path
+
+
+class StateFile(Generic[State]):
+    """What must outlive a restart, in a small JSON file; without a folder it lives in memory only.
+
+    Parameters
+    ----------
+    directory, name
+        Of the file; no directory, no file.
+    model
+        What the file holds. A file with anything else in it is unreadable.
+    logger
+        Where a disk that fails is reported.
+    forgotten
+        What a restart would forget if the file cannot be written, as the end of a sentence.
+
+    Attributes
+    ----------
+    path
+        Of the file, or None.
+    """
+
+    def __init__(
+        self, directory: Path | None, name: str, model: type[State], logger: logging.Logger, forgotten: str
+    ) -> None:
+        self.path = None if directory is None else directory / name
+        self._model = model
+        self._logger = logger
+        self._forgotten = forgotten
+        self._failed = False
+
+    def load(self) -> State | None:
+        """Return what was kept, None if nothing was.
+
+        Raises
+        ------
+        UnreadableStateError
+            There is a file, and nobody knows what was kept in it: what that means is the caller's to say.
+        """
+        if self.path is None:
+            return None
+        try:
+            return self._model.model_validate_json(self.path.read_text())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError) as error:
+            raise UnreadableStateError(self.path) from error
+
+    def save(self, state: State) -> bool:
+        """Replace the file as a whole, and return whether that went well; a disk that fails is reported once."""
+        if self.path is None:
+            return True
+        try:
+            replace_file(self.path, state.model_dump_json(exclude_none=True))
+        except OSError as error:
+            if not self._failed:
+                self._logger.warning(
+                    "%s cannot be written (%s): a restart would forget %s", self.path, error, self._forgotten
+                )
+            self._failed = True
+            return False
+        self._failed = False
+        return True
 
 
 def write_secret(path: Path, content: bytes, called: str, error: type[UserError]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.files import replace_file
+from daemon.base.files import StateFile, UnreadableStateError
 from drivers.interfaces import Telemetry
 
 log = logging.getLogger("heliocube.motion")
@@ -52,7 +52,7 @@ class Doubts:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._path = None if directory is None else directory / _FILE_NAME
+        self._file = StateFile(directory, _FILE_NAME, _Kept, log, "what is in doubt")
         kept = self._load()
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)
@@ -157,22 +157,13 @@ class Doubts:
             self._save()
 
     def _load(self) -> _Kept:
-        if self._path is None:
-            return _Kept()
         try:
-            return _Kept.model_validate_json(self._path.read_text())
-        except (FileNotFoundError, NotADirectoryError):
-            return _Kept()
-        except (OSError, ValueError):
-            log.warning("%s cannot be read: the reference is in doubt until it is homed or cleared", self._path)
-            text = f"{self._path} cannot be read, so nobody knows what was in doubt before the restart: home it"
+            return self._file.load() or _Kept()
+        except UnreadableStateError as error:
+            log.warning("%s: the reference is in doubt until it is homed or cleared", error)
+            text = f"{error}, so nobody knows what was in doubt before the restart: home it"
             return _Kept(doubts={"unreadable": text})
 
     def _save(self) -> None:
-        if self._path is None:
-            return
-        kept = _Kept(doubts=self._doubts, incidents=self._incidents, faults=list(self._faults), homing=self._homing)
-        try:
-            replace_file(self._path, kept.model_dump_json())
-        except OSError as error:
-            log.warning("%s cannot be written (%s): a restart would forget what is in doubt", self._path, error)
+        faults = list(self._faults)
+        self._file.save(_Kept(doubts=self._doubts, incidents=self._incidents, faults=faults, homing=self._homing))

@@ -6,7 +6,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import Alarms
-from daemon.base.files import replace_file
+from daemon.base.files import StateFile, UnreadableStateError
 from daemon.config.sections import MotionSettings
 from solar.ephemeris import DAY_S
 
@@ -48,7 +48,7 @@ class DayBudget:
     ) -> None:
         self._settings = settings
         self._longitude_deg = longitude_deg
-        self._path = None if directory is None else directory / _FILE_NAME
+        self._file = StateFile(directory, _FILE_NAME, Used, log, "the moves of the day")
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=self._day_of(utc_s))
@@ -68,7 +68,7 @@ class DayBudget:
         today = self._day_of(utc_s)
         if today != self.used.day:
             self.used = Used(day=today)
-            self._save()
+            self._file.save(self.used)
             self._alarms.set(_ALARM, None)
 
     def refusal(self, distance_deg: float) -> str | None:
@@ -87,26 +87,14 @@ class DayBudget:
         """Count a move that was ordered, and note that on disk."""
         used = self.used
         self.used = Used(day=used.day, travelled_deg=used.travelled_deg + distance_deg, moves=used.moves + 1)
-        self._save()
+        self._file.save(self.used)
 
     def _day_of(self, utc_s: float) -> int:
         return int((utc_s + self._longitude_deg * DAY_S / 360.0) // DAY_S)
 
     def _load(self) -> Used | None:
-        if self._path is None:
-            return None
         try:
-            return Used.model_validate_json(self._path.read_text())
-        except (FileNotFoundError, NotADirectoryError):
+            return self._file.load()
+        except UnreadableStateError as error:
+            log.warning("%s: the moves of the day are counted anew", error)
             return None
-        except (OSError, ValueError):
-            log.warning("%s cannot be used: the moves of the day are counted anew", self._path)
-            return None
-
-    def _save(self) -> None:
-        if self._path is None:
-            return
-        try:
-            replace_file(self._path, self.used.model_dump_json())
-        except OSError as error:
-            log.warning("%s cannot be written (%s): a restart would forget the moves of the day", self._path, error)

@@ -1,16 +1,21 @@
 """What a law keeps from one run to the next: a small file beside the store, of whatever law it is."""
 
-import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daemon.base.files import replace_file
+from pydantic import RootModel
+
+from daemon.base.files import StateFile, UnreadableStateError
 
 log = logging.getLogger("heliocube.law")
 
 _FILE_NAME = "learned.json"
+
+
+class _Kept(RootModel[dict[str, Any]]):
+    pass
 
 
 class LawFile:
@@ -23,33 +28,22 @@ class LawFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._path = None if directory is None else directory / _FILE_NAME
+        self._file = StateFile(directory, _FILE_NAME, _Kept, log, "what was learned")
 
     def load(self) -> dict[str, Any] | None:
-        """Return what was kept, or None; a file that cannot be used is told and learning begins anew."""
-        if self._path is None:
-            return None
+        """Return what was kept, or None; a file that cannot be read is reported and learning begins anew."""
         try:
-            kept = json.loads(self._path.read_text())
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except (OSError, ValueError):
+            kept = self._file.load()
+        except UnreadableStateError:
             self.refuse()
             return None
-        if not isinstance(kept, dict):
-            self.refuse()
-            return None
-        return kept
+        return None if kept is None else kept.root
 
     def refuse(self) -> None:
-        """Tell that what was kept is not what the law can go on from."""
-        log.warning("%s cannot be used: what was learned of the site is learned anew", self._path)
+        """Report that what was kept is not what the law can go on from."""
+        log.warning("%s cannot be used: what was learned of the site is learned anew", self._file.path)
 
     def save(self, kept: Mapping[str, Any] | None) -> None:
-        """Replace the file as a whole; a disk that fails is told and does not hinder tracking."""
-        if self._path is None or kept is None:
-            return
-        try:
-            replace_file(self._path, json.dumps(kept, separators=(",", ":")))
-        except OSError as error:
-            log.warning("%s cannot be written (%s): a restart would forget what was learned", self._path, error)
+        """Replace the file as a whole; a disk that fails is reported and does not hinder tracking."""
+        if kept is not None:
+            self._file.save(_Kept(dict(kept)))

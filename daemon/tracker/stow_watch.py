@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.files import replace_file
+from daemon.base.files import StateFile, UnreadableStateError
 from daemon.base.timeloop import call_every
 from daemon.tracker.stow import StowSource, StowStatus
 
@@ -43,37 +43,22 @@ class SafetyFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._path = None if directory is None else directory / _FILE_NAME
-        self._failed = False
+        self._file = StateFile(directory, _FILE_NAME, KeptSafety, log, "the storm")
 
     def load(self) -> str | None:
         """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""
-        if self._path is None:
-            return None
         try:
-            kept = KeptSafety.model_validate_json(self._path.read_text())
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except (OSError, ValueError):
-            log.warning("%s cannot be read: it counts as stow", self._path)
-            return f"{self._path} cannot be read: nobody knows whether the tracker was stowed before the restart"
-        if not kept.stowing:
+            kept = self._file.load()
+        except UnreadableStateError as error:
+            log.warning("%s: it counts as stow", error)
+            return f"{error}: nobody knows whether the tracker was stowed before the restart"
+        if kept is None or not kept.stowing:
             return None
         return f"stowed before the restart, since {kept.since_utc}: {'; '.join(kept.stowing.values())}"
 
     def save(self, stowing: dict[str, str], utc_s: float) -> bool:
-        """Replace the file as a whole and return whether that went well; a disk that fails is told once."""
-        if self._path is None:
-            return True
-        try:
-            replace_file(self._path, KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)).model_dump_json())
-        except OSError as error:
-            if not self._failed:
-                log.warning("%s cannot be written (%s): a restart would forget the storm", self._path, error)
-            self._failed = True
-            return False
-        self._failed = False
-        return True
+        """Replace the file as a whole and return whether that went well; a disk that fails is reported once."""
+        return self._file.save(KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)))
 
 
 class StowWatch:

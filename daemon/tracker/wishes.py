@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
-from daemon.base.files import replace_file
+from daemon.base.files import StateFile, UnreadableStateError
 
 log = logging.getLogger("heliocube.control")
 
@@ -101,28 +101,19 @@ class WishFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._path = None if directory is None else directory / _FILE_NAME
+        self._file = StateFile(directory, _FILE_NAME, Wishes, log, "what was asked")
 
     def load(self) -> Wishes:
         """Return what was wished before the restart; a file that cannot be read counts as a stop."""
-        if self._path is None:
-            return Wishes()
         try:
-            return Wishes.model_validate_json(self._path.read_text())
-        except (FileNotFoundError, NotADirectoryError):
-            return Wishes()
-        except (OSError, ValueError):
-            log.warning("%s cannot be read: the tracker stays stopped until 'heliocube auto'", self._path)
-            return Wishes(stop=Wish(why=f"{self._path} cannot be read: nobody knows what was asked before the restart"))
+            return self._file.load() or Wishes()
+        except UnreadableStateError as error:
+            log.warning("%s: the tracker stays stopped until 'heliocube auto'", error)
+            return Wishes(stop=Wish(why=f"{error}: nobody knows what was asked before the restart"))
 
     def save(self, wishes: Wishes) -> None:
-        """Replace the file as a whole; a disk that fails is told and does not hinder the command."""
-        if self._path is None:
-            return
-        try:
-            replace_file(self._path, wishes.model_dump_json(exclude_none=True))
-        except OSError as error:
-            log.warning("%s cannot be written (%s): a restart would forget what was asked", self._path, error)
+        """Replace the file as a whole; a disk that fails is reported and does not hinder the command."""
+        self._file.save(wishes)
 
 
 def _stamp(utc_s: float) -> str:
