@@ -4,7 +4,7 @@ import asyncio
 import json
 import math
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,13 +16,11 @@ from starlette.routing import Route
 
 from daemon.api.metrics import Metrics
 from daemon.base.records import Record
-from daemon.service.operator import CommandError, Operator
-from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, parse
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, parse
 from daemon.service.recent import Recent
-from daemon.service.service import Service
-from daemon.service.state import kind_of, number, record_json, state
-from daemon.service.status import LinkStatus
-from daemon.store.store import StoreStatus
+from daemon.service.snapshot import Snapshot, TrackerState
+from daemon.service.state import kind_of, number, record_json, state_json
 
 # A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
 _LONGEST_READ = 64 << 20
@@ -37,35 +35,27 @@ class Api:
 
     Parameters
     ----------
-    service, recent
-        What is shown and commanded, and what came over the bus lately.
+    see
+        Takes a snapshot of the service.
+    recent
+        What came over its bus lately.
+    operators
+        Carry out commands.
     token
         That commands must bear.
     speed
         How many times as fast as the machine's the service's clock runs.
-    store
-        Returns how the store is, or None where there is none.
-    mqtt
-        Returns how the link to the broker is, or None where there is none.
     """
 
     def __init__(
-        self,
-        service: Service,
-        recent: Recent,
-        token: str,
-        speed: float,
-        store: Callable[[], StoreStatus | None],
-        mqtt: Callable[[], LinkStatus | None],
+        self, see: Callable[[], Snapshot], recent: Recent, operators: Operators, token: str, speed: float
     ) -> None:
-        self._service = service
+        self._see = see
         self._recent = recent
         self._token = token.encode()
         self._speed = speed
-        self._store = store
-        self._mqtt = mqtt
-        self._operator = Operator(service, speed)
-        self._metrics = Metrics(service, recent, store, mqtt)
+        self._operators = operators
+        self._metrics = Metrics(see)
         self._closing = asyncio.Event()
         self.app = Starlette(
             routes=[
@@ -84,10 +74,7 @@ class Api:
         self._closing.set()
 
     async def _state(self, _: Request) -> Response:
-        return JSONResponse(self._snapshot())
-
-    def _snapshot(self) -> dict[str, Any]:
-        return state(self._service, self._recent, self._speed, self._store(), self._mqtt())
+        return JSONResponse(state_json(self._see()))
 
     async def _scans(self, request: Request) -> Response:
         scans = self._recent.scans_since(_since(request.query_params.get("since")), _MOST_SCANS)
@@ -108,7 +95,7 @@ class Api:
                 while not self._closing.is_set():
                     if loop.time() >= due_s:
                         due_s = loop.time() + _STATE_EVERY_S * self._speed
-                        yield _event("state", self._snapshot())
+                        yield _event("state", state_json(self._see()))
                     following = asyncio.create_task(records.get())
                     try:
                         await asyncio.wait(
@@ -125,26 +112,18 @@ class Api:
 
     async def _health(self, _: Request) -> Response:
         """Tell whether the work goes on; a device that is down is told, and no reason for a restart."""
-        service = self._service
+        seen = self._see()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
-        if service.control is not None:
-            silent_s = service.clock.monotonic() - service.control.last_tick_s
-            if silent_s > longest_s:
-                troubles.append(f"control has not looked for {silent_s:.0f} s")
-        down = []
-        if service.acquisition is not None and service.acquisition.outage.is_down:
-            down.append(f"cube: {service.acquisition.outage.reason}")
-        if service.motion is not None and service.motion.outage.is_down:
-            down.append(f"positioner: {service.motion.outage.reason}")
-        if service.curves is not None and service.curves.outage.is_down:
-            down.append(f"load: {service.curves.outage.reason}")
-        status = self._store()
-        if status is not None and status.down_why is not None:
-            down.append(f"store: {status.down_why}")
-        link = self._mqtt()
-        if link is not None and link.down_why is not None:
-            down.append(f"mqtt: {link.down_why}")
-        found = {"ok": not troubles, "troubles": troubles, "down": down, "simulated": service.rig.simulated}
+        down = [f"cube: {seen.cube_down_why}"] if seen.cube_down_why else []
+        for tracker in seen.trackers:
+            of = _of(tracker.name, seen)
+            if tracker.silent_s > longest_s:
+                troubles.append(f"control{of} has not looked for {tracker.silent_s:.0f} s")
+            down += [f"{part}{of}: {why}" for part, why in _down(tracker)]
+        if seen.store is not None and seen.store.down_why is not None:
+            down.append(f"store: {seen.store.down_why}")
+        down += [f"mqtt{_of(name, seen)}: {link.down_why}" for name, link in seen.links.items() if link.down_why]
+        found = {"ok": not troubles, "troubles": troubles, "down": down, "simulated": seen.simulated}
         return JSONResponse(found, status_code=503 if troubles else 200)
 
     async def _metrics_text(self, _: Request) -> Response:
@@ -157,7 +136,8 @@ class Api:
             if content is None:
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
             try:
-                return JSONResponse(await parse(name, content, "HTTP").carry_out(self._operator))
+                command = parse(name, content, "HTTP").meant_for(request.query_params.get("tracker"))
+                return JSONResponse(await self._operators.carry_out(command))
             except BodyError as error:
                 raise HTTPException(400, str(error)) from None
             except CommandError as error:
@@ -175,6 +155,17 @@ class Api:
             raise HTTPException(
                 401, "the token is not the service's: see api.token_file", {"WWW-Authenticate": "Bearer"}
             )
+
+
+def _of(tracker: str, seen: Snapshot) -> str:
+    return f" of {tracker}" if len(seen.trackers) > 1 else ""
+
+
+def _down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
+    if tracker.positioner.down_why:
+        yield "positioner", tracker.positioner.down_why
+    if tracker.load is not None and tracker.load.down_why:
+        yield "load", tracker.load.down_why
 
 
 async def _read(request: Request) -> bytes | None:

@@ -11,13 +11,10 @@ import uvicorn
 
 from daemon.api.app import Api
 from daemon.base.addresses import parse_address
+from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
-from daemon.base.records import Event
+from daemon.base.records import Event, Record
 from daemon.config.links import ApiSettings
-from daemon.service.recent import Recent
-from daemon.service.service import Service
-from daemon.service.status import LinkStatus
-from daemon.store.store import StoreStatus
 
 log = logging.getLogger("heliocube.api")
 
@@ -52,26 +49,24 @@ class ApiServer:
 
     Parameters
     ----------
-    service, recent, token, speed, store, mqtt
-        As for `daemon.api.app.Api`.
     settings
         Where to listen.
+    api
+        What the routes do.
+    clock, publish
+        The service's time, and where events go.
+    speed
+        How many times as fast as the machine's the clock runs.
     """
 
     def __init__(
-        self,
-        settings: ApiSettings,
-        service: Service,
-        recent: Recent,
-        token: str,
-        speed: float,
-        store: Callable[[], StoreStatus | None],
-        mqtt: Callable[[], LinkStatus | None] = lambda: None,
+        self, settings: ApiSettings, api: Api, clock: Clock, publish: Callable[[Record], None], speed: float
     ) -> None:
         self._address = parse_address(settings.listen)
-        self._service = service
+        self._api = api
+        self._clock = clock
+        self._publish = publish
         self._speed = speed
-        self._recent, self._token, self._store, self._mqtt = recent, token, store, mqtt
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
         self._try_to_bind()
@@ -101,7 +96,7 @@ class ApiServer:
             self._bound = None
 
     def _try_to_bind(self) -> None:
-        now_s = self._service.clock.monotonic()
+        now_s = self._clock.monotonic()
         bound = socket.socket(self._address.family, socket.SOCK_STREAM)
         try:
             if os.name == "posix":  # Windows would let two programs share the port
@@ -114,18 +109,16 @@ class ApiServer:
             reason = f"{self._address} cannot be listened on: {error.strerror}; set api.listen to another port"
             told = self._outage.down(now_s, reason)
             if first and told:
-                clock = self._service.clock
-                self._service.bus.publish(Event(clock.utc(), clock.monotonic(), "api", reason))
+                self._publish(Event(self._clock.utc(), now_s, "api", reason))
             return
         self._outage.up(now_s)
         self._bound = bound
 
     async def _serve(self, bound: socket.socket) -> None:
-        api = Api(self._service, self._recent, self._token, self._speed, self._store, self._mqtt)
         pace = max(round(self._speed), 1)
         server = _Server(
             uvicorn.Config(
-                api.app,
+                self._api.app,
                 http="h11",
                 ws="none",
                 lifespan="off",
@@ -144,6 +137,6 @@ class ApiServer:
         try:
             await asyncio.shield(serving)
         finally:
-            api.close()
+            self._api.close()
             server.end()
             await serving

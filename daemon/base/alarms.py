@@ -38,10 +38,15 @@ class Alarms:
         The service's time.
     publish
         Called with an event when an alarm is raised and when it ends.
+    changed
+        Called when they are muted or shown again.
     """
 
-    def __init__(self, clock: Clock, publish: Callable[[Record], None]) -> None:
+    def __init__(
+        self, clock: Clock, publish: Callable[[Record], None], changed: Callable[[], None] = lambda: None
+    ) -> None:
         self._clock = clock
+        self._changed = changed
         self._publish = publish
         self._on: dict[str, Alarm] = {}
         self._held: dict[str, str] = {}
@@ -51,6 +56,11 @@ class Alarms:
     def active(self) -> tuple[Alarm, ...]:
         """The alarms that are on, oldest first; none while they are muted."""
         return () if self._muted else tuple(self._on.values())
+
+    @property
+    def muted(self) -> bool:
+        """Whether they are kept silent."""
+        return self._muted
 
     def set(self, name: str, text: str | None) -> None:
         """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently."""
@@ -80,10 +90,11 @@ class Alarms:
         self._muted = muted
         if muted:
             self._held, self._on = {alarm.name: alarm.text for alarm in self._on.values()}, {}
-            return
-        held, self._held = self._held, {}
-        for name, text in held.items():
-            self.set(name, text)
+        else:
+            held, self._held = self._held, {}
+            for name, text in held.items():
+                self.set(name, text)
+        self._changed()
 
     def _tell(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))

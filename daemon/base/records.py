@@ -1,11 +1,12 @@
 """What flows through the house: one frozen record per kind, passed on unchanged.
 
 Every record carries UTC [s since 1970] for stamps; those that time a measurement carry monotonic time [s] as well.
+What belongs to one tracker bears its name; scans, and events of the process or its cube, bear none.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 FACES = ("east", "south", "west", "zenith")
@@ -174,6 +175,7 @@ class Decision:
     target: Target
     moved: bool
     estimate: Estimate = NO_ESTIMATE
+    tracker: str = ""
 
 
 class MoveOutcome(StrEnum):
@@ -203,6 +205,7 @@ class Move:
     end_b_deg: float
     outcome: MoveOutcome
     why: str
+    tracker: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +217,7 @@ class Pose:
     a_deg: float
     b_deg: float
     moving: bool
+    tracker: str = ""
 
 
 class CurveQuality(StrEnum):
@@ -266,6 +270,7 @@ class IvCurve:
     quality: CurveQuality
     why: str
     curve: str = ""
+    tracker: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +282,7 @@ class ModeChange:
     before: Mode
     after: Mode
     why: str
+    tracker: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,12 +293,27 @@ class Event:
     time_monotonic_s: float
     subject: str
     text: str
+    tracker: str = ""
 
 
 Record = Scan | Decision | Move | Pose | IvCurve | ModeChange | Event
 
 
 Subscriber = Callable[[Record], None]
+
+
+def stamped(publish: Subscriber, tracker: str) -> Subscriber:
+    """Return what hands records on to `publish` with the name of their tracker; a scan belongs to none."""
+
+    def publish_named(record: Record) -> None:
+        publish(record if isinstance(record, Scan) else replace(record, tracker=tracker))
+
+    return publish_named
+
+
+def concerns(record: Record, tracker: str) -> bool:
+    """Whether a record is one tracker's own, or that of no tracker."""
+    return isinstance(record, Scan) or record.tracker in ("", tracker)
 
 
 class Bus:

@@ -93,7 +93,7 @@ def run(
     """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
     from daemon.commands.run import run_service
     from daemon.config.file import on_a_port_of_its_own
-    from daemon.service.service import Role
+    from daemon.service.rig import Role
 
     settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
     if config is None and role is RoleChoice.both:

@@ -5,13 +5,14 @@ import contextlib
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC
 from importlib.metadata import version
 from random import SystemRandom
 
 from rich.console import Console
 
+from daemon.api.app import Api
 from daemon.api.server import ApiServer
 from daemon.api.token import generate_token, load_token
 from daemon.base import process as logs
@@ -21,14 +22,17 @@ from daemon.base.process import Notifier, on_signals
 from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
 from daemon.bridge.signing import generate_key, load_key
-from daemon.commands.live_view import LiveView
+from daemon.commands.screen import LiveView
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
-from daemon.mqtt.companion import Mqtt
+from daemon.mqtt.companion import Mqtt, links
 from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather
+from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
-from daemon.service.service import Rig, Role, Service
-from daemon.service.state import state
+from daemon.service.rig import Rig, Role
+from daemon.service.service import Service
+from daemon.service.snapshot import Snapshot, snapshot
+from daemon.service.state import state_json
 from daemon.store.store import Origin, Store
 
 log = logging.getLogger("heliocube")
@@ -53,9 +57,9 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         clock = _clock(settings, loop)
         rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
         bus = Bus()
-        recent = Recent()
+        recent = Recent(several=len(settings.trackers) > 1)
         bus.subscribe(recent.note)
-        mqtt = Mqtt(settings, role, clock, SystemRandom(), bus.publish, speed) if settings.mqtt.enabled else None
+        mqtt = links(settings, role, clock, SystemRandom(), bus.publish, speed)
         service = Service(
             settings,
             role,
@@ -67,8 +71,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             Notifier(os.environ, os.getpid()),
             speed,
             calibration,
-            stow_sources=mqtt.stow_sources() if mqtt else (),
-            send_beyond=mqtt.send_scan if mqtt and settings.bridge.transport == "mqtt" else None,
+            stow_sources={name: link.stow_sources() for name, link in mqtt.items()},
+            send_beyond=_sender(settings, mqtt),
         )
         if rig.simulated:
             fields = {"role": role, "speed": speed}
@@ -78,14 +82,17 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         with _store(service, role, loop) as store:
-            if mqtt is not None:
-                mqtt.attach(
-                    service, lambda: state(service, recent, speed, store.status if store else None, mqtt.status)
-                )
-            api = _api(service, recent, speed, store, mqtt, console, journal=journal)
+
+            def see() -> Snapshot:
+                statuses = {name: link.status for name, link in mqtt.items()}
+                return snapshot(service, recent, speed, store.status if store else None, statuses)
+
+            for link in mqtt.values():
+                link.attach(service, see)
+            api = _api(service, recent, speed, see, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
-            view = None if journal else LiveView(service, console, speed)
-            runner.run(_run(service, for_s, speed, view, api, mqtt))
+            view = None if journal else LiveView(lambda: state_json(see()), console, speed)
+            runner.run(_run(service, for_s, speed, (view, api, *mqtt.values())))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -172,8 +179,7 @@ def _api(
     service: Service,
     recent: Recent,
     speed: float,
-    store: Store | None,
-    mqtt: Mqtt | None,
+    see: Callable[[], Snapshot],
     console: Console,
     *,
     journal: bool,
@@ -183,15 +189,8 @@ def _api(
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    server = ApiServer(
-        settings,
-        service,
-        recent,
-        token,
-        speed,
-        lambda: store.status if store else None,
-        lambda: mqtt.status if mqtt else None,
-    )
+    api = Api(see, recent, Operators(service.trackers, speed), token, speed)
+    server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"
         if settings.token_file is None:
@@ -201,12 +200,19 @@ def _api(
     return server
 
 
+def _sender(settings: Settings, mqtt: Mapping[str, Mqtt]) -> Callable[[bytes], None] | None:
+    """Return what takes scans to a broker, where they go there."""
+    if settings.bridge.transport != "mqtt":
+        return None
+    return next((link.send_scan for link in mqtt.values()), None)
+
+
 async def _run(
-    service: Service, for_s: float | None, speed: float, view: LiveView | None, api: ApiServer | None, mqtt: Mqtt | None
+    service: Service, for_s: float | None, speed: float, companions: Iterable[LiveView | ApiServer | Mqtt | None]
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, *(companion.run() for companion in (view, api, mqtt) if companion is not None))
+        await service.run(stop, *(companion.run() for companion in companions if companion is not None))

@@ -1,9 +1,15 @@
-"""The service's state as a person reads it at a glance."""
+"""The service's state as a person reads it: at a glance, on a screen in place, or as a line now and then.
 
-from collections.abc import Iterator
+All of it is made from the JSON of the state alone, wherever that comes from.
+"""
+
+import asyncio
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
@@ -16,19 +22,89 @@ _MODE_STYLES = {
     "snow": "bold cyan",
     "maintenance": "bold yellow",
 }
-_NEWS = 5
+_NEWS, _LIVE_NEWS = 5, 7
 _BAD = "bold red"
+_REFRESH_S = 0.25
+_LINE_EVERY_S = 5.0
+_BAR_WIDTH = 30
+_FULL_BAR_W_M2 = 1200.0
+
+
+class LiveView:
+    """Shows the service on a console for as long as it runs.
+
+    Parameters
+    ----------
+    see
+        Returns the state, as /api/state does.
+    console
+        Where; a terminal gets a screen that changes in place, anything else plain lines.
+    speed
+        How many times as fast as the machine's the service's clock runs.
+    """
+
+    def __init__(self, see: Callable[[], dict[str, Any]], console: Console, speed: float) -> None:
+        self._see = see
+        self._console = console
+        self._speed = speed
+
+    async def run(self) -> None:
+        """Refresh until cancelled."""
+        if not self._console.is_terminal:
+            while True:
+                await asyncio.sleep(_LINE_EVERY_S * self._speed)
+                self._console.print(_line(self._see()), highlight=False, soft_wrap=True)
+        with Live(_live(self._see()), console=self._console, auto_refresh=False, transient=False) as live:
+            while True:
+                await asyncio.sleep(_REFRESH_S * self._speed)
+                live.update(_live(self._see()), refresh=True)
 
 
 def render(state: dict[str, Any]) -> RenderableType:
     """Return one screen for the JSON of /api/state."""
+    return Group(_title(state), *_body(state, _NEWS, bars=False))
+
+
+def _live(state: dict[str, Any]) -> RenderableType:
+    body = Group(*_body(state, _LIVE_NEWS, bars=True))
+    return Panel(body, title=_title(state), subtitle="Ctrl-C ends", expand=True)
+
+
+def _body(state: dict[str, Any], most_news: int, *, bars: bool) -> Iterator[RenderableType]:
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
-    for name, text in _rows(state):
+    for name, text in _rows(state, bars=bars):
         grid.add_row(name, text)
-    news = [Text(f"{_clock(item['time'])}  {item['text']}", style="dim") for item in (state["news"] or [])[-_NEWS:]]
-    return Group(_title(state), grid, *([Text(), *news] if news else []))
+    yield grid
+    news = [Text(f"{_clock(item['time'])}  {item['text']}", style="dim") for item in state["news"][-most_news:]]
+    if news:
+        yield from (Text(), *news)
+
+
+def _line(state: dict[str, Any]) -> str:
+    """Return what a log shows every few seconds."""
+    parts = [f"{state['time'][:19]}Z"]
+    if state["simulated"]:
+        parts.append("SIMULATED")
+    if state["scan"] is not None:
+        faces = state["scan"]["faces"].items()
+        parts.append(" ".join(f"{name[0].upper()} {_number(face['irradiance_w_m2'], '.1f')}" for name, face in faces))
+    for name, own in _trackers(state).items():
+        of = f"{name}: " if name else ""
+        parts += [f"{of}{_where(own['tracker'])}", f"{of}{own['mode']['name']}: {own['mode']['why']}"]
+    parts += [f"ALARM {_named(alarm['name'], alarm, state)}" for alarm in state["alarms"]]
+    if state["cube_down_why"]:
+        parts.append(state["cube_down_why"])
+    return " | ".join(parts)
+
+
+def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each tracker's part of the state by its name; a single one needs none."""
+    found: dict[str, dict[str, Any]] = state.get("trackers") or {}
+    if len(found) > 1:
+        return found
+    return {} if state["mode"] is None else {"": state}
 
 
 def _title(state: dict[str, Any]) -> Text:
@@ -37,22 +113,24 @@ def _title(state: dict[str, Any]) -> Text:
     return Text.assemble(("heliocube ", "bold"), simulated, f"{state['role']} at {state['site']['name']}{pace}")
 
 
-def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     time, sun_deg = state["time"], state["sun_elevation_deg"]
     yield "time", Text(f"{time[:10]} {_clock(time)} UTC, sun at {_number(sun_deg, '.1f')} deg")
-    if state["mode"] is not None:
-        mode = state["mode"]
-        style = _MODE_STYLES.get(mode["name"], "bold")
-        yield "mode", Text.assemble((mode["name"], style), f" since {_clock(mode['since'])}: {mode['why']}")
+    if bars and state["sky"] is not None:
+        yield "sky", Text(state["sky"])
+    trackers = _trackers(state)
+    if "" in trackers:
+        yield _mode(state)
     for alarm in state["alarms"]:
-        yield "alarm", Text(f"{alarm['text']}  {_since(alarm['since'], time)}", style=_BAD)
-    yield from _wishes(state)
-    if state["tracker"] is not None:
-        yield "tracker", _tracker(state["tracker"])
-        yield from _target(state)
-    if state["load"] is not None:
-        yield "module", _module(state["load"])
-    yield from _cube(state)
+        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)}  {_since(alarm['since'], time)}", style=_BAD)
+    for name, own in trackers.items():
+        if name:
+            yield name, Text()
+            for label, text in (_mode(own), *_tracker_rows(own, time), *_mqtt(own, time)):
+                yield f"  {label}", text
+        else:
+            yield from _tracker_rows(own, time)
+    yield from _cube(state, bars=bars)
     if state["calibration"] is not None:
         yield "calibration", _calibration(state["calibration"])
     if state["bridge"] is not None:
@@ -60,16 +138,34 @@ def _rows(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         yield "bridge", Text(f"{counts['accepted']} scans accepted, {counts['lost']} lost, {counts['refused']} refused")
     if state["store"] is not None:
         yield "store", _store(state["store"])
-    if state["mqtt"] is not None:
-        yield from _mqtt(state["mqtt"], time)
+    yield from _mqtt(state, time)
 
 
-def _wishes(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
+    """Return a text of an alarm, with the tracker's name where there are several."""
+    return f"{alarm['tracker']}: {text}" if len(_trackers(state)) > 1 and alarm["tracker"] else text
+
+
+def _mode(own: dict[str, Any]) -> tuple[str, Text]:
+    mode = own["mode"]
+    style = _MODE_STYLES.get(mode["name"], "bold")
+    return "mode", Text.assemble((mode["name"], style), f" since {_clock(mode['since'])}: {mode['why']}")
+
+
+def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
+    yield from _wishes(own, time)
+    yield "tracker", _tracker(own["tracker"])
+    yield from _target(own)
+    if own["load"] is not None:
+        yield "module", _module(own["load"])
+
+
+def _wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     """Yield what persons asked for and is in force, each with its person and beginning."""
     for name, wish in (state["wishes"] or {}).items():
         if wish is not None:
             by = f" by {wish['by']}" if wish["by"] else ""
-            since = "" if wish["since"] is None else f" {_since(wish['since'], state['time'])}"
+            since = "" if wish["since"] is None else f" {_since(wish['since'], time)}"
             yield name, Text(f"{by}{since}: {wish['why']}".strip())
 
 
@@ -77,11 +173,7 @@ def _tracker(tracker: dict[str, Any]) -> Text:
     pose = tracker["pose"]
     if pose is None:
         return Text(tracker["down_why"] or "no telemetry yet", style=_BAD)
-    text = Text(f"A {_number(pose['a_deg'], '+.1f')}, B {_number(pose['b_deg'], '.1f')} deg")
-    if tracker["homing"]:
-        text.append(", homing")
-    elif tracker["target"] is not None:
-        text.append(f", moving to A {tracker['target']['a_deg']:+.1f}, B {tracker['target']['b_deg']:.1f} deg")
+    text = Text(_where(tracker))
     currents = [_number(tracker["motor_current_a"][axis], ".2f") for axis in ("a", "b")]
     if currents != ["-", "-"]:
         text.append(f", motors {currents[0]} and {currents[1]} A")
@@ -92,6 +184,18 @@ def _tracker(tracker: dict[str, Any]) -> Text:
             text.append(f"  {why}", style=_BAD)
             break
     return text
+
+
+def _where(tracker: dict[str, Any]) -> str:
+    pose, target = tracker["pose"], tracker["target"]
+    if pose is None:
+        return tracker["down_why"] or "no telemetry yet"
+    where = f"A {_number(pose['a_deg'], '+.1f')}, B {_number(pose['b_deg'], '.1f')} deg"
+    if tracker["homing"]:
+        return f"{where}, homing"
+    if target is not None:
+        return f"{where}, moving to A {target['a_deg']:+.1f}, B {target['b_deg']:.1f} deg"
+    return where
 
 
 def _module(load: dict[str, Any]) -> Text:
@@ -116,7 +220,7 @@ def _target(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
     yield "target", Text(f"{where} by {decision['law']}; next in {next_s:.0f} s")
 
 
-def _cube(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
+def _cube(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     if state["cube_down_why"]:
         yield "cube", Text(state["cube_down_why"], style=_BAD)
     scan = state["scan"]
@@ -129,8 +233,14 @@ def _cube(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
     yield "scan", text
     for name, face in scan["faces"].items():
         good = face["quality"] == "ok"
-        value = Text(f"{_number(face['irradiance_w_m2'], '7.1f')} W/m2", style="" if good else "dim")
+        bar = f" {_bar(face['irradiance_w_m2'])}" if bars else ""
+        value = Text(f"{_number(face['irradiance_w_m2'], '7.1f')} W/m2{bar}", style="" if good else "dim")
         yield f"  {name}", value if good else Text.assemble(value, (f"  {face['quality']}", _BAD))
+
+
+def _bar(irradiance_w_m2: float | None) -> str:
+    share = min(max((irradiance_w_m2 or 0.0) / _FULL_BAR_W_M2, 0.0), 1.0)
+    return "█" * round(share * _BAR_WIDTH)
 
 
 def _calibration(calibration: dict[str, Any]) -> Text:
@@ -150,7 +260,10 @@ def _store(store: dict[str, Any]) -> Text:
     return Text(counts)
 
 
-def _mqtt(link: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
+def _mqtt(state: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
+    link = state["mqtt"]
+    if link is None:
+        return
     since = _since(link["since"], now)
     if link["connected"]:
         text = Text(f"{link['broker']} {since}, {link['sent']} messages sent, {link['received']} received")
@@ -186,4 +299,5 @@ def _age(age_s: float | None) -> str:
 
 
 def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+    # Rounding first and adding 0.0 keeps "-0" off the screen.
+    return "-" if value is None else format(round(value, 2) + 0.0, form)

@@ -1,11 +1,18 @@
 """The settings of the service: all sections together, consistent with each other."""
 
-from typing import Self
+from typing import NamedTuple, Self
 
 from pydantic import model_validator
 
 from daemon.config.rules import conflicts
 from daemon.config.sections import Sections
+
+
+class NamedSettings(NamedTuple):
+    """A tracker's name and the settings that hold for it."""
+
+    name: str
+    settings: "Settings"
 
 
 class Settings(Sections):
@@ -22,3 +29,8 @@ class Settings(Sections):
     def real(self) -> bool:
         """Whether the settings ask for real instruments."""
         return self.instruments.kind == "real"
+
+    @property
+    def trackers(self) -> tuple[NamedSettings, ...]:
+        """The trackers of this process, each with its own settings."""
+        return (NamedSettings(self.mqtt.name or "tracker", self),)

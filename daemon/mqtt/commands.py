@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from daemon.mqtt.connection import Incoming
-from daemon.service.operator import CommandError, Operator
-from daemon.service.operator_commands import URGENT, Command, parse, refusal_json
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import URGENT, Command, Operators, parse, refusal_json
 
 log = logging.getLogger("heliocube.mqtt")
 
@@ -21,14 +21,14 @@ class Commands:
 
     Parameters
     ----------
-    operator
-        Carries them out; the guard of every other way is behind it.
+    operators
+        Carry them out; the guard of every other way is behind them.
     reply
         Called with the name of the command and what came of it.
     """
 
-    def __init__(self, operator: Operator, reply: Callable[[dict[str, Any]], None]) -> None:
-        self._operator = operator
+    def __init__(self, operators: Operators, reply: Callable[[dict[str, Any]], None]) -> None:
+        self._operators = operators
         self._reply = reply
         self._running: set[asyncio.Task[None]] = set()
 
@@ -63,7 +63,7 @@ class Commands:
 
     async def _carry_out(self, command: Command) -> None:
         try:
-            self._reply(await command.carry_out(self._operator))
+            self._reply(await self._operators.carry_out(command))
         except CommandError as error:
             self._reply(refusal_json(command.name, command.identifier, str(error)))
 

@@ -1,4 +1,4 @@
-"""Everything over MQTT put together, as a companion of the service."""
+"""Everything over MQTT put together, as companions of the service: a link for each tracker, or one for the cube."""
 
 import asyncio
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.records import Record
+from daemon.base.records import Record, stamped
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.settings import Settings
 from daemon.mqtt.commands import Commands
@@ -19,9 +19,10 @@ from daemon.mqtt.outbox import Message
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.mqtt.telemetry import TelemetryPublisher, encoded
 from daemon.mqtt.topics import Topics, unusable
-from daemon.service.operator import Operator
-from daemon.service.operator_commands import NAMES
-from daemon.service.service import Role, Service
+from daemon.service.operator_commands import NAMES, Operators
+from daemon.service.rig import Role
+from daemon.service.service import Service
+from daemon.service.snapshot import Snapshot
 from daemon.service.status import InputStatus, LinkStatus
 from daemon.tracker.stow import StowSource, WindStow
 
@@ -29,14 +30,14 @@ _NO_LINK = "there is no link to the broker"
 
 
 class Mqtt:
-    """The link and all that uses it.
+    """A link and all that uses it.
 
     It is made before the service, which needs the reasons to stow and the way of the scans; `attach` follows it.
 
     Parameters
     ----------
     settings, role
-        The configuration.
+        The configuration: of the tracker, or of the cube's process.
     clock, random, publish
         The service's time, jitter, and where events go.
     speed
@@ -58,7 +59,9 @@ class Mqtt:
         self._speed = speed
         mqtt = settings.mqtt
         name = mqtt.name or (Role.CUBE.value if role is Role.CUBE else Role.TRACKER.value)
+        self._tracker = "" if role is Role.CUBE else name
         self._topics = Topics(mqtt.prefix, name)
+        publish = stamped(publish, self._tracker)
         self._unusable = unusable(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
@@ -96,20 +99,22 @@ class Mqtt:
         if "bridge.topic" not in self._unusable:
             self.link.send_now(Message(self._settings.bridge.topic, datagram))
 
-    def attach(self, service: Service, state: Callable[[], dict[str, Any]]) -> None:
-        """Connect with a service, whose `state` is sent; call it once, before `run`."""
+    def attach(self, service: Service, see: Callable[[], Snapshot]) -> None:
+        """Connect with a service, of which `see` takes snapshots; call it once, before `run`."""
         mqtt, simulated = self._settings.mqtt, service.rig.simulated
-        if service.control is not None:
-            self._look_again = service.control.look_again
+        own = [tracker for tracker in service.trackers if tracker.name == self._tracker]
+        for tracker in own:
+            self._look_again = tracker.control.look_again
         self._telemetry = TelemetryPublisher(
-            self.link, self._topics, state, mqtt.state_every_s * self._speed, simulated=simulated
+            self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
         )
         service.bus.subscribe(self._telemetry.note)
-        if self._settings.bridge.transport == "mqtt" and self._role is Role.TRACKER and service.receiver is not None:
-            self._listen("bridge.topic", self._settings.bridge.topic, partial(self._take_scan, service.receiver))
-        tracker = service.control is not None
-        if mqtt.commands and tracker:
-            self._commands = Commands(Operator(service, self._speed), partial(self._reply, simulated=simulated))
+        if own and own[0] is service.trackers[0]:
+            # One link hears the scans for all trackers.
+            self._hear_scans(service.receiver)
+        if mqtt.commands and own:
+            operators = Operators(own, self._speed)
+            self._commands = Commands(operators, partial(self._reply, simulated=simulated))
             for name in NAMES:
                 self.link.listen(self._topics.command(name), partial(self._commands.take, name))
         if "mqtt.discovery_prefix" not in self._unusable:
@@ -118,11 +123,16 @@ class Mqtt:
                 self._topics,
                 enabled=mqtt.discovery,
                 commands=mqtt.commands,
-                tracker=tracker,
+                tracker=bool(own),
                 simulated=simulated,
             )
             self.link.at_birth(lambda: messages)
         self._tell_unusable()
+
+    def _hear_scans(self, receiver: BridgeReceiver | None) -> None:
+        bridge = self._settings.bridge
+        if bridge.transport == "mqtt" and self._role is Role.TRACKER and receiver is not None:
+            self._listen("bridge.topic", bridge.topic, partial(self._take_scan, receiver))
 
     async def run(self) -> None:
         """Work until cancelled."""
@@ -172,6 +182,21 @@ class Mqtt:
     def _reply(self, found: dict[str, Any], *, simulated: bool) -> None:
         whole = {"time": iso_utc(self._clock.utc()), **found, "simulated": simulated}
         self.link.send(Message(self._topics.reply, encoded(whole), 1))
+
+
+def links(
+    settings: Settings, role: Role, clock: Clock, random: Random, publish: Callable[[Record], None], speed: float
+) -> dict[str, Mqtt]:
+    """Return a link for each tracker by its name, or that of the cube's process by the empty one.
+
+    Each has a connection of its own: a connection has one will, and with it one availability. Arguments are those of
+    `Mqtt`.
+    """
+    if not settings.mqtt.enabled:
+        return {}
+    if role is Role.CUBE:
+        return {"": Mqtt(settings, role, clock, random, publish, speed)}
+    return {name: Mqtt(own, role, clock, random, publish, speed) for name, own in settings.trackers}
 
 
 def _input_status(

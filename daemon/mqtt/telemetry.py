@@ -5,12 +5,13 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from daemon.base.records import Event, ModeChange, Record
+from daemon.base.records import Event, ModeChange, Record, concerns
 from daemon.base.timeloop import wait_at_most
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
-from daemon.service.state import kind_of, number, record_json
+from daemon.service.snapshot import Snapshot
+from daemon.service.state import kind_of, number, record_json, state_json, tracker_state_json
 
 # By the record's name: quality of service, and whether the broker keeps the last one.
 _MANNERS = {
@@ -31,20 +32,30 @@ class TelemetryPublisher:
     ----------
     link, topics
         The way out, and under which names.
-    state
-        Returns the state of the service.
+    see
+        Takes a snapshot of the service.
     every_s
         Time from one state to the next, on the loop's clock.
+    tracker
+        Whose state and records are sent, with those of no tracker; empty in the cube's process.
     simulated
         What every message bears.
     """
 
     def __init__(
-        self, link: Link, topics: Topics, state: Callable[[], dict[str, Any]], every_s: float, *, simulated: bool
+        self,
+        link: Link,
+        topics: Topics,
+        see: Callable[[], Snapshot],
+        every_s: float,
+        tracker: str,
+        *,
+        simulated: bool,
     ) -> None:
         self._link = link
         self._topics = topics
-        self._state = state
+        self._see = see
+        self._tracker = tracker
         self._every_s = every_s
         self._simulated = simulated
         self._wake = asyncio.Event()
@@ -52,6 +63,8 @@ class TelemetryPublisher:
 
     def note(self, record: Record) -> None:
         """Queue one record; a change of mode and an alarm bring the state at once."""
+        if not concerns(record, self._tracker):
+            return
         kind = kind_of(record)
         qos, retain = _MANNERS[kind]
         payload = encoded({**record_json(record), "simulated": self._simulated})
@@ -66,7 +79,9 @@ class TelemetryPublisher:
             self._link.send_now(self._state_message())
 
     def _state_message(self) -> Message:
-        return Message(self._topics.state, encoded(self._state()), 0, retain=True)
+        seen = self._see()
+        state = tracker_state_json(seen, self._tracker) if self._tracker else state_json(seen)
+        return Message(self._topics.state, encoded(state), 0, retain=True)
 
 
 def encoded(found: dict[str, Any]) -> bytes:

@@ -18,7 +18,7 @@ from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.real import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
-from daemon.service.service import Rig, Role
+from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Positioner
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
@@ -73,13 +73,13 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
     UserError
         The settings do not say where one of them is.
     """
+    trackers = () if role is Role.CUBE else settings.trackers
     return Rig(
-        None if role is Role.TRACKER else build_multiplexer(settings),
-        None if role is Role.TRACKER else build_voltmeter(settings),
-        None if role is Role.CUBE else build_positioner(settings, clock),
+        multiplexer=None if role is Role.TRACKER else build_multiplexer(settings),
+        voltmeter=None if role is Role.TRACKER else build_voltmeter(settings),
+        trackers=tuple(TrackerInstruments(build_positioner(own, clock), build_load(own)) for _, own in trackers),
         wind_speed_m_s=None,
         simulated=False,
-        load=None if role is Role.CUBE else build_load(settings),
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
     )
 
@@ -92,8 +92,11 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
         multiplexer, voltmeter = _build_cube(settings, clock, scene)
         rig = replace(rig, multiplexer=multiplexer, voltmeter=voltmeter)
     if role is not Role.CUBE:
-        _, positioner, load = _build_tracker(settings, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings))
-        rig = replace(rig, positioner=positioner, load=load)
+        built = [
+            _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
+            for number, (_, own) in enumerate(settings.trackers)
+        ]
+        rig = replace(rig, trackers=tuple(instruments for _, instruments in built))
     return rig
 
 
@@ -123,7 +126,7 @@ def build_simulated_pair(
     """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
     scene = _build_scene(settings, weather)
     multiplexer, voltmeter = _build_cube(settings, clock, scene)
-    (one, first, load), (other, second, its_load) = (
+    (one, first), (other, second) = (
         _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
         for number, module in enumerate(modules)
     )
@@ -136,8 +139,8 @@ def build_simulated_pair(
 
     around = _under(scene, clock, weather)
     rigs = (
-        replace(around, multiplexer=multiplexer, voltmeter=voltmeter, positioner=first, load=load),
-        replace(around, positioner=second, load=its_load),
+        replace(around, multiplexer=multiplexer, voltmeter=voltmeter, trackers=(first,)),
+        replace(around, trackers=(second,)),
     )
     return SimulatedPair(rigs, (one, other), overhead)
 
@@ -159,7 +162,7 @@ def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
             raise UserError(str(error)) from error
 
     sensor = wind if _tells_wind(weather) else None
-    return Rig(None, None, None, sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
+    return Rig(None, None, (), sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
 
 
 def _tells_wind(weather: Weather) -> bool:
@@ -173,10 +176,11 @@ def _tells_wind(weather: Weather) -> bool:
 
 def _build_tracker(
     settings: Settings, clock: Clock, scene: Scene, module: PvModule, noise: np.random.Generator
-) -> tuple[Callable[[float], Angles], Positioner, ElectronicLoad | None]:
-    """Return where a tracker's axes truly stand, its positioner, and the load on its module, if there is one."""
+) -> tuple[Callable[[float], Angles], TrackerInstruments]:
+    """Return where a tracker's axes truly stand, and its instruments."""
     truth, positioner = build_simulated_positioner(settings, clock)
-    return truth, positioner, _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
+    load = _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
+    return truth, TrackerInstruments(positioner, load)
 
 
 class _Module(PvSource):
@@ -213,8 +217,9 @@ def _build_load(
     )
 
 
-def _noise_of_load(settings: Settings) -> np.random.Generator:
-    return np.random.default_rng([settings.simulation.seed, 2])
+def _noise_of_load(settings: Settings, number: int = 0) -> np.random.Generator:
+    """Return the noise of the load of one of several trackers, counted from 0."""
+    return np.random.default_rng([settings.simulation.seed, 2, *([number] if number else [])])
 
 
 def _build_scene(settings: Settings, weather: Weather) -> Scene:

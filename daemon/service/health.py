@@ -6,11 +6,12 @@ does not end or an event loop that runs late is.
 
 import asyncio
 import logging
+from collections.abc import Sequence
 
 from daemon.base.clock import Clock
 from daemon.base.process import Notifier
 from daemon.cube.acquisition import Acquisition
-from daemon.tracker.control import Control
+from daemon.service.tracker import Tracker
 
 log = logging.getLogger("heliocube.watchdog")
 
@@ -28,8 +29,8 @@ class Watchdog:
         The service's time.
     notifier
         To the service manager.
-    control, acquisition
-        The work that must go on; None where the role has it not.
+    trackers, acquisition
+        The work that must go on; none where the role has it not.
     speed
         How many times as fast as the machine's the clock runs.
     """
@@ -38,13 +39,13 @@ class Watchdog:
         self,
         clock: Clock,
         notifier: Notifier,
-        control: Control | None,
+        trackers: Sequence[Tracker],
         acquisition: Acquisition | None,
         speed: float,
     ) -> None:
         self._clock = clock
         self._notifier = notifier
-        self._control = control
+        self._trackers = tuple(trackers)
         self._acquisition = acquisition
         self._speed = speed
         self._stuck = False
@@ -66,10 +67,10 @@ class Watchdog:
 
     def _stuck_part(self) -> str | None:
         now_s = self._clock.monotonic()
-        if self._control is not None:
-            silent_s = now_s - self._control.last_tick_s
+        for tracker in self._trackers:
+            silent_s = now_s - tracker.control.last_tick_s
             if silent_s > _STUCK_AFTER_S * max(self._speed, 1.0):
-                return f"control has not looked for {silent_s:.0f} s"
+                return f"{self._of(tracker)}control has not looked for {silent_s:.0f} s"
         if self._acquisition is not None and not self._acquisition.outage.is_down:
             silent_s = now_s - self._acquisition.last_scan_s
             if silent_s > (_STUCK_AFTER_S + self._acquisition.scan_every_s) * max(self._speed, 1.0):
@@ -77,8 +78,11 @@ class Watchdog:
         return None
 
     def _status(self) -> str:
-        if self._control is not None:
-            return f"{self._control.mode}: {self._control.why}"
+        if self._trackers:
+            return "; ".join(f"{self._of(one)}{one.control.mode}: {one.control.why}" for one in self._trackers)
         if self._acquisition is not None and self._acquisition.outage.is_down:
             return self._acquisition.outage.reason
         return "acquiring"
+
+    def _of(self, tracker: Tracker) -> str:
+        return f"{tracker.name}: " if len(self._trackers) > 1 else ""

@@ -9,8 +9,7 @@ from enum import StrEnum
 
 from daemon.base.records import Event, Mode, Pose, Target
 from daemon.motion.motion import Motion
-from daemon.service.service import Service
-from daemon.tracker.control import Control
+from daemon.service.tracker import Tracker
 from daemon.tracker.wishes import Wishes
 from drivers.errors import DeviceError, RefusedError
 
@@ -77,24 +76,26 @@ class Operator:
 
     Parameters
     ----------
-    service
-        Whose tracker is commanded.
+    tracker
+        Which is commanded.
     speed
         How many times as fast as the machine's the service's clock runs: nobody at a terminal waits longer for it.
     """
 
-    def __init__(self, service: Service, speed: float) -> None:
-        self._service = service
+    def __init__(self, tracker: Tracker, speed: float) -> None:
+        self._tracker = tracker
+        self._control, self._motion = tracker.control, tracker.motion
+        self._clock = tracker.clock
         self._speed = speed
 
     async def stop(self, why: str, by: str = "") -> Answer:
         """Stop the axes at once and keep them stopped until 'auto', even from a stow."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         return await self._stand_still("stop", control.stop(why, by), motion.target, why, by)
 
     async def maintenance(self, why: str, by: str = "") -> Answer:
         """Stop the axes, keep them still and the alarms silent until 'auto'."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         with _refusals():
             control.refuse_while_still("maintenance")
         return await self._stand_still("maintenance", control.maintenance(why, by), motion.target, why, by)
@@ -103,8 +104,8 @@ class Operator:
         self, name: str, command: Awaitable[None], heading: Target | None, why: str, by: str
     ) -> Answer:
         """Let the packet go first, and write and tell afterwards."""
-        control, motion = self._tracker()
-        asked_s, before, lost = self._service.clock.monotonic(), control.wishes, None
+        control, motion = self._control, self._motion
+        asked_s, before, lost = self._clock.monotonic(), control.wishes, None
         try:
             await command
         except DeviceError as error:
@@ -122,12 +123,12 @@ class Operator:
 
     async def stow(self, why: str, by: str = "") -> Answer:
         """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         with _refusals():
             control.refuse_while_still("stow")
         if motion.moving and control.mode is not Mode.STOW:
             await _try_to_stop(motion)
-        safety, before = self._service.settings.safety, control.wishes
+        safety, before = self._tracker.settings.safety, control.wishes
         with _refusals():
             control.stow(why, by)
         self._note("stow", why, by)
@@ -136,20 +137,20 @@ class Operator:
 
     async def snow(self, why: str, by: str = "") -> Answer:
         """Go to the snow position and stay; a stow goes before it."""
-        control, _ = self._tracker()
+        control = self._control
         before = control.wishes
         with _refusals():
             control.snow(why, by)
         self._note("snow", why, by)
         control.tick()
-        settings = self._service.settings
+        settings = self._tracker.settings
         place = settings.limits.limits().clip(settings.safety.snow_a_deg, settings.safety.snow_b_deg)
         return await self._on_the_way(place.a_deg, place.b_deg, before)
 
     async def hold(self, why: str, by: str = "") -> Answer:
         """Stay here; a move in progress is stopped."""
-        control, motion = self._tracker()
-        asked_s, before = self._service.clock.monotonic(), control.wishes
+        control, motion = self._control, self._motion
+        asked_s, before = self._clock.monotonic(), control.wishes
         with _refusals():
             control.hold(why, by)
         self._note("hold", why, by)
@@ -167,7 +168,7 @@ class Operator:
 
     async def goto(self, a_deg: float, b_deg: float, why: str, by: str = "") -> Answer:
         """Go to a position inside the limits and hold there."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         before = control.wishes
         with _refusals():
             control.refuse_goto(a_deg, b_deg)
@@ -182,7 +183,7 @@ class Operator:
 
     async def auto(self, why: str, by: str = "") -> Answer:
         """End all that persons asked for: stop, maintenance, stow, snow, hold and goto."""
-        control, _ = self._tracker()
+        control = self._control
         before = control.wishes
         control.auto()
         self._note("auto", why, by)
@@ -192,7 +193,7 @@ class Operator:
 
     async def home(self, why: str, by: str = "") -> Answer:
         """Start a reference run of both axes."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         with _refusals():
             control.refuse_home()
             self._require_telemetry("homed")
@@ -202,11 +203,11 @@ class Operator:
 
     async def clear(self, why: str, by: str = "") -> Answer:
         """Clear the faults and doubts that are shown now; what came unseen or comes later stays."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         with _refusals():
             control.refuse_while_still("clear")
             self._require_telemetry("cleared of faults")
-            shown, asked_s = control.clear_faults(), self._service.clock.monotonic()
+            shown, asked_s = control.clear_faults(), self._clock.monotonic()
         self._note("clear faults", why, by)
 
         def seen() -> Seen | None:
@@ -220,7 +221,7 @@ class Operator:
 
     async def relearn(self, why: str, by: str = "") -> Answer:
         """Forget what the law has learned of the site."""
-        control, _ = self._tracker()
+        control = self._control
         with _refusals():
             control.refuse_while_still("relearn")
         if control.pointing.law.learned is None:
@@ -229,31 +230,25 @@ class Operator:
         control.pointing.relearn()
         return Answer(Seen.DONE, "what was learned of the site is learned anew")
 
-    def _tracker(self) -> tuple[Control, Motion]:
-        control, motion = self._service.control, self._service.motion
-        if control is None or motion is None:
-            raise CommandError("this is the cube's process and has no tracker: ask that of the tracker")
-        return control, motion
-
     def _note(self, command: str, why: str, by: str) -> None:
-        clock, text = self._service.clock, f"{command}: {why}{f' ({by})' if by else ''}"
+        text = f"{command}: {why}{f' ({by})' if by else ''}"
         log.info("%s", text)
-        self._service.bus.publish(Event(clock.utc(), clock.monotonic(), "operator", text))
+        self._tracker.publish(Event(self._clock.utc(), self._clock.monotonic(), "operator", text))
 
     def _require_telemetry(self, what: str) -> None:
-        _, motion = self._tracker()
+        motion = self._motion
         if not motion.connected:
             raise CommandError(f"the tracker cannot be {what}: {_obstacle(motion)}")
 
     async def _on_the_way(self, a_deg: float, b_deg: float, before: Wishes) -> Answer:
         """Wait until the tracker is seen to stand at a place or to come nearer to it."""
-        control, motion = self._tracker()
-        approach = _Approach(motion, Target(a_deg, b_deg, ""), self._service.settings.motion.tolerance_deg)
+        control, motion = self._control, self._motion
+        approach = _Approach(motion, Target(a_deg, b_deg, ""), self._tracker.settings.motion.tolerance_deg)
         found = await self._until(approach.seen, _WAIT_FOR_MOTION_S)
         return Answer(found, f"{self._seen()}{_replaced(before, control.wishes)}")
 
     async def _until(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
-        clock = self._service.clock
+        clock = self._clock
         deadline_s = clock.monotonic() + within_s * self._speed
         while (found := seen()) is None:
             if clock.monotonic() >= deadline_s:
@@ -263,7 +258,7 @@ class Operator:
 
     def _seen(self) -> str:
         """Return where the tracker is, what it does, and in which mode, as telemetry and control have it."""
-        control, motion = self._tracker()
+        control, motion = self._control, self._motion
         mode = f"mode {control.mode}: {control.why}"
         if motion.pose is None or not motion.connected:
             return f"the tracker does not answer ({_obstacle(motion)}); {mode}"

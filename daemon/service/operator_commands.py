@@ -3,12 +3,15 @@
 The command line and other programs come over HTTP, the rest over MQTT; both hand on what they got, and no more.
 """
 
+import asyncio
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from daemon.service.operator import Answer, CommandError, Operator
+from daemon.service.operator import Answer, CommandError, Operator, Seen
+from daemon.service.tracker import Tracker
 
 NAMES = ("stow", "snow", "hold", "stop", "auto", "goto", "home", "clear", "relearn", "maintenance", "mode")
 MODES = ("auto", "hold", "stow", "snow", "maintenance")
@@ -16,7 +19,9 @@ URGENT = ("stop", "stow", "maintenance")
 LONGEST_BODY = 4096
 
 _LONGEST_LINE = 200
-_LINES = ("why", "by", "id")
+_LINES = ("why", "by", "id", "tracker")
+# What may be asked of all trackers at once: nobody in a hurry has to remember names.
+_OF_ALL = ("stop", "stow")
 _OWN_KEYS = {"goto": ("a_deg", "b_deg"), "mode": ("mode",)}
 
 
@@ -41,6 +46,8 @@ class Command:
         The reason, and who asks.
     identifier
         What the answer repeats, or None.
+    tracker
+        Which is meant, or None where it is not said.
     a_deg, b_deg
         Of a goto; NaN of others.
     """
@@ -50,16 +57,78 @@ class Command:
     why: str
     by: str
     identifier: str | None
+    tracker: str | None = None
     a_deg: float = math.nan
     b_deg: float = math.nan
 
-    async def carry_out(self, operator: Operator) -> dict[str, Any]:
-        """Return the answer as JSON; raises `CommandError` where the command is refused."""
+    def meant_for(self, tracker: str | None) -> "Command":
+        """Return the command for the tracker that its way names, if any; `BodyError` if its body names another."""
+        if tracker is None or tracker == self.tracker:
+            return self
+        if self.tracker is not None:
+            raise BodyError(f"the body names the tracker {ascii(self.tracker)[:40]}, and the way it came another")
+        return replace(self, tracker=tracker)
+
+    async def carry_out(self, operator: Operator) -> Answer:
+        """Return what one tracker did; raises `CommandError` where the command is refused."""
         if self.wanted == "goto":
-            answer = await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
-        else:
-            answer = await getattr(operator, self.wanted)(self.why, self.by)
-        return answer_json(self.name, self.identifier, answer)
+            return await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
+        answer: Answer = await getattr(operator, self.wanted)(self.why, self.by)
+        return answer
+
+
+class Operators:
+    """The operators of all trackers of a process: a command is carried out by the one that it names.
+
+    Parameters
+    ----------
+    trackers
+        Those of the process; none in that of a cube.
+    speed
+        How many times as fast as the machine's the service's clock runs.
+    """
+
+    def __init__(self, trackers: Sequence[Tracker], speed: float) -> None:
+        self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
+
+    async def carry_out(self, command: Command) -> dict[str, Any]:
+        """Return the answer as JSON; raises `CommandError` where the command is refused, by one tracker or by all."""
+        chosen = self._meant(command)
+        if len(chosen) == 1:
+            ((_, operator),) = chosen.items()
+            return answer_json(command.name, command.identifier, await command.carry_out(operator))
+        return answer_json(command.name, command.identifier, await self._by_all(command))
+
+    def _meant(self, command: Command) -> dict[str, Operator]:
+        if not self._of:
+            raise CommandError("this is the cube's process and has no tracker: ask that of the tracker")
+        names = ", ".join(self._of)
+        if command.tracker is None:
+            if len(self._of) == 1 or command.wanted in _OF_ALL:
+                return self._of
+            raise CommandError(f"'{command.wanted}' needs the name of a tracker, one of {names}", wrong=True)
+        if command.tracker not in self._of:
+            raise CommandError(f"there is no tracker {ascii(command.tracker)[:40]} here, but {names}", wrong=True)
+        return {command.tracker: self._of[command.tracker]}
+
+    async def _by_all(self, command: Command) -> Answer:
+        """Return what all trackers did at once; what one refuses is no reason for the others not to."""
+        outcomes = await asyncio.gather(
+            *(command.carry_out(operator) for operator in self._of.values()), return_exceptions=True
+        )
+        told = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(self._of, outcomes, strict=True))
+        for found in outcomes:
+            if isinstance(found, BaseException) and not isinstance(found, CommandError):
+                raise found
+        answers = [found for found in outcomes if isinstance(found, Answer)]
+        if len(answers) < len(outcomes):
+            raise CommandError(f"not by all {len(outcomes)} trackers: {told}")
+        worst = next(seen for seen in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if seen in {a.seen for a in answers})
+        return Answer(worst, f"all {len(outcomes)} trackers: {told}")
+
+
+def _sentence(outcome: Answer | BaseException) -> str:
+    return outcome.text if isinstance(outcome, Answer) else str(outcome)
 
 
 def answer_json(name: str, identifier: str | None, answer: Answer) -> dict[str, Any]:
@@ -115,7 +184,16 @@ def parse(name: str, content: bytes, way: str) -> Command:
         raise BodyError(f"the mode must be one of {', '.join(MODES)}")
     why, by = found.get("why", "an operator asked"), found.get("by", way)
     place = [_degrees(found.get(key)) for key in ("a_deg", "b_deg")] if name == "goto" else [math.nan] * 2
-    return Command(name, str(wanted), why, by, found.get("id"), *place)
+    return Command(
+        name=name,
+        wanted=str(wanted),
+        why=why,
+        by=by,
+        identifier=found.get("id"),
+        tracker=found.get("tracker"),
+        a_deg=place[0],
+        b_deg=place[1],
+    )
 
 
 def _object(name: str, content: bytes) -> dict[str, Any]:

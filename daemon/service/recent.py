@@ -1,7 +1,7 @@
 """What has come over the bus lately: kept for displays, and handed to whoever listens."""
 
 import asyncio
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,29 +24,38 @@ class News:
 
 
 class Recent:
-    """Keeps the latest records in memory; `note` is its subscription to the bus."""
+    """Keeps the latest records in memory, and counts by tracker; `note` is its subscription to the bus.
 
-    def __init__(self) -> None:
-        self._scans: deque[Scan] = deque(maxlen=_SCANS)
+    Parameters
+    ----------
+    several
+        Whether there are several trackers: then each line of news begins with the name of its own.
+    """
+
+    def __init__(self, *, several: bool = False) -> None:
+        self._several = several
+        self._scan_log: deque[Scan] = deque(maxlen=_SCANS)
         self._listeners: list[asyncio.Queue[Record]] = []
         self.news: deque[News] = deque(maxlen=_NEWS)
-        self.counts: Counter[str] = Counter()
-        self.moves: Counter[str] = Counter()
+        self.scans = 0
+        self.decisions: Counter[str] = Counter()
+        self.moves: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self.scan: Scan | None = None
-        self.decision: Decision | None = None
 
     def note(self, record: Record) -> None:
         """Take in one record."""
-        self.counts[type(record).__name__] += 1
         if isinstance(record, Scan):
+            self.scans += 1
             self.scan = record
-            self._scans.append(record)
+            self._scan_log.append(record)
         elif isinstance(record, Decision):
-            self.decision = record
+            self.decisions[record.tracker] += 1
         elif isinstance(record, Move):
-            self.moves[record.outcome] += 1
+            self.moves[record.tracker][record.outcome] += 1
         text = _told(record)
         if text is not None:
+            if self._several and not isinstance(record, Scan) and record.tracker:
+                text = f"{record.tracker}: {text}"
             self.news.append(News(record.time_utc_s, text))
         for queue in self._listeners:
             if queue.full():
@@ -60,7 +69,7 @@ class Recent:
 
     def scans_since(self, utc_s: float, most: int) -> list[Scan]:
         """Return the oldest scans that ended after `utc_s`, at most `most` of them, oldest first."""
-        return list(islice((scan for scan in self._scans if scan.time_utc_s > utc_s), most))
+        return list(islice((scan for scan in self._scan_log if scan.time_utc_s > utc_s), most))
 
     @contextmanager
     def listening(self) -> Iterator[asyncio.Queue[Record]]:

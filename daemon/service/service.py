@@ -2,15 +2,13 @@
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from random import Random
+from types import MappingProxyType
 from typing import Any
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.clock_watch import ClockWatch
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Event, Scan
@@ -20,66 +18,15 @@ from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
-from daemon.motion.end import finish
-from daemon.motion.motion import OFTEN, Motion, Polling
+from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import Watchdog
-from daemon.tracker.control import Control
-from daemon.tracker.curves import IvAcquisition
-from daemon.tracker.orders import Orders
-from daemon.tracker.pointing import build_pointing
-from daemon.tracker.stow import StowSource, WindStow
-from daemon.tracker.stow_watch import SafetyFile, StowWatch
-from daemon.tracker.wishes import WishFile
+from daemon.service.rig import Rig, Role
+from daemon.service.tracker import Tracker
+from daemon.tracker.stow import StowSource
 from drivers.errors import DriverHungError
-from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from solar.ephemeris import SunElevation
 
 log = logging.getLogger("heliocube.service")
-
-_NO_WIND_SOURCE = (
-    "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
-    ' or safety.without_wind_source = "accepted"'
-)
-# The unit needs a second or two; systemd waits 15 s for the whole of it.
-_STAND_WITHIN_S = 8.0
-
-
-class Role(StrEnum):
-    """What one process does."""
-
-    CUBE = "cube"
-    TRACKER = "tracker"
-    BOTH = "both"
-
-
-@dataclass(frozen=True, slots=True)
-class Rig:
-    """The instruments of one process, real or simulated.
-
-    Attributes
-    ----------
-    multiplexer, voltmeter, positioner
-        None where the role has no use for them.
-    wind_speed_m_s
-        Latest wind speed [m/s]; None where there is no wind sensor at all.
-    simulated
-        True if any of it is a simulation.
-    sky_text
-        One line about the simulated sky for displays, or None.
-    load
-        None where there is none on the tracker's module.
-    clock_synchronised
-        Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
-    """
-
-    multiplexer: Multiplexer | None
-    voltmeter: Voltmeter | None
-    positioner: Positioner | None
-    wind_speed_m_s: Callable[[], float | None] | None
-    simulated: bool
-    sky_text: Callable[[], str] | None = None
-    load: ElectronicLoad | None = None
-    clock_synchronised: Callable[[], bool | None] = lambda: None
 
 
 class Service:
@@ -106,7 +53,7 @@ class Service:
     polling
         How often to look at the positioner.
     stow_sources
-        Reasons to stow besides the rig's wind sensor and the operator.
+        Reasons to stow besides the rig's wind sensor and the operator, by the name of the tracker.
     send_beyond
         Takes each signed scan of the cube to trackers that UDP does not reach, or None.
     """
@@ -124,7 +71,7 @@ class Service:
         speed: float = 1.0,
         calibration: CubeCalibration | None = None,
         polling: Polling = OFTEN,
-        stow_sources: Sequence[StowSource] = (),
+        stow_sources: Mapping[str, Sequence[StowSource]] = MappingProxyType({}),
         send_beyond: Callable[[bytes], None] | None = None,
     ) -> None:
         self.settings = settings
@@ -132,28 +79,24 @@ class Service:
         self.rig = rig
         self.clock = clock
         self.bus = bus
-        self.alarms = Alarms(clock, bus.publish)
+        self.cube_alarms = Alarms(clock, bus.publish)
         self._random = random
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
         self._expiry = ExpiryWatch(calibration, bus.publish)
-        self._polling = polling
-        self._stow_sources = stow_sources
         self._send_beyond = send_beyond
         self.sun_elevation_deg = SunElevation(settings.site.place())
         self.receiver: BridgeReceiver | None = None
         self.sender: BridgeSender | None = None
         self.acquisition: Acquisition | None = None
-        self.motion: Motion | None = None
-        self.control: Control | None = None
-        self.curves: IvAcquisition | None = None
-        self.stow_watch: StowWatch | None = None
+        self.trackers: tuple[Tracker, ...] = ()
         if role is not Role.CUBE:
-            self._build_tracker()
+            self.trackers = tuple(self._build_trackers(random, polling, stow_sources))
+            self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive)
         if role is not Role.TRACKER:
             self._build_cube()
-        self._watchdog = Watchdog(clock, notifier, self.control, self.acquisition, speed)
+        self._watchdog = Watchdog(clock, notifier, self.trackers, self.acquisition, speed)
 
     def _build_cube(self) -> None:
         settings, rig = self.settings, self.rig
@@ -172,55 +115,43 @@ class Service:
             self.sun_elevation_deg,
             rig.simulated,
             self.calibration.identifier if self.calibration else "",
-            FaceWatch(settings.site, cube, self.clock, self.alarms),
+            FaceWatch(settings.site, cube, self.clock, self.cube_alarms),
         )
 
-    def _build_tracker(self) -> None:
-        settings, rig = self.settings, self.rig
-        if rig.positioner is None:
-            raise ValueError("the tracker's role needs a positioner")
-        limits = settings.limits.limits()
-        sources: list[StowSource] = [*self._stow_sources]
-        if rig.wind_speed_m_s is not None:
-            sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
-        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), self.clock, self._look_again)
-        self.motion = Motion(
-            rig.positioner,
-            limits,
-            settings.motion,
-            settings.instruments.positioner,
-            self.clock,
-            self._random,
-            self.bus.publish,
-            self._look_again,
-            self.alarms,
-            self._polling,
-            settings.store.directory,
-        )
-        self.control = Control(
-            settings,
-            self.clock,
-            self.motion,
-            build_pointing(settings, self.clock.utc()),
-            self.sun_elevation_deg,
-            self.stow_watch,
-            Orders(self.clock, WishFile(settings.store.directory)),
-            self.bus.publish,
-            self.alarms,
-            ClockWatch(self.clock, self.alarms, rig.clock_synchronised),
-        )
-        self.bus.subscribe(self.control.note)
-        self.receiver = BridgeReceiver(settings.bridge, self._key, self.clock, self.control.receive)
-        if rig.load is not None:
-            stale_s = settings.safety.scan_stale_s
-            self.curves = IvAcquisition(
-                settings.load, rig.load, self.clock, self._random, self.bus.publish, self.sun_elevation_deg, stale_s
+    def _build_trackers(
+        self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
+    ) -> Iterator[Tracker]:
+        wanted = self.settings.trackers
+        if len(wanted) != len(self.rig.trackers):
+            raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
+        for (name, settings), instruments in zip(wanted, self.rig.trackers, strict=True):
+            same_place = settings.site.place() == self.settings.site.place()
+            tracker = Tracker(
+                name=name,
+                settings=settings,
+                instruments=instruments,
+                rig=self.rig,
+                clock=self.clock,
+                random=random,
+                publish=self.bus.publish,
+                sun_elevation_deg=self.sun_elevation_deg if same_place else SunElevation(settings.site.place()),
+                polling=polling,
+                stow_sources=stow_sources.get(name, ()),
+                alone=len(wanted) == 1,
+                muted=self._mute_cube,
             )
-            self.bus.subscribe(self.curves.note)
+            self.bus.subscribe(tracker.note)
+            yield tracker
 
-    def _look_again(self) -> None:
-        if self.control is not None:
-            self.control.look_again()
+    def _mute_cube(self) -> None:
+        """Keep the cube's alarms silent while nobody is left who would want to hear them: all trackers are muted."""
+        self.cube_alarms.mute(muted=all(tracker.alarms.muted for tracker in self.trackers))
+
+    def _receive(self, scan: Scan) -> None:
+        """Hand a scan of the bridge to every tracker, and to the bus."""
+        for tracker in self.trackers:
+            tracker.receive(scan)
+        self.bus.publish(scan)
 
     async def run(self, stop: asyncio.Event, *companions: Coroutine[Any, Any, None]) -> None:
         """Run until `stop` is set; motion is stopped before anything else ends.
@@ -240,7 +171,8 @@ class Service:
         """
         try:
             await self._open_bridge()
-            self._tell_of_wind()
+            for tracker in self.trackers:
+                tracker.tell_of_wind()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [
@@ -249,7 +181,7 @@ class Service:
                     self._notifier.ready()
                     await stop.wait()
                     self._notifier.stopping()
-                    await self._stop_motion()
+                    await asyncio.gather(*(tracker.stop_motion() for tracker in self.trackers))
                     for task in tasks:
                         task.cancel()
             except BaseExceptionGroup as group:
@@ -264,11 +196,6 @@ class Service:
                 await self.receiver.close()
             for companion in companions:
                 companion.close()
-
-    def _tell_of_wind(self) -> None:
-        watch, accepted = self.stow_watch, self.settings.safety.without_wind_source == "accepted"
-        if watch is not None and not (watch.watched or self.rig.simulated or accepted):
-            self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
@@ -295,14 +222,11 @@ class Service:
 
     def _work(self, companions: tuple[Coroutine[Any, Any, None], ...]) -> list[tuple[str, Awaitable[None]]]:
         work: list[tuple[str, Awaitable[None]]] = [("watchdog", self._watchdog.run())]
-        if self.motion is not None and self.control is not None:
-            work += [("motion", self.motion.run()), ("control", self.control.run())]
-        if self.stow_watch is not None and self.rig.wind_speed_m_s is not None:
-            work.append(("stow", self.stow_watch.run()))
+        for tracker in self.trackers:
+            of = f" of {tracker.name}" if len(self.trackers) > 1 else ""
+            work += [(f"{name}{of}", part) for name, part in tracker.work()]
         if self.acquisition is not None:
             work.append(("acquisition", self.acquisition.run()))
-        if self.curves is not None:
-            work.append(("load", self.curves.run()))
         work += [(getattr(companion, "__name__", "companion"), companion) for companion in companions]
         return work
 
@@ -320,15 +244,6 @@ class Service:
             log.exception("the task '%s' died; the service stops", name)
             self.bus.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", f"the task '{name}' died"))
             raise
-
-    async def _stop_motion(self) -> None:
-        if self.motion is None:
-            return
-        left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
-        if left is None:
-            log.info("motion stopped: telemetry shows both axes standing")
-        else:
-            log.warning("motion is not known to be stopped: %s", left)
 
 
 def _first(group: BaseExceptionGroup[UserError]) -> UserError:

@@ -1,30 +1,38 @@
-"""The state of the service as JSON: every value with its age and what it is worth."""
+"""A snapshot of the service as JSON: every value with its age and what it is worth."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from operator import attrgetter
 from typing import Any
 
 from daemon.base.alarms import Alarm
 from daemon.base.clock import iso_utc
-from daemon.base.records import FACES, Pose, Quality, Record, Scan
+from daemon.base.records import FACES, Record
 from daemon.cube.calibration import CubeCalibration
-from daemon.motion.motion import Motion
-from daemon.service.recent import Recent
-from daemon.service.service import Service
+from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from daemon.store.tables import COLUMNS, with_irradiances
-from daemon.tracker.budget import DayBudget
-from daemon.tracker.curves import IvAcquisition
-from daemon.tracker.stow_watch import StowWatch
+from daemon.tracker.control import ControlState
 from daemon.tracker.wishes import Wish
-
-# Telemetry comes every 10 s at rest and more often on the way.
-POSE_STALE_S = 30.0
+from solar.frames import Limits
 
 _NAMES = {kind: name.removesuffix("s") for kind, (name, _) in COLUMNS.items()}
+# What belongs to one tracker. A process of one tracker has it at the top too, as scripts and dashboards know it.
+_OF_A_TRACKER = (
+    "mode",
+    "wishes",
+    "today",
+    "irradiances",
+    "decision",
+    "law",
+    "next_decision_s",
+    "tracker",
+    "load",
+    "wind",
+    "mqtt",
+)
 
 
 def kind_of(record: Record) -> str:
@@ -48,81 +56,98 @@ def number(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def state(
-    service: Service, recent: Recent, speed: float, store: StoreStatus | None, mqtt: LinkStatus | None = None
-) -> dict[str, Any]:
-    """Return everything there is to see of the service now.
+def state_json(seen: Snapshot) -> dict[str, Any]:
+    """Return the state of the whole process: its trackers by name, and a single one's values at the top as well."""
+    only = seen.trackers[0] if len(seen.trackers) == 1 else None
+    alarms: list[tuple[Alarm, str | None]] = [(alarm, None) for alarm in seen.cube_alarms]
+    alarms += [(alarm, tracker.name) for tracker in seen.trackers for alarm in tracker.alarms]
+    own = {tracker.name: _tracker_json(seen, tracker) for tracker in seen.trackers}
+    return _common(seen, alarms) | _at_the_top(seen, only) | {"trackers": own}
 
-    A face's quality is ``stale`` where its reading has become too old to be used, whatever it was before.
-    """
-    clock, settings = service.clock, service.settings
-    now_s, utc_s = clock.monotonic(), clock.utc()
-    site, acquisition, control = settings.site, service.acquisition, service.control
-    found: dict[str, Any] = {
-        "version": version("heliocube"),
-        "simulated": service.rig.simulated,
-        "speed": speed,
-        "role": service.role.value,
-        "time": iso_utc(utc_s),
+
+def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
+    """Return the state of one tracker, with its cube's and its process' but without other trackers."""
+    tracker = next(tracker for tracker in seen.trackers if tracker.name == name)
+    alarms = [*((alarm, None) for alarm in seen.cube_alarms), *((alarm, name) for alarm in tracker.alarms)]
+    return _common(seen, alarms) | _at_the_top(seen, tracker)
+
+
+def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[str, Any]:
+    """Return what is not of one tracker."""
+    ordered = sorted(alarms, key=lambda item: item[0].since_utc_s)
+    return {
+        "version": seen.version,
+        "simulated": seen.simulated,
+        "speed": seen.speed,
+        "role": seen.role,
+        "time": iso_utc(seen.time_utc_s),
         "site": {
-            "name": site.name,
-            "latitude_deg": site.latitude_deg,
-            "longitude_deg": site.longitude_deg,
-            "altitude_m": site.altitude_m,
+            "name": seen.site.name,
+            "latitude_deg": seen.site.latitude_deg,
+            "longitude_deg": seen.site.longitude_deg,
+            "altitude_m": seen.site.altitude_m,
         },
-        "sun_elevation_deg": number(service.sun_elevation_deg(utc_s)),
-        "sky": None if service.rig.sky_text is None else service.rig.sky_text(),
-        "scan": None if recent.scan is None else _scan(recent.scan, now_s, settings.safety.scan_stale_s),
-        "calibration": None if service.calibration is None else _calibration(service.calibration, utc_s),
-        "cube_down_why": acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
-        "wind": None if service.stow_watch is None else _wind(service.stow_watch, now_s),
-        "alarms": [_alarm(alarm) for alarm in service.alarms.active],
-        "mode": None,
-        "wishes": None,
-        "today": None,
-        "irradiances": None,
-        "decision": None,
-        "law": None,
-        "next_decision_s": None,
-        "tracker": None,
-        "load": None,
-        "bridge": None,
-        "store": None if store is None else _store(store),
-        "mqtt": None if mqtt is None else _mqtt(mqtt),
-        "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in recent.news],
+        "sun_elevation_deg": number(seen.sun_elevation_deg),
+        "sky": seen.sky,
+        "scan": _scan(seen),
+        "calibration": None if seen.calibration is None else _calibration(seen.calibration, seen.time_utc_s),
+        "cube_down_why": seen.cube_down_why,
+        "alarms": [_alarm(alarm) | {"tracker": tracker} for alarm, tracker in ordered],
+        "bridge": None
+        if seen.bridge is None
+        else {"accepted": seen.bridge.accepted, "lost": seen.bridge.lost, "refused": seen.bridge.refused},
+        "store": None if seen.store is None else _store(seen.store),
+        "news": [{"time": iso_utc(item.time_utc_s), "text": item.text} for item in seen.news],
     }
-    if control is not None and service.motion is not None:
-        seen = control.state
-        found["mode"] = {"name": seen.mode.value, "why": seen.why, "since": iso_utc(seen.since_utc_s)}
-        if seen.irradiances is not None:
-            names = [*(f"{face}_w_m2" for face in FACES), "coverage"]
-            found["irradiances"] = {name: number(getattr(seen.irradiances, name)) for name in names}
-        if seen.decision is not None:
-            found["decision"] = record_json(seen.decision) | {
-                "age_s": number(round(now_s - seen.decision.time_monotonic_s, 3))
-            }
-        found["next_decision_s"] = number(seen.next_decision_s)
-        found["law"] = {"name": settings.law.name} | control.pointing.law.shown()
-        found["wishes"] = {name: _wish(wish) for name, wish in control.wishes}
-        found["today"] = _today(control.budget)
-        found["tracker"] = _tracker(service.motion, now_s)
-        limits = settings.limits.limits()
-        found["tracker"]["limits"] = {
-            "a_min_deg": limits.a_min_deg,
-            "a_max_deg": limits.a_max_deg,
-            "b_min_deg": limits.b_min_deg,
-            "b_max_deg": limits.b_max_deg,
-        }
-    if service.curves is not None:
-        found["load"] = _load(service.curves, now_s)
-    if service.receiver is not None:
-        counts = service.receiver.statistics
-        found["bridge"] = {"accepted": counts.accepted, "lost": counts.lost, "refused": counts.refused}
-    return found
 
 
-def _wind(watch: StowWatch, now_s: float) -> list[dict[str, Any]]:
-    return [{name: number(value) for name, value in asdict(status).items()} for status in watch.statuses(now_s)]
+def _at_the_top(seen: Snapshot, tracker: TrackerState | None) -> dict[str, Any]:
+    if tracker is not None:
+        return _tracker_json(seen, tracker)
+    process = seen.links.get("")
+    return dict.fromkeys(_OF_A_TRACKER) | {"mqtt": None if process is None else _mqtt(process)}
+
+
+def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
+    control, now_s = tracker.control, seen.time_monotonic_s
+    link = seen.links.get(tracker.name)
+    since = iso_utc(control.since_utc_s)
+    return {
+        "mode": {"name": control.mode.value, "why": control.why, "since": since},
+        "wishes": {name: _wish(wish) for name, wish in tracker.wishes},
+        "today": {
+            "travelled_deg": tracker.today.travelled_deg,
+            "moves": tracker.today.moves,
+            "left": {"travel_deg": tracker.today.travel_left_deg, "moves": tracker.today.moves_left},
+        },
+        "irradiances": _irradiances(control),
+        "decision": None
+        if control.decision is None
+        else record_json(replace(control.decision, tracker=tracker.name))
+        | {"age_s": number(round(now_s - control.decision.time_monotonic_s, 3))},
+        "law": {"name": tracker.law} | dict(tracker.law_shown),
+        "next_decision_s": number(control.next_decision_s),
+        "tracker": _positioner(tracker.positioner, tracker.name) | {"limits": _limits(tracker.limits)},
+        "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
+        "wind": [{name: number(value) for name, value in asdict(status).items()} for status in tracker.wind],
+        "mqtt": None if link is None else _mqtt(link),
+    }
+
+
+def _irradiances(control: ControlState) -> dict[str, Any] | None:
+    if control.irradiances is None:
+        return None
+    names = [*(f"{face}_w_m2" for face in FACES), "coverage"]
+    return {name: number(getattr(control.irradiances, name)) for name in names}
+
+
+def _limits(limits: Limits) -> dict[str, float]:
+    return {
+        "a_min_deg": limits.a_min_deg,
+        "a_max_deg": limits.a_max_deg,
+        "b_min_deg": limits.b_min_deg,
+        "b_max_deg": limits.b_max_deg,
+    }
 
 
 def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
@@ -146,31 +171,23 @@ def _wish(wish: Wish | None) -> dict[str, Any] | None:
     return {"why": wish.why, "by": wish.by, "since": since}
 
 
-def _today(budget: DayBudget) -> dict[str, Any]:
-    """Return what the laws have moved on this solar day and may still move."""
-    return {
-        "travelled_deg": budget.used.travelled_deg,
-        "moves": budget.used.moves,
-        "left": {"travel_deg": budget.travel_left_deg, "moves": budget.moves_left},
-    }
-
-
-def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
-    age_s = now_s - scan.time_monotonic_s
-    stale = not (age_s <= stale_s)
+def _scan(seen: Snapshot) -> dict[str, Any] | None:
+    scan, now_s = seen.scan, seen.time_monotonic_s
+    if scan is None:
+        return None
     return {
         "source": scan.source,
         "session": scan.session,
         "sequence": scan.sequence,
         "time": iso_utc(scan.time_utc_s),
-        "age_s": number(round(age_s, 3)),
-        "stale": stale,
+        "age_s": number(round(now_s - scan.time_monotonic_s, 3)),
+        "stale": seen.scan_is_stale,
         "simulated": scan.simulated,
         "calibration": scan.calibration or None,
         "faces": {
             name: {
                 "irradiance_w_m2": number(face.irradiance_w_m2),
-                "quality": (Quality.STALE if stale and face.quality is Quality.OK else face.quality).value,
+                "quality": seen.face_quality(name).value,
                 "age_s": number(round(now_s - face.time_monotonic_s, 3)),
             }
             for name, face in zip(FACES, scan.faces, strict=True)
@@ -178,53 +195,56 @@ def _scan(scan: Scan, now_s: float, stale_s: float) -> dict[str, Any]:
     }
 
 
-def _load(curves: IvAcquisition, now_s: float) -> dict[str, Any]:
-    last = curves.last
+def _load(load: LoadState, tracker: str, now_s: float) -> dict[str, Any]:
+    curve = load.curve
     return {
-        "connected": curves.identity is not None,
-        "down_why": curves.outage.reason if curves.outage.is_down else None,
-        "identity": curves.identity,
+        "connected": load.identity is not None,
+        "down_why": load.down_why,
+        "identity": load.identity,
         "curve": None
-        if last is None
-        else record_json(replace(last, curve="")) | {"age_s": number(round(now_s - last.time_monotonic_s, 3))},
+        if curve is None
+        else record_json(replace(curve, tracker=tracker)) | {"age_s": number(round(now_s - curve.time_monotonic_s, 3))},
     }
 
 
-def _tracker(motion: Motion, now_s: float) -> dict[str, Any]:
-    telemetry, identity, target, last = motion.telemetry, motion.identity, motion.target, motion.last_move
+def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
+    telemetry, identity, target, last = seen.telemetry, seen.identity, seen.target, seen.last_move
     return {
-        "connected": motion.connected,
-        "down_why": motion.outage.reason if motion.outage.is_down else None,
+        "name": tracker,
+        "connected": seen.connected,
+        "down_why": seen.down_why,
         "identity": None
         if identity is None
         else {"board": identity.board, "firmware": identity.firmware, "serial": identity.serial},
-        "pose": None if motion.pose is None else _pose(motion.pose, now_s, connected=motion.connected),
-        "moving": motion.target is not None,
-        "homing": motion.homing,
+        "pose": _pose(seen),
+        "moving": target is not None,
+        "homing": seen.homing,
         "target": None if target is None else {"a_deg": target.a_deg, "b_deg": target.b_deg, "why": target.why},
-        "blocked_why": motion.blocked,
-        "doubt_why": motion.doubt,
+        "blocked_why": seen.blocked_why,
+        "doubt_why": seen.doubt_why,
         "faults": [] if telemetry is None else list(telemetry.faults),
-        "concerns": list(motion.concerns),
-        "unexplained_why": motion.unexplained,
+        "concerns": list(seen.concerns),
+        "unexplained_why": seen.unexplained_why,
         "button_pressed": None if telemetry is None else telemetry.button_pressed,
         "motor_current_a": {
             "a": None if telemetry is None else number(telemetry.a_motor_current_a),
             "b": None if telemetry is None else number(telemetry.b_motor_current_a),
         },
         "supply_v": None if telemetry is None else number(telemetry.supply_v),
-        "last_move": None if last is None else record_json(last),
+        "last_move": None if last is None else record_json(replace(last, tracker=tracker)),
     }
 
 
-def _pose(pose: Pose, now_s: float, *, connected: bool) -> dict[str, Any]:
-    age_s = now_s - pose.time_monotonic_s
+def _pose(seen: PositionerState) -> dict[str, Any] | None:
+    pose = seen.pose
+    if pose is None or seen.pose_age_s is None:
+        return None
     return {
         "a_deg": number(pose.a_deg),
         "b_deg": number(pose.b_deg),
         "time": iso_utc(pose.time_utc_s),
-        "age_s": number(round(age_s, 3)),
-        "stale": not (connected and age_s <= POSE_STALE_S),
+        "age_s": number(round(seen.pose_age_s, 3)),
+        "stale": seen.pose_is_stale,
     }
 
 

@@ -24,12 +24,12 @@ from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
-from daemon.motion.motion import Motion, Polling
+from daemon.motion.motion import Polling
 from daemon.rigs.simulated import build_simulated_positioner
-from daemon.service.service import Rig, Role, Service
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.studies.send_csv import Row
-from daemon.tracker.control import Control
 from daemon.tracker.pointing import Pointing
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
@@ -148,7 +148,7 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
         service = Service(
             settings,
             Role.TRACKER,
-            Rig(None, None, positioner, None, simulated=True),
+            Rig(None, None, (TrackerInstruments(positioner),), None, simulated=True),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             Bus(),
@@ -156,24 +156,18 @@ def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], No
             Notifier({}, 0),
             polling=_POLLING,
         )
-        log = _Log(_parts(service)[0].pointing)
+        log = _Log(service.trackers[0].control.pointing)
         runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 
 
 async def _beside(service: Service, feeding: Coroutine[Any, Any, None]) -> None:
     """Feed the tracker's parts while they run; a part that dies ends all."""
-    _, motion = _parts(service)
+    motion = service.trackers[0].motion
     async with asyncio.TaskGroup() as group:
         moving = group.create_task(motion.run())
         await group.create_task(feeding)
         moving.cancel()
-
-
-def _parts(service: Service) -> tuple[Control, Motion]:
-    assert service.control is not None  # noqa: S101 - narrowing; the tracker's role has both
-    assert service.motion is not None  # noqa: S101 - as above
-    return service.control, service.motion
 
 
 class _Feeder:
@@ -182,7 +176,8 @@ class _Feeder:
     def __init__(
         self, service: Service, truth: Callable[[float], Angles], loop: VirtualTimeLoop, clock: LoopClock, log: _Log
     ) -> None:
-        self._control, self._motion = _parts(service)
+        (tracker,) = service.trackers
+        self._control, self._motion = tracker.control, tracker.motion
         self._cube = service.settings.cube
         self._sun_elevation_deg = service.sun_elevation_deg
         self._truth = truth

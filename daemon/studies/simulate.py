@@ -19,7 +19,8 @@ from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.motion.motion import SIMULATED
 from daemon.rigs.simulated import build_simulated_rig, build_weather
-from daemon.service.service import Role, Service
+from daemon.service.rig import Role
+from daemon.service.service import Service
 from daemon.store.tables import TableWriter
 from solar.ephemeris import DAY_S, sun_day
 

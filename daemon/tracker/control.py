@@ -134,7 +134,6 @@ class Control(Doors):
         self._readings.add(scan)
         if self._clock_watch.trusted:
             self.pointing.receive(scan, self._clock.utc())
-        self._publish(scan)
         if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
             # It may be what was waited for.
             self._wake.set()

@@ -9,8 +9,9 @@ from daemon.api.app import Api
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.service.operator import CommandError, Operator
-from daemon.service.operator_commands import NAMES
+from daemon.service.operator_commands import NAMES, Operators
 from daemon.service.recent import Recent
+from daemon.service.snapshot import snapshot
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Direct:
         return hasattr(Operator, name)
 
     async def give(self, service, name, value, why):
-        answer = await getattr(Operator(service, 1.0), name)(*value, why)
+        answer = await getattr(Operator(service.trackers[0], 1.0), name)(*value, why)
         return Reply(answer.done, answer.text)
 
 
@@ -59,7 +60,9 @@ class Http:
         return Reply(found["done"], found["text"])
 
     async def _post(self, service, name, body):
-        app = Api(service, Recent(), _TOKEN, 1.0, lambda: None, lambda: None).app
+        recent = Recent()
+        operators = Operators(service.trackers, 1.0)
+        app = Api(lambda: snapshot(service, recent, 1.0, None, {}), recent, operators, _TOKEN, 1.0).app
         sent = []
 
         async def receive():
@@ -83,7 +86,7 @@ class Mqtt:
 
     async def give(self, service, name, value, why):
         replies = asyncio.Queue()
-        commands = Commands(Operator(service, 1.0), replies.put_nowait)
+        commands = Commands(Operators(service.trackers, 1.0), replies.put_nowait)
         payload = json.dumps(_said(name, value, why)).encode()
         commands.take(name, Incoming(f"x/command/{name}", payload, retained=False))
         async with asyncio.timeout(_DONE_BY_MQTT_S):

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from daemon.base.records import Bus
 from daemon.config.settings import Settings
-from daemon.service.service import Role
+from daemon.service.rig import Role
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from solar.frames import Angles

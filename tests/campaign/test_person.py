@@ -51,8 +51,8 @@ def breaks(service):
 
 
 def kills(service):
-    service.control.tick = None
-    service.control.look_again()
+    service.trackers[0].control.tick = None
+    service.trackers[0].control.look_again()
     return Reply(done=False, text="")
 
 

@@ -40,7 +40,7 @@ def show(bench, **fields):
 
 
 def alarms(bench):
-    return {alarm.name: alarm.text for alarm in bench.service.alarms.active}
+    return {alarm.name: alarm.text for alarm in bench.tracker.alarms.active}
 
 
 def speed(bench, seconds):

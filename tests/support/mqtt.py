@@ -13,10 +13,11 @@ import pytest
 from daemon.base.process import Notifier
 from daemon.base.timeloop import ScaledTimeLoop
 from daemon.config.settings import Settings
-from daemon.mqtt.companion import Mqtt
+from daemon.mqtt.companion import links
 from daemon.service.recent import Recent
-from daemon.service.service import Rig, Role, Service
-from daemon.service.state import state
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
+from daemon.service.snapshot import snapshot
 from tests.support.broker import LEFT_OUT, MOSQUITTO, Broker
 from tests.support.rig import KEY, Bench, HandWeather
 
@@ -126,7 +127,7 @@ class MqttBench(Bench):
 
     def __init__(self, loop, settings, speed, role=Role.BOTH, start="2022-10-12T10:00"):
         super().__init__(loop, settings, datetime.fromisoformat(start).replace(tzinfo=UTC), HandWeather(), role)
-        self.mqtt = Mqtt(settings, role, self.clock, Random(1), self.bus.publish, speed)
+        ((name, self.mqtt),) = links(settings, role, self.clock, Random(1), self.bus.publish, speed).items()
         recent = Recent()
         self.bus.subscribe(recent.note)
         tracker, cube = role is not Role.CUBE, role is not Role.TRACKER
@@ -136,7 +137,7 @@ class MqttBench(Bench):
             Rig(
                 self.multiplexer if cube else None,
                 self.voltmeter if cube else None,
-                self.positioner if tracker else None,
+                (TrackerInstruments(self.positioner),) if tracker else (),
                 lambda: self.wind_m_s,
                 simulated=True,
             ),
@@ -146,10 +147,10 @@ class MqttBench(Bench):
             KEY,
             Notifier({}, 0),
             1.0,
-            stow_sources=self.mqtt.stow_sources(),
+            stow_sources={name: self.mqtt.stow_sources()},
             send_beyond=self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
         )
-        self.mqtt.attach(self.service, lambda: state(self.service, recent, speed, None, self.mqtt.status))
+        self.mqtt.attach(self.service, lambda: snapshot(self.service, recent, speed, None, {name: self.mqtt.status}))
 
     async def run_until(self, stop):
         await self.service.run(stop, self.mqtt.run())

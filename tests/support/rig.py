@@ -13,7 +13,10 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
-from daemon.service.service import Rig, Role, Service
+from daemon.service.recent import Recent
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
+from daemon.service.snapshot import snapshot
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
@@ -94,10 +97,9 @@ class Bench:
             Rig(
                 self.multiplexer,
                 self.voltmeter,
-                self.positioner,
+                (TrackerInstruments(self.positioner, None if settings.load.driver == "none" else self.load),),
                 lambda: self.wind_m_s,
                 simulated=True,
-                load=None if settings.load.driver == "none" else self.load,
             ),
             self.clock,
             Random(1),
@@ -112,16 +114,24 @@ class Bench:
         return self.scene.sensor_voltage(channel, utc_s) if channel < 4 else None
 
     @property
+    def tracker(self):
+        return self.service.trackers[0]
+
+    @property
     def control(self):
-        return self.service.control
+        return self.tracker.control
 
     @property
     def motion(self):
-        return self.service.motion
+        return self.tracker.motion
 
     @property
     def mode(self):
         return self.control.mode
+
+    def see(self, recent=None, store=None):
+        """Take a snapshot; `recent` knows what came over the bus, as far as a test wants to see of it."""
+        return snapshot(self.service, Recent() if recent is None else recent, 1.0, store, {})
 
     def truth(self):
         return self.unit.truth(self.clock.monotonic())

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from daemon.commands.run import run_service
 from daemon.config.settings import Settings
-from daemon.service.service import Role
+from daemon.service.rig import Role
 from daemon.store.schema import FILE_NAME, open_for_reading, open_for_writing
 from daemon.store.tables import COLUMNS
 

@@ -19,7 +19,8 @@ from daemon.commands.config import check_file
 from daemon.config.file import load_settings
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather
-from daemon.service.service import Role, Service
+from daemon.service.rig import Role
+from daemon.service.service import Service
 from tests.system.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"

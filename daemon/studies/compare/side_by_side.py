@@ -17,7 +17,8 @@ from daemon.config.links import StoreSettings
 from daemon.config.sections import LawName
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import SimulatedPair
-from daemon.service.service import Role, Service
+from daemon.service.rig import Role
+from daemon.service.service import Service
 from daemon.studies.compare.measurements import Measurement
 from solar.ephemeris import DAY_S
 from solar.frames import normal_from_angles
@@ -46,21 +47,23 @@ NOISE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Tracker:
+class ComparedTracker:
     """One of the two trackers: its name and its law."""
 
     name: str
     law: LawName
 
 
-def two_trackers(cube_law: LawName = "mu-prime", chrono_law: LawName = "chronometric") -> tuple[Tracker, Tracker]:
+def two_trackers(
+    cube_law: LawName = "mu-prime", chrono_law: LawName = "chronometric"
+) -> tuple[ComparedTracker, ComparedTracker]:
     """Return T-Cube and T-Chrono as the paper has them, or under other laws."""
-    return Tracker(T_CUBE, cube_law), Tracker(T_CHRONO, chrono_law)
+    return ComparedTracker(T_CUBE, cube_law), ComparedTracker(T_CHRONO, chrono_law)
 
 
 def side_by_side(
     settings: Settings,
-    trackers: tuple[Tracker, Tracker],
+    trackers: tuple[ComparedTracker, ComparedTracker],
     build: Callable[[Clock], SimulatedPair],
     start_utc_s: float,
     days: float,
@@ -121,7 +124,7 @@ class _Poses:
 
 async def _run_both(
     settings: Settings,
-    trackers: tuple[Tracker, Tracker],
+    trackers: tuple[ComparedTracker, ComparedTracker],
     pair: SimulatedPair,
     clock: LoopClock,
     poses: _Poses,
@@ -167,7 +170,7 @@ async def _run_both(
 
 
 def _measure(
-    settings: Settings, trackers: tuple[Tracker, Tracker], pair: SimulatedPair, poses: _Poses
+    settings: Settings, trackers: tuple[ComparedTracker, ComparedTracker], pair: SimulatedPair, poses: _Poses
 ) -> list[Measurement]:
     """Return what is measured of both modules at every curve with light."""
     found = np.frombuffer(poses.found).reshape(-1, 5)

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from daemon.api.app import Api
 from daemon.api.server import ApiServer
 from daemon.base.records import Event, Mode
+from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
 from daemon.store.store import StoreStatus
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
@@ -59,6 +61,14 @@ class Caller:
         return await self("POST", f"/api/{name}", body, headers)
 
 
+def server_of(bench, settings, recent=None, store=None):
+    """Return the local interface of a bench's service."""
+    recent = Recent() if recent is None else recent
+    operators = Operators(bench.service.trackers, 1.0)
+    api = Api(lambda: bench.see(recent, store), recent, operators, TOKEN, 1.0)
+    return ApiServer(settings, api, bench.clock, bench.bus.publish, 1.0)
+
+
 @pytest.fixture
 def serve(run_rig):
     """Run a scenario with the bench and a caller of its local interface."""
@@ -68,7 +78,7 @@ def serve(run_rig):
             recent = Recent()
             bench.bus.subscribe(recent.note)
             settings = bench.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-            server = ApiServer(settings, bench.service, recent, TOKEN, 1.0, lambda: None)
+            server = server_of(bench, settings, recent)
             serving = asyncio.create_task(server.run())
             try:
                 await scenario(bench, Caller(server))
@@ -200,9 +210,9 @@ def test_metrics_are_those_of_prometheus(serve):
         lines = reply.body.decode().splitlines()
         assert "text/plain" in reply.head
         assert 'heliocube_info{role="both",simulated="true",version="0.1.0"} 1.0' in lines
-        assert 'heliocube_mode{mode="tracking"} 1.0' in lines
-        assert "heliocube_moving 1.0" in lines
-        assert f'heliocube_angle_degrees{{axis="a"}} {bench.motion.pose.a_deg}' in lines
+        assert 'heliocube_mode{mode="tracking",tracker="tracker"} 1.0' in lines
+        assert 'heliocube_moving{tracker="tracker"} 1.0' in lines
+        assert f'heliocube_angle_degrees{{axis="a",tracker="tracker"}} {bench.motion.pose.a_deg}' in lines
         names = [line.split("{")[0].split()[0] for line in lines if not line.startswith("#")]
         assert all(name.startswith("heliocube_") for name in names)
         assert "python_info" not in names
@@ -280,7 +290,7 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
         (b"\xff\xfe", 400, "the body is not JSON"),
         (b"[" * 4000, 400, "the body is not JSON"),
         (b"[1]", 400, 'the body is not a JSON object, such as {"why": "maintenance"}'),
-        (b'{"when": 1}', 400, "the body has 'when', but may have only why, by, id"),
+        (b'{"when": 1}', 400, "the body has 'when', but may have only why, by, id, tracker"),
         (b'{"why": 3}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "a\\nb"}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "' + b"x" * 201 + b'"}', 400, '"why" must be one line of text with at most 200 letters'),
@@ -325,7 +335,7 @@ def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_
     async def scenario(bench, call):
         port = call.server.url.rpartition(":")[2]
         settings = bench.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
-        second = ApiServer(settings, bench.service, Recent(), TOKEN, 1.0, lambda: None)
+        second = server_of(bench, settings)
         assert second.url is None
         serving = asyncio.create_task(second.run())
         await asyncio.sleep(300)
@@ -367,8 +377,8 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
         await tracking(bench)
         assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": 0.75, "b": None}
         metrics = (await call.get("/metrics")).body.decode()
-        assert 'heliocube_motor_amperes{axis="a"} 0.75' in metrics
-        assert 'heliocube_motor_amperes{axis="b"}' not in metrics
+        assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
+        assert 'heliocube_motor_amperes{axis="b"' not in metrics
         assert "heliocube_angle_degrees{" in metrics
         bench.positioner.link_up = False
         await bench.until(lambda: not bench.motion.connected, 15, "the loss")
@@ -400,7 +410,7 @@ def test_health_names_a_store_that_is_down(run_rig):
     async def scenario(bench):
         down = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
         settings = bench.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-        server = ApiServer(settings, bench.service, Recent(), TOKEN, 1.0, lambda: down)
+        server = server_of(bench, settings, store=down)
         serving = asyncio.create_task(server.run())
         reply = await Caller(server).get("/healthz")
         assert (reply.status, reply.json["down"]) == (200, ["store: the disk is full"])

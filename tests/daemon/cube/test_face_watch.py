@@ -14,7 +14,7 @@ def qualities(bench):
 
 
 def alarm(bench):
-    return next((alarm.text for alarm in bench.service.alarms.active if alarm.name == "cube-face"), None)
+    return next((alarm.text for alarm in bench.service.cube_alarms.active if alarm.name == "cube-face"), None)
 
 
 def every_face(bench):

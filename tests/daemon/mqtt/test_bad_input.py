@@ -12,7 +12,7 @@ import pytest
 from daemon.base.records import Decision, Event, Mode
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings
-from daemon.service.service import Role
+from daemon.service.rig import Role
 from tests.support.broker import CERTIFICATES
 from tests.support.mqtt import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
 

@@ -7,7 +7,7 @@ import pytest
 from daemon.base.records import Mode, Quality, Scan
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError
-from daemon.service.service import Role
+from daemon.service.rig import Role
 from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
 
 TOPIC = "site/cube/bridge"

@@ -10,16 +10,18 @@ from daemon.api.metrics import Metrics
 from daemon.base.records import Mode
 from daemon.commands.screen import render
 from daemon.service.recent import Recent
-from daemon.service.state import state
+from daemon.service.snapshot import snapshot
+from daemon.service.state import state_json
 from tests.support.mqtt import SPEED, MqttBench, calm, observer, serving, settings_for, until
 
 
 def seen_of(rig):
     """Return the metrics by name and label, and the lines of the status."""
-    metrics = Metrics(rig.service, Recent(), lambda: None, lambda: rig.mqtt.status).text().decode()
+    seen = snapshot(rig.service, Recent(), SPEED, None, {rig.tracker.name: rig.mqtt.status})
+    metrics = Metrics(lambda: seen).text().decode()
     values = dict(line.rsplit(" ", 1) for line in metrics.splitlines() if line.startswith("heliocube_mqtt"))
     shown = io.StringIO()
-    Console(width=200, file=shown).print(render(state(rig.service, Recent(), SPEED, None, rig.mqtt.status)))
+    Console(width=200, file=shown).print(render(state_json(seen)))
     return {name: float(value) for name, value in values.items()}, shown.getvalue()
 
 
@@ -31,8 +33,11 @@ def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, 
             asyncio.get_running_loop(), settings_for(broker.port, mqtt={"queue_messages": 10, **inputs}), SPEED
         )
         metrics, shown = seen_of(rig)
-        assert (metrics["heliocube_mqtt_up"], metrics["heliocube_mqtt_connections_total"]) == (0, 0)
-        assert 'heliocube_mqtt_input_age_seconds{input="wind"}' not in metrics
+        assert (
+            metrics['heliocube_mqtt_up{tracker="tracker"}'],
+            metrics['heliocube_mqtt_connections_total{tracker="tracker"}'],
+        ) == (0, 0)
+        assert 'heliocube_mqtt_input_age_seconds{input="wind",tracker="tracker"}' not in metrics
         assert re.search(r"mqtt +not connected since \S+: not connected yet; 0 messages waiting", shown)
         assert re.search(r"wind +nothing heard yet on weather", shown)
         async with serving(rig):
@@ -42,30 +47,33 @@ def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, 
                 await lab.say("weather", "30")
                 await rig.until_mode(Mode.STOW, 100)
             metrics, shown = seen_of(rig)
-            assert (metrics["heliocube_mqtt_up"], metrics["heliocube_mqtt_connections_total"]) == (1, 1)
-            assert metrics["heliocube_mqtt_sent_total"] > 5
-            assert metrics["heliocube_mqtt_received_total"] >= 2
-            assert metrics["heliocube_mqtt_dropped_total"] == 0
-            assert metrics["heliocube_mqtt_troubles"] == 1
-            assert metrics['heliocube_mqtt_input_stowing{input="wind"}'] == 1
-            assert metrics['heliocube_mqtt_input_stowing{input="safe"}'] == 0
-            assert 0 <= metrics['heliocube_mqtt_input_age_seconds{input="wind"}'] < 100
+            assert (
+                metrics['heliocube_mqtt_up{tracker="tracker"}'],
+                metrics['heliocube_mqtt_connections_total{tracker="tracker"}'],
+            ) == (1, 1)
+            assert metrics['heliocube_mqtt_sent_total{tracker="tracker"}'] > 5
+            assert metrics['heliocube_mqtt_received_total{tracker="tracker"}'] >= 2
+            assert metrics['heliocube_mqtt_dropped_total{tracker="tracker"}'] == 0
+            assert metrics['heliocube_mqtt_troubles{tracker="tracker"}'] == 1
+            assert metrics['heliocube_mqtt_input_stowing{input="wind",tracker="tracker"}'] == 1
+            assert metrics['heliocube_mqtt_input_stowing{input="safe",tracker="tracker"}'] == 0
+            assert 0 <= metrics['heliocube_mqtt_input_age_seconds{input="wind",tracker="tracker"}'] < 100
             assert re.search(rf"mqtt +127.0.0.1:{broker.port} since \S+, \d+ messages sent, \d+ received", shown)
             assert re.search(r"wind +heard [\d.]+ s ago on weather  STOW", shown)
             assert "mqtt.safe of weather cannot be used: the message has nothing at ok" in shown
             broker.kill()
             await until(lambda: rig.mqtt.status.dropped > 5, "a full queue")
             metrics, shown = seen_of(rig)
-            assert metrics["heliocube_mqtt_up"] == 0
-            assert metrics["heliocube_mqtt_waiting"] == 10
-            assert metrics["heliocube_mqtt_dropped_total"] > 5
+            assert metrics['heliocube_mqtt_up{tracker="tracker"}'] == 0
+            assert metrics['heliocube_mqtt_waiting{tracker="tracker"}'] == 10
+            assert metrics['heliocube_mqtt_dropped_total{tracker="tracker"}'] > 5
             assert re.search(
                 rf"not connected since \S+: .*127.0.0.1:{broker.port}.*; 10 messages waiting, \d+ dropped since \d",
                 shown,
             )
             broker.start()
             await until(lambda: rig.mqtt.status.connections == 2, "the way back")
-            assert seen_of(rig)[0]["heliocube_mqtt_connections_total"] == 2
+            assert seen_of(rig)[0]['heliocube_mqtt_connections_total{tracker="tracker"}'] == 2
 
     scaled(scenario)
 

@@ -91,7 +91,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
                     assert refused["text"].startswith(f"no {name}: the tracker is stopped by ana since ")
                     assert refused["text"].endswith(" UTC: a person; only 'heliocube auto' releases it")
                     with pytest.raises(CommandError) as same:
-                        await getattr(Operator(rig.service, SPEED), name)("x")
+                        await getattr(Operator(rig.tracker, SPEED), name)("x")
                     assert str(same.value) == refused["text"]
                 for name, payload, part in [
                     ("stow", "now!", "JSON"),

@@ -10,7 +10,7 @@ from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.config.file import ConfigError, load_settings
 from daemon.rigs.simulated import build_real_rig
-from daemon.service.service import Role
+from daemon.service.rig import Role
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 REAL = """
@@ -37,7 +37,7 @@ def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
     assert settings.real
     for role, present in ((Role.BOTH, (1, 1, 1)), (Role.CUBE, (1, 1, 0)), (Role.TRACKER, (0, 0, 1))):
         rig = build_real_rig(settings, role, SystemClock())
-        assert tuple(bool(part) for part in (rig.multiplexer, rig.voltmeter, rig.positioner)) == present
+        assert tuple(bool(part) for part in (rig.multiplexer, rig.voltmeter, rig.trackers)) == present
         assert (rig.simulated, rig.wind_speed_m_s, rig.sky_text) == (False, None, None)
 
 

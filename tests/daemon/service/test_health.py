@@ -35,7 +35,7 @@ def manager(tmp_path):
 
 def watch(bench, notifier):
     service = bench.service
-    return Watchdog(bench.clock, notifier, service.control, service.acquisition, speed=1.0)
+    return Watchdog(bench.clock, notifier, service.trackers, service.acquisition, speed=1.0)
 
 
 @pytest.mark.parametrize("part", ["control", "acquisition"])

@@ -12,7 +12,8 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
-from daemon.service.service import Rig, Role, Service
+from daemon.service.rig import Rig, Role, TrackerInstruments
+from daemon.service.service import Service
 from daemon.tracker.stow import WindStow
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.transports import InMemoryPositioner
@@ -24,9 +25,17 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
         loop = runner.get_loop()
         clock = LoopClock(loop.time, 1.7e9)
         positioner = InMemoryPositioner(PositionerCore(loop.time()), loop.time, settings.limits.limits())
-        rig = Rig(None, None, positioner, wind, simulated=simulated)
+        rig = Rig(None, None, (TrackerInstruments(positioner),), wind, simulated=simulated)
         service = Service(
-            settings, role, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0), stow_sources=sources
+            settings,
+            role,
+            rig,
+            clock,
+            Random(1),
+            Bus(),
+            bytes(range(32)),
+            Notifier({}, 0),
+            stow_sources={"tracker": sources},
         )
 
         async def briefly():
@@ -35,7 +44,7 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
             await service.run(stop)
 
         runner.run(briefly())
-    return [alarm for alarm in service.alarms.active if alarm.name == "no-wind-source"]
+    return [alarm for tracker in service.trackers for alarm in tracker.alarms.active if alarm.name == "no-wind-source"]
 
 
 def test_it_is_said_once_and_shown(caplog):

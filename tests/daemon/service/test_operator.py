@@ -9,13 +9,14 @@ import pytest
 from daemon.base.records import Event, Mode
 from daemon.config.settings import Settings
 from daemon.service.operator import CommandError, Operator
-from daemon.service.service import Role
+from daemon.service.operator_commands import Operators, parse
+from daemon.service.rig import Role
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.rig import Bench, HandWeather
 
 
 def operator(bench):
-    return Operator(bench.service, 1.0)
+    return Operator(bench.tracker, 1.0)
 
 
 def angles(bench):
@@ -222,8 +223,9 @@ def test_the_cubes_process_has_no_tracker_to_command():
     async def scenario():
         start = datetime(2022, 10, 12, 10, tzinfo=UTC)
         bench = Bench(asyncio.get_running_loop(), Settings(), start, HandWeather(), Role.CUBE)
-        for call in (operator(bench).stow, operator(bench).home, lambda why: operator(bench).goto(0, 60, why)):
+        operators = Operators(bench.service.trackers, 1.0)
+        for name, body in (("stow", b""), ("home", b""), ("goto", b'{"a_deg": 0, "b_deg": 60}')):
             with pytest.raises(CommandError, match="has no tracker: ask that of the tracker"):
-                await call("x")
+                await operators.carry_out(parse(name, body, "test"))
 
     asyncio.run(scenario())

@@ -11,8 +11,10 @@ from daemon.commands.screen import render
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.recent import Recent
-from daemon.service.service import Role, Service
-from daemon.service.state import state
+from daemon.service.rig import Role
+from daemon.service.service import Service
+from daemon.service.snapshot import snapshot
+from daemon.service.state import state_json
 from tests.daemon.cube.test_calibration import calibration
 
 
@@ -22,7 +24,7 @@ def status(now, made):
     weather, _ = build_weather(settings, now.timestamp(), now.timestamp())
     rig = build_simulated_rig(settings, Role.CUBE, clock, weather)
     service = Service(settings, Role.CUBE, rig, clock, Random(1), Bus(), None, Notifier({}, 0), calibration=made)
-    found = state(service, Recent(), 1.0, None)
+    found = state_json(snapshot(service, Recent(), 1.0, None, {}))
     console = Console(width=120)
     with console.capture() as shown:
         console.print(render(found))

@@ -32,7 +32,7 @@ def test_in_fallback_the_tracker_stays_where_it_is_after_a_step(run_rig, hours):
             await asyncio.sleep(10)
             assert bench.mode is Mode.FALLBACK
             assert stays(bench, before)
-        (alarm,) = [alarm for alarm in bench.service.alarms.active if alarm.name == "clock"]
+        (alarm,) = [alarm for alarm in bench.tracker.alarms.active if alarm.name == "clock"]
         assert f"{hours * 3600:+d} s" in alarm.text
         bench.clock.step_s = 0.0
         await asyncio.sleep(910)
@@ -67,7 +67,7 @@ def test_a_dark_face_in_doubt_is_no_night(run_rig):
             bench.scene.break_sensor(face, 1e-6)
         await asyncio.sleep(600)
         assert bench.mode is not Mode.NIGHT
-        assert bench.service.control.state.scan.zenith.quality in Quality
+        assert bench.control.state.scan.zenith.quality in Quality
         assert stays(bench, before)
 
     run_rig(scenario, law={"name": "chronometric"})

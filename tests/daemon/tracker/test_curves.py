@@ -7,8 +7,7 @@ import pytest
 
 from daemon.api.metrics import Metrics
 from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
-from daemon.service.recent import Recent
-from daemon.service.state import state
+from daemon.service.state import state_json
 from drivers.errors import LinkLostError
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
 
@@ -124,9 +123,9 @@ def test_a_load_that_fails_in_the_middle_of_a_curve_has_its_input_off(run_rig):
             raise LinkLostError("load", "went away")
 
         rig.load_core.trace = fail
-        await rig.until(lambda: rig.service.curves.outage.is_down, 30, "the outage")
+        await rig.until(lambda: rig.tracker.curves.outage.is_down, 30, "the outage")
         assert not rig.load_core.on
-        await rig.until(lambda: not rig.service.curves.outage.is_down, 30, "its end")
+        await rig.until(lambda: not rig.tracker.curves.outage.is_down, 30, "its end")
 
     run_rig(scenario, load=SIMULATED)
 
@@ -175,7 +174,7 @@ def test_a_module_without_light_is_dark_and_no_watt_is_claimed(run_rig):
 def test_without_a_load_there_are_no_curves(run_rig):
     async def scenario(rig):
         await asyncio.sleep(60)
-        assert rig.service.curves is None
+        assert rig.tracker.curves is None
         assert rig.of(IvCurve) == []
 
     run_rig(scenario)
@@ -198,20 +197,19 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
 
 def test_the_load_stands_in_state_and_metrics(run_rig):
     async def scenario(rig):
-        recent = Recent()
-        metrics = Metrics(rig.service, recent, lambda: None, lambda: None)
+        metrics = Metrics(rig.see)
         assert "heliocube_module_power_watts" not in metrics.text().decode()
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
-        assert "heliocube_load_up 1.0" in metrics.text().decode()
+        assert 'heliocube_load_up{tracker="tracker"} 1.0' in metrics.text().decode()
         power_w = rig.of(IvCurve)[-1].pmpp_w
-        assert f"heliocube_module_power_watts {power_w}" in metrics.text().decode()
-        seen = state(rig.service, recent, 1.0, None)["load"]
+        assert f'heliocube_module_power_watts{{tracker="tracker"}} {power_w}' in metrics.text().decode()
+        seen = state_json(rig.see())["load"]
         assert seen["connected"]
         assert seen["curve"]["pmpp_w"] == power_w
         assert seen["curve"]["curve"] == ""
         rig.load.link_up = False
-        await rig.until(lambda: rig.service.curves.outage.is_down, 30, "the outage")
-        assert "unplugged" in state(rig.service, recent, 1.0, None)["load"]["down_why"]
-        assert "heliocube_load_up 0.0" in metrics.text().decode()
+        await rig.until(lambda: rig.tracker.curves.outage.is_down, 30, "the outage")
+        assert "unplugged" in state_json(rig.see())["load"]["down_why"]
+        assert 'heliocube_load_up{tracker="tracker"} 0.0' in metrics.text().decode()
 
     run_rig(scenario, load=SIMULATED)

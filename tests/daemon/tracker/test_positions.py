@@ -22,7 +22,7 @@ SLOW = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130, "fallback_
 
 
 def operator(bench):
-    return Operator(bench.service, 1.0)
+    return Operator(bench.tracker, 1.0)
 
 
 def at(a_deg, b_deg):
@@ -172,15 +172,15 @@ def test_the_count_survives_a_restart_and_ends_with_the_solar_day(run_rig, serve
         assert today["travelled_deg"] == json.loads((tmp_path / "day.json").read_text())["travelled_deg"] > 20
         assert today["left"]["travel_deg"] == pytest.approx(2000 - today["travelled_deg"])
         lines = (await call.get("/metrics")).body.decode().splitlines()
-        assert "heliocube_day_moves 4.0" in lines
+        assert 'heliocube_day_moves{tracker="tracker"} 4.0' in lines
 
     async def third(bench):
         await asyncio.sleep(1800)
         assert len(bench.of(Move)) == 4
-        assert [alarm.name for alarm in bench.service.alarms.active] == ["day-budget"]
+        assert [alarm.name for alarm in bench.tracker.alarms.active] == ["day-budget"]
         look_seldom(bench)
         await asyncio.sleep(14 * 3600)
-        assert not bench.service.alarms.active
+        assert not bench.tracker.alarms.active
 
     run_rig(first, **options)
     serve(second, start="2022-10-12T14:00", **options)
@@ -213,7 +213,7 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
 
 def test_a_day_is_the_suns_and_not_utcs(run_rig):
     async def scenario(bench):
-        settings, alarms_ = bench.service.settings.motion, bench.service.alarms
+        settings, alarms_ = bench.service.settings.motion, bench.tracker.alarms
         budget = DayBudget(settings, 150.0, None, alarms_, 0.0)
         budget.book(10.0)
         budget.turn(13.9 * 3600)

@@ -20,7 +20,7 @@ OTHERS = ("stow", "snow", "hold", "goto", "home", "clear", "relearn", "maintenan
 
 
 def operator(bench):
-    return Operator(bench.service, 1.0)
+    return Operator(bench.tracker, 1.0)
 
 
 async def call(bench, name, why="x"):
@@ -29,7 +29,7 @@ async def call(bench, name, why="x"):
 
 
 def alarms(bench):
-    return {alarm.name: alarm.text for alarm in bench.service.alarms.active}
+    return {alarm.name: alarm.text for alarm in bench.tracker.alarms.active}
 
 
 def look_seldom(bench):
@@ -227,7 +227,7 @@ def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_r
         assert (await operator(bench).hold("test")).seen == "not-seen"
         assert bench.clock.monotonic() - asked_s == pytest.approx(3.0, abs=0.1)
         asked_s = bench.clock.monotonic()
-        await Operator(bench.service, 10.0).hold("test")
+        await Operator(bench.tracker, 10.0).hold("test")
         assert bench.clock.monotonic() - asked_s == pytest.approx(30.0, abs=1.0)
 
     run_rig(scenario)
@@ -391,7 +391,7 @@ def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
         (alarm,) = (await call_http.get("/api/state")).json["alarms"]
         assert (alarm["name"], alarm["since"][:14]) == ("stow-wanted", "2022-10-12T10:")
         lines = (await call_http.get("/metrics")).body.decode().splitlines()
-        assert "heliocube_alarms 1.0" in lines
-        assert 'heliocube_alarm{name="stow-wanted"} 1.0' in lines
+        assert 'heliocube_alarms{tracker="tracker"} 1.0' in lines
+        assert 'heliocube_alarm{name="stow-wanted",tracker="tracker"} 1.0' in lines
 
     serve(scenario)

@@ -3,12 +3,11 @@
 import asyncio
 
 from daemon.base.records import Decision, Mode
-from daemon.service.recent import Recent
-from daemon.service.state import state
+from daemon.service.state import state_json
 
 
 def wind_of(bench):
-    return state(bench.service, Recent(), 1.0, None)["wind"]
+    return state_json(bench.see())["wind"]
 
 
 def test_a_gust_of_two_seconds_between_two_looks_stows(run_rig):

@@ -6,7 +6,15 @@ import io
 from rich.console import Console
 
 from daemon.base.records import Mode
-from daemon.commands.live_view import LiveView
+from daemon.commands.screen import LiveView
+from daemon.service.recent import Recent
+from daemon.service.state import state_json
+
+
+def view_of(bench, console):
+    recent = Recent()
+    bench.bus.subscribe(recent.note)
+    return LiveView(lambda: state_json(bench.see(recent)), console, speed=1.0)
 
 
 def shown(run_rig, *, terminal, faults=()):
@@ -14,7 +22,7 @@ def shown(run_rig, *, terminal, faults=()):
 
     async def scenario(bench):
         console = Console(file=out, force_terminal=terminal, width=110, height=40)
-        viewing = asyncio.create_task(LiveView(bench.service, console, speed=1.0).run())
+        viewing = asyncio.create_task(view_of(bench, console).run())
         await bench.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(30)
         for name in faults:
@@ -48,7 +56,7 @@ def test_alarms_are_in_plain_sight_on_every_display(run_rig):
             Console(file=out, force_terminal=True, width=200, height=40),
             Console(file=plain, force_terminal=False, width=200),
         ]
-        viewing = [asyncio.create_task(LiveView(bench.service, screen, speed=1.0).run()) for screen in screens]
+        viewing = [asyncio.create_task(view_of(bench, screen).run()) for screen in screens]
         await bench.control.stop("repair", "ana")
         bench.wind_m_s = 20.0
         await asyncio.sleep(20)

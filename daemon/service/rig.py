@@ -1,0 +1,52 @@
+"""What a process is made of: its role, and the instruments that the role needs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
+
+
+class Role(StrEnum):
+    """What one process does."""
+
+    CUBE = "cube"
+    TRACKER = "tracker"
+    BOTH = "both"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerInstruments:
+    """The instruments of one tracker: its positioner, and the load on its module or None."""
+
+    positioner: Positioner
+    load: ElectronicLoad | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """The instruments of one process, real or simulated.
+
+    Attributes
+    ----------
+    multiplexer, voltmeter
+        None where the role has no cube.
+    trackers
+        Those of each tracker, in the order of the settings' trackers; empty where the role has none.
+    wind_speed_m_s
+        Latest wind speed [m/s]; None where there is no wind sensor at all.
+    simulated
+        True if any of it is a simulation.
+    sky_text
+        One line about the simulated sky for displays, or None.
+    clock_synchronised
+        Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
+    """
+
+    multiplexer: Multiplexer | None
+    voltmeter: Voltmeter | None
+    trackers: tuple[TrackerInstruments, ...]
+    wind_speed_m_s: Callable[[], float | None] | None
+    simulated: bool
+    sky_text: Callable[[], str] | None = None
+    clock_synchronised: Callable[[], bool | None] = lambda: None

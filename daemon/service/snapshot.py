@@ -1,0 +1,271 @@
+"""Everything there is to see of the service at one instant, as values: what every display and interface renders."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+from daemon.base.alarms import Alarm
+from daemon.base.records import FACES, IvCurve, Move, Pose, Quality, Scan, Target
+from daemon.bridge.refusals import Statistics
+from daemon.config.sections import SiteSettings
+from daemon.cube.calibration import CubeCalibration
+from daemon.motion.motion import Motion
+from daemon.service.recent import News, Recent
+from daemon.service.service import Service
+from daemon.service.status import LinkStatus
+from daemon.service.tracker import Tracker
+from daemon.store.store import StoreStatus
+from daemon.tracker.control import ControlState
+from daemon.tracker.curves import IvAcquisition
+from daemon.tracker.stow import StowStatus
+from daemon.tracker.wishes import Wishes
+from drivers.interfaces import PositionerIdentity, Telemetry
+from solar.frames import Limits
+
+# Telemetry comes every 10 s at rest and more often on the way.
+POSE_STALE_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class PositionerState:
+    """How a positioner is, as motion and its telemetry have it; None for what is not known or not so."""
+
+    connected: bool
+    down_why: str | None
+    identity: PositionerIdentity | None
+    telemetry: Telemetry | None
+    pose: Pose | None
+    pose_age_s: float | None
+    moving: bool
+    homing: bool
+    target: Target | None
+    blocked_why: str | None
+    doubt_why: str | None
+    concerns: tuple[str, ...]
+    unexplained_why: str | None
+    last_move: Move | None
+
+    @property
+    def pose_is_stale(self) -> bool:
+        """Whether the pose is not known to be true any more."""
+        return not (self.connected and self.pose_age_s is not None and self.pose_age_s <= POSE_STALE_S)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadState:
+    """How an electronic load is, and its latest curve without the points."""
+
+    identity: str | None
+    down_why: str | None
+    curve: IvCurve | None
+
+
+@dataclass(frozen=True, slots=True)
+class DayUse:
+    """What the laws have moved on this solar day and may still move; degrees are A and B added."""
+
+    travelled_deg: float
+    moves: int
+    travel_left_deg: float
+    moves_left: int
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerState:
+    """How one tracker is.
+
+    Attributes
+    ----------
+    control
+        Mode, reason, decision and means.
+    silent_s
+        Time since control looked at the situation last.
+    law, law_shown
+        The pointing law, and what it shows of itself.
+    wishes
+        What persons asked for and is in force.
+    today
+        Of the laws' moves.
+    wind
+        How each source of stow stands.
+    alarms
+        Its own that are on.
+    load
+        None where there is none.
+    decisions, moves
+        How many, the moves by their outcome.
+    """
+
+    name: str
+    control: ControlState
+    silent_s: float
+    law: str
+    law_shown: Mapping[str, Any]
+    wishes: Wishes
+    today: DayUse
+    limits: Limits
+    positioner: PositionerState
+    load: LoadState | None
+    wind: tuple[StowStatus, ...]
+    alarms: tuple[Alarm, ...]
+    decisions: int
+    moves: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """How the process is.
+
+    Attributes
+    ----------
+    speed
+        How many times as fast as the machine's the clock runs.
+    time_utc_s, time_monotonic_s
+        When it was taken.
+    sun_elevation_deg
+        By ephemeris, at the site.
+    sky
+        One line about a simulated sky, or None.
+    scan, scan_stale_s, scans
+        The newest, the age from which it is not used, and how many there were.
+    has_cube, cube_down_why
+        Whether this process reads a cube, and why it does not answer, or None.
+    calibration
+        Of the cube, or None.
+    cube_alarms
+        Those of no tracker.
+    trackers
+        In the order of the settings; none in the cube's process.
+    bridge
+        Counts of the receiver, or None.
+    store
+        None where no records are kept.
+    links
+        To the broker, by the tracker that has it; by the empty name that of the cube's process.
+    news
+        What happened lately, the latest last.
+    """
+
+    version: str
+    simulated: bool
+    speed: float
+    role: str
+    time_utc_s: float
+    time_monotonic_s: float
+    site: SiteSettings
+    sun_elevation_deg: float
+    sky: str | None
+    scan: Scan | None
+    scan_stale_s: float
+    scans: int
+    has_cube: bool
+    cube_down_why: str | None
+    calibration: CubeCalibration | None
+    cube_alarms: tuple[Alarm, ...]
+    trackers: tuple[TrackerState, ...]
+    bridge: Statistics | None
+    store: StoreStatus | None
+    links: Mapping[str, LinkStatus]
+    news: tuple[News, ...]
+
+    @property
+    def scan_is_stale(self) -> bool:
+        """Whether the newest scan has become too old to be used, or there is none."""
+        return self.scan is None or not (self.time_monotonic_s - self.scan.time_monotonic_s <= self.scan_stale_s)
+
+    def face_quality(self, name: str) -> Quality:
+        """Return what a face's reading is worth now: ``stale`` where it was good and has become too old."""
+        if self.scan is None:
+            return Quality.MISSING
+        quality = self.scan.faces[FACES.index(name)].quality
+        return Quality.STALE if self.scan_is_stale and quality is Quality.OK else quality
+
+
+def snapshot(
+    service: Service, recent: Recent, speed: float, store: StoreStatus | None, links: Mapping[str, LinkStatus]
+) -> Snapshot:
+    """Take a snapshot.
+
+    Parameters
+    ----------
+    service, recent
+        What is seen, and what has come over its bus lately.
+    speed
+        How many times as fast as the machine's the service's clock runs.
+    store
+        How the store is, or None where there is none.
+    links
+        How the links to the broker are, by tracker.
+    """
+    settings, acquisition = service.settings, service.acquisition
+    utc_s = service.clock.utc()
+    return Snapshot(
+        version=version("heliocube"),
+        simulated=service.rig.simulated,
+        speed=speed,
+        role=service.role.value,
+        time_utc_s=utc_s,
+        time_monotonic_s=service.clock.monotonic(),
+        site=settings.site,
+        sun_elevation_deg=service.sun_elevation_deg(utc_s),
+        sky=None if service.rig.sky_text is None else service.rig.sky_text(),
+        scan=recent.scan,
+        scan_stale_s=settings.safety.scan_stale_s,
+        scans=recent.scans,
+        has_cube=acquisition is not None,
+        cube_down_why=acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
+        calibration=service.calibration,
+        cube_alarms=service.cube_alarms.active,
+        trackers=tuple(_tracker(tracker, recent) for tracker in service.trackers),
+        bridge=None if service.receiver is None else service.receiver.statistics,
+        store=store,
+        links=links,
+        news=tuple(recent.news),
+    )
+
+
+def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
+    control, now_s = tracker.control, tracker.clock.monotonic()
+    budget = control.budget
+    return TrackerState(
+        name=tracker.name,
+        control=control.state,
+        silent_s=now_s - control.last_tick_s,
+        law=tracker.settings.law.name,
+        law_shown=control.pointing.law.shown(),
+        wishes=control.wishes,
+        today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
+        limits=tracker.settings.limits.limits(),
+        positioner=_positioner(tracker.motion, now_s),
+        load=None if tracker.curves is None else _load(tracker.curves),
+        wind=tracker.stow_watch.statuses(now_s),
+        alarms=tracker.alarms.active,
+        decisions=recent.decisions[tracker.name],
+        moves=dict(recent.moves[tracker.name]),
+    )
+
+
+def _positioner(motion: Motion, now_s: float) -> PositionerState:
+    pose = motion.pose
+    return PositionerState(
+        connected=motion.connected,
+        down_why=motion.outage.reason if motion.outage.is_down else None,
+        identity=motion.identity,
+        telemetry=motion.telemetry,
+        pose=pose,
+        pose_age_s=None if pose is None else now_s - pose.time_monotonic_s,
+        moving=motion.moving,
+        homing=motion.homing,
+        target=motion.target,
+        blocked_why=motion.blocked,
+        doubt_why=motion.doubt,
+        concerns=motion.concerns,
+        unexplained_why=motion.unexplained,
+        last_move=motion.last_move,
+    )
+
+
+def _load(curves: IvAcquisition) -> LoadState:
+    down_why = curves.outage.reason if curves.outage.is_down else None
+    return LoadState(curves.identity, down_why, None if curves.last is None else replace(curves.last, curve=""))

@@ -1,0 +1,181 @@
+"""One tracker: all that belongs to it alone, from its settings to its positioner, its wishes and its alarms."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from random import Random
+
+from daemon.base.alarms import Alarms
+from daemon.base.clock import Clock
+from daemon.base.clock_watch import ClockWatch
+from daemon.base.records import Event, Pose, Record, Scan, stamped
+from daemon.config.settings import Settings
+from daemon.motion.end import finish
+from daemon.motion.motion import Motion, Polling
+from daemon.service.rig import Rig, TrackerInstruments
+from daemon.tracker.control import Control
+from daemon.tracker.curves import IvAcquisition
+from daemon.tracker.orders import Orders
+from daemon.tracker.pointing import build_pointing
+from daemon.tracker.stow import StowSource, WindStow
+from daemon.tracker.stow_watch import SafetyFile, StowWatch
+from daemon.tracker.wishes import WishFile
+from drivers.errors import DriverHungError
+from solar.ephemeris import SunElevation
+
+log = logging.getLogger("heliocube.service")
+
+_NO_WIND_SOURCE = (
+    "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
+    ' or safety.without_wind_source = "accepted"'
+)
+# The unit needs a second or two; systemd waits 15 s for the whole of it.
+_STAND_WITHIN_S = 8.0
+
+
+class Tracker:
+    """A tracker and everything that decides for it; several of them share a process, a clock and a bus, and no more.
+
+    Parameters
+    ----------
+    name
+        What its records, topics and kept state are known by.
+    settings
+        Its own.
+    instruments
+        Its own, owned from here on.
+    rig
+        Whose wind sensor and clock it shares with others.
+    clock, random
+        Time and randomness for everything inside.
+    publish
+        Takes its records, which bear its name.
+    sun_elevation_deg
+        Of UTC [s], where it stands.
+    polling
+        How often to look at the positioner.
+    stow_sources
+        Reasons to stow besides the rig's wind sensor and the operator.
+    alone
+        Whether it is the process' only tracker: then a driver that hangs for good ends the process.
+    muted
+        Called when its alarms are silenced or heard again.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        instruments: TrackerInstruments,
+        rig: Rig,
+        clock: Clock,
+        random: Random,
+        publish: Callable[[Record], None],
+        sun_elevation_deg: SunElevation,
+        polling: Polling,
+        stow_sources: Sequence[StowSource],
+        *,
+        alone: bool,
+        muted: Callable[[], None],
+    ) -> None:
+        self.name = name
+        self.settings = settings
+        self.clock = clock
+        self.publish = stamped(publish, name)
+        self.alarms = Alarms(clock, self.publish, muted)
+        self._rig = rig
+        self._alone = alone
+        sources: list[StowSource] = [*stow_sources]
+        if rig.wind_speed_m_s is not None:
+            sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
+        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), clock, self._look_again)
+        self.motion = Motion(
+            instruments.positioner,
+            settings.limits.limits(),
+            settings.motion,
+            settings.instruments.positioner,
+            clock,
+            random,
+            self.publish,
+            self._look_again,
+            self.alarms,
+            polling,
+            settings.store.directory,
+        )
+        self.control = Control(
+            settings,
+            clock,
+            self.motion,
+            build_pointing(settings, clock.utc()),
+            sun_elevation_deg,
+            self.stow_watch,
+            Orders(clock, WishFile(settings.store.directory)),
+            self.publish,
+            self.alarms,
+            ClockWatch(clock, self.alarms, rig.clock_synchronised),
+        )
+        self.curves: IvAcquisition | None = None
+        if instruments.load is not None:
+            self.curves = IvAcquisition(
+                settings.load,
+                instruments.load,
+                clock,
+                random,
+                self.publish,
+                sun_elevation_deg,
+                settings.safety.scan_stale_s,
+            )
+
+    def receive(self, scan: Scan) -> None:
+        """Take in a fresh, authentic scan; its monotonic times are on our clock."""
+        self.control.receive(scan)
+
+    def note(self, record: Record) -> None:
+        """Take in a record of the bus: its own poses, and every scan."""
+        if isinstance(record, Pose):
+            if record.tracker == self.name:
+                self.control.note(record)
+        elif self.curves is not None:
+            self.curves.note(record)
+
+    def tell_of_wind(self) -> None:
+        """Raise an alarm where nothing would stow a real tracker in a storm."""
+        accepted = self.settings.safety.without_wind_source == "accepted"
+        if not (self.stow_watch.watched or self._rig.simulated or accepted):
+            self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
+
+    def work(self) -> Iterator[tuple[str, Awaitable[None]]]:
+        """Yield what has to run, each with its name."""
+        yield "motion", self._move()
+        yield "control", self.control.run()
+        if self._rig.wind_speed_m_s is not None:
+            yield "stow", self.stow_watch.run()
+        if self.curves is not None:
+            yield "load", self.curves.run()
+
+    async def stop_motion(self) -> None:
+        """Stop the axes for good, and say whether telemetry shows them standing."""
+        left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
+        if left is None:
+            log.info("motion stopped: telemetry shows both axes standing")
+        else:
+            log.warning("motion is not known to be stopped: %s", left)
+
+    async def _move(self) -> None:
+        try:
+            await self.motion.run()
+        except DriverHungError as error:
+            if self._alone:
+                raise
+            self._give_up(error)
+            await asyncio.Event().wait()
+
+    def _give_up(self, error: DriverHungError) -> None:
+        """Leave a positioner that only a new process can connect, so that the other trackers go on."""
+        sentence = f"{error}: the tracker {self.name} is out of work until the service is started anew"
+        log.error("%s", sentence)
+        self.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))
+        self.alarms.set("driver-hung", sentence)
+
+    def _look_again(self) -> None:
+        self.control.look_again()
