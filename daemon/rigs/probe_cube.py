@@ -9,9 +9,8 @@ from daemon.config.settings import Settings
 from daemon.cube.calibration import calibrated
 from daemon.rigs.real import build_multiplexer, build_voltmeter, voltmeter_line
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
-from drivers.lines.threads import DeviceThread
-from drivers.lines.visa import VisaLine
 from drivers.meters.keithley2000 import Keithley2000, require_model
+from drivers.scpi import ScpiLine
 from drivers.transcript import Tap
 
 Say = Callable[[str], object]
@@ -48,23 +47,14 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
     DeviceError
         It cannot be reached, or does not do as it should.
     """
-    deadline_s = settings.cube.reading_deadline_s
-    connect = voltmeter_line(settings, tap)
-
-    def ask() -> dict[str, str]:
-        line = connect()
-        try:
-            line.interrupt()
-            line.drain(0.1)
-            return _answers(line, deadline_s)
-        finally:
-            line.close()
-
-    thread = DeviceThread("voltmeter")
+    line = voltmeter_line(settings, tap)
     try:
-        answers = await thread.call(ask, (len(_SETTINGS) + 3) * deadline_s + 10.0)
+        await line.open()
+        await line.interrupt()
+        await line.drain(0.1)
+        answers = await _answers(line, settings.cube.reading_deadline_s)
     finally:
-        await thread.finish(None, 1.0)
+        await line.close()
     for name, answer in answers.items():
         say(f"{name}: {answer}")
     require_model(answers["identity"])
@@ -82,21 +72,20 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         await meter.close()
 
 
-def _answers(line: VisaLine, deadline_s: float) -> dict[str, str]:
-    def ask(query: str) -> str | None:
-        line.send(query)
+async def _answers(line: ScpiLine, deadline_s: float) -> dict[str, str]:
+    async def ask(query: str) -> str | None:
         try:
-            return line.receive(deadline_s).strip()
+            return (await line.ask(query, deadline_s)).strip()
         except DeadlineError:
             return None
 
-    identity = ask("*IDN?")
+    identity = await ask("*IDN?")
     if identity is None:
         raise ConnectError(
             "voltmeter",
             f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface and speed?",
         )
-    return {"identity": identity} | {name: ask(query) or "no answer" for name, query in _SETTINGS.items()}
+    return {"identity": identity} | {name: await ask(query) or "no answer" for name, query in _SETTINGS.items()}
 
 
 async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> None:

@@ -6,14 +6,11 @@ from daemon.base.errors import UserError
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_load, load_line
 from drivers.errors import ConnectError, DeadlineError
-from drivers.lines.threads import DeviceThread
-from drivers.lines.visa import VisaLine
 from drivers.load import agilent6063b, chroma63600
 from drivers.load.session import Dialect
+from drivers.scpi import ScpiLine
 from drivers.transcript import Tap
 from solar.iv import measured_maximum, sweep_voltages
-
-_QUESTIONS = 8
 
 
 async def probe_load(
@@ -41,39 +38,31 @@ async def probe_load(
     """
     if settings.load.driver not in ("chroma63600", "agilent6063b"):
         raise UserError('load.driver names no real load; give --driver, "chroma63600" or "agilent6063b"')
-    connect = load_line(settings, tap)
+    line = load_line(settings, tap)
     dialect = agilent6063b.DIALECT
     if settings.load.driver == "chroma63600":
         dialect = chroma63600.dialect(settings.load.channel)
 
-    def ask() -> list[str]:
-        line = connect()
-        try:
-            line.interrupt()
-            line.drain(0.1)
-            return _answers(line, dialect, settings.load.deadline_s)
-        finally:
-            line.close()
-
-    thread = DeviceThread("load")
     try:
-        for text in await thread.call(ask, _QUESTIONS * settings.load.deadline_s + 10.0):
+        await line.open()
+        await line.interrupt()
+        await line.drain(0.1)
+        for text in await _answers(line, dialect, settings.load.deadline_s):
             say(text)
     finally:
-        await thread.finish(None, 1.0)
+        await line.close()
     if write:
         await _trace(settings, now, tap, say)
 
 
-def _answers(line: VisaLine, dialect: Dialect, deadline_s: float) -> list[str]:
-    def ask(query: str) -> str | None:
-        line.send(query)
+async def _answers(line: ScpiLine, dialect: Dialect, deadline_s: float) -> list[str]:
+    async def ask(query: str) -> str | None:
         try:
-            return line.receive(deadline_s).strip()
+            return (await line.ask(query, deadline_s)).strip()
         except DeadlineError:
             return None
 
-    identity = ask("*IDN?")
+    identity = await ask("*IDN?")
     if identity is None:
         raise ConnectError(
             "load", f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface?"
@@ -84,7 +73,7 @@ def _answers(line: VisaLine, dialect: Dialect, deadline_s: float) -> list[str]:
     questions = {"input on": dialect.is_on, "mode": dialect.mode_proof[0], "all in one line": dialect.measure}
     if dialect.select_proof is not None:
         questions = {"channel": dialect.select_proof[0], "module": dialect.identify_channel} | questions
-    return answers + [f"{name}: {ask(query) or 'no answer'}" for name, query in questions.items()]
+    return answers + [f"{name}: {await ask(query) or 'no answer'}" for name, query in questions.items()]
 
 
 async def _trace(settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object]) -> None:

@@ -17,16 +17,18 @@ from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
-from daemon.rigs.real import MARGIN_OF_LEAST_V, build_load, build_multiplexer, build_positioner, build_voltmeter
+from daemon.rigs.real import build_load, build_multiplexer, build_positioner, build_voltmeter, sweep_settings
 from daemon.service.rig import Rig, Role, TrackerInstruments
-from drivers.interfaces import ElectronicLoad, Positioner
+from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
+from drivers.load.chroma63600 import Chroma63600
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
-from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
 from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError, WeatherInParts
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
@@ -184,9 +186,9 @@ def _build_tracker(
 
 
 class _Module(PvSource):
-    def light(self, now: float) -> SourceLight:
+    def light_now(self, now: float) -> SourceLight:
         with _weather_may_end():
-            return super().light(now)
+            return super().light_now(now)
 
 
 def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles], module: PvModule) -> PvSource:
@@ -212,9 +214,7 @@ def _build_load(
             ' set load.driver to "simulated"'
         )
     core = LoadCore(source, noise, now=clock.monotonic())
-    return InMemoryLoad(
-        core, clock.monotonic, settle_s=load.settle_s, least_v=MARGIN_OF_LEAST_V * load.minimum_voltage_v
-    )
+    return Chroma63600(InMemoryLine("load", core, clock.monotonic), core.channel, sweep_settings(settings))
 
 
 def _noise_of_load(settings: Settings, number: int = 0) -> np.random.Generator:
@@ -238,7 +238,7 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
 def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
     """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
     core = _build_unit(settings, clock)
-    return core.truth, InMemoryPositioner(core, clock.monotonic, settings.limits.limits())
+    return core.truth, build_positioner(settings, clock, line=InMemoryStream(core, clock.monotonic))
 
 
 def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
@@ -246,18 +246,12 @@ def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
     return PositionerCore(clock.monotonic(), Setup(drive=AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S)))
 
 
-def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[InMemoryMultiplexer, InMemoryVoltmeter]:
-    switch, core = _build_cube_cores(settings, clock, scene)
-    meter = settings.instruments.voltmeter
+def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[Multiplexer, Voltmeter]:
+    switch, meter = _build_cube_cores(settings, clock, scene)
     return (
-        InMemoryMultiplexer(switch, clock.monotonic),
-        InMemoryVoltmeter(
-            core,
-            clock.monotonic,
-            range_v=meter.range_v,
-            nplc=meter.nplc,
-            deadline_s=settings.cube.reading_deadline_s,
-        ),
+        # The simulated switch is wired one to one, whatever is configured for a real one.
+        NiMultiplexer(InMemoryPort(switch, clock.monotonic)),
+        build_voltmeter(settings, line=InMemoryLine("voltmeter", meter, clock.monotonic)),
     )
 
 

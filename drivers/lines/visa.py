@@ -67,7 +67,7 @@ class VisaLine:
         self._serial = settings.resource.upper().startswith("ASRL")
         self._end = _ENDS[settings.terminator] if self._serial else "\n"
         # The line's own time for a question and its answer comes on top of every deadline.
-        self._transfer_s = 2 * _LONGEST_LINE * _BITS_PER_BYTE / settings.baud_rate if self._serial else 0.0
+        self.transfer_s = 2 * _LONGEST_LINE * _BITS_PER_BYTE / settings.baud_rate if self._serial else 0.0
         self._gone: tuple[type[BaseException], ...] = (pyvisa.Error, OSError, *terminal_errors())
         unusable: tuple[type[BaseException], ...] = (*self._gone, ValueError, NotImplementedError)
         self._manager: Any = None
@@ -88,7 +88,7 @@ class VisaLine:
 
     def receive(self, within_s: float) -> str:
         """Return the next line; `DeadlineError` if it is not complete in time."""
-        return self._read(within_s + self._transfer_s)
+        return self._read(within_s + self.transfer_s)
 
     def interrupt(self) -> None:
         """Send control-C, or the bus's device clear."""
@@ -102,7 +102,7 @@ class VisaLine:
         """Read until nothing has come for `quiet_s`."""
         with contextlib.suppress(DeadlineError):
             while True:
-                self._read(quiet_s + self._transfer_s / 10)
+                self._read(quiet_s + self.transfer_s / 10)
 
     def close(self) -> None:
         """Release the session. PyVISA has one manager for all instruments, and closing it would end their sessions."""
@@ -148,7 +148,7 @@ class VisaLine:
 
     def _write(self, data: bytes) -> None:
         with self._translated():
-            self._set_timeout(1.0 + self._transfer_s)
+            self._set_timeout(1.0 + self.transfer_s)
             self._resource.write_raw(data)
         self._tap(">", data)
 

@@ -8,10 +8,9 @@ Not confirmed by a document: ``MODE?`` answers VOLT; 250 W, 10 A, 3 to 240 V, of
 first two. Not used: the flag "unregulated", which the family's manual says does not come in this mode.
 """
 
-from collections.abc import Callable
-
-from drivers.load.session import Dialect, Line
+from drivers.load.session import Dialect
 from drivers.load.sweep import ScpiLoad, SweepSettings
+from drivers.scpi import ScpiLine
 
 PROTECTIONS = {
     1: "voltage fault",
@@ -47,5 +46,5 @@ DIALECT = Dialect(
 class Agilent6063B(ScpiLoad):
     """The load; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
-    def __init__(self, connect: Callable[[], Line], settings: SweepSettings) -> None:
-        super().__init__(connect, DIALECT, settings)
+    def __init__(self, line: ScpiLine, settings: SweepSettings) -> None:
+        super().__init__(line, DIALECT, settings)

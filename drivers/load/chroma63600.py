@@ -8,10 +8,9 @@ questions in one line are answered in one line with semicolons (where they are n
 has; an error queue is not used.
 """
 
-from collections.abc import Callable
-
-from drivers.load.session import Dialect, Line
+from drivers.load.session import Dialect
 from drivers.load.sweep import ScpiLoad, SweepSettings
+from drivers.scpi import ScpiLine
 
 PROTECTIONS = {
     1: "over-temperature",
@@ -52,5 +51,5 @@ def dialect(channel: int) -> Dialect:
 class Chroma63600(ScpiLoad):
     """The load at one channel; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
-    def __init__(self, connect: Callable[[], Line], channel: int, settings: SweepSettings) -> None:
-        super().__init__(connect, dialect(channel), settings)
+    def __init__(self, line: ScpiLine, channel: int, settings: SweepSettings) -> None:
+        super().__init__(line, dialect(channel), settings)

@@ -8,17 +8,11 @@ is switched off and the load is asked whether it is; where it does not answer it
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import TypeVar
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
 from drivers.interfaces import SweepPlan, SweptCurve
-from drivers.lines.threads import DeviceThread
-from drivers.load.session import DEVICE, Dialect, Line, LoadSession
-
-T = TypeVar("T")
-
-_CLOSE_S = 3.0
+from drivers.load.session import DEVICE, Dialect, LoadSession
+from drivers.scpi import ScpiLine
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,37 +39,36 @@ class ScpiLoad:
 
     Parameters
     ----------
-    connect
-        Opens the line; called in the instrument's thread at each `open`.
+    line
+        Opened at each `open`.
     dialect, settings
         The make, and how it sweeps.
     """
 
-    def __init__(self, connect: Callable[[], Line], dialect: Dialect, settings: SweepSettings) -> None:
-        self._connect = connect
+    def __init__(self, line: ScpiLine, dialect: Dialect, settings: SweepSettings) -> None:
+        self._line = line
         self._dialect = dialect
         self._settings = settings
-        self._thread = DeviceThread(DEVICE)
         self._session: LoadSession | None = None
 
     async def open(self) -> str:
         """Connect, identify, switch the input off and configure."""
         await self.close()
-
-        def start() -> LoadSession:
-            return LoadSession(self._connect(), self._dialect, self._settings.deadline_s)
-
+        session = LoadSession(self._line, self._dialect, self._settings.deadline_s)
         try:
-            self._session = await self._thread.call(start, 30 * self._settings.deadline_s + 5.0, LoadSession.close)
+            await self._line.open()
+            identity = await session.start()
         except BaseException:
-            await self.close()
+            await session.close()
             raise
-        return self._session.identity
+        self._session = session
+        return identity
 
     async def close(self) -> None:
         """Switch the input off if the load still listens, and release the line."""
         session, self._session = self._session, None
-        await self._thread.finish(None if session is None else session.close, _CLOSE_S + self._settings.deadline_s)
+        # Whoever gives up waiting for this must not leave the module under load.
+        await (self._line.close() if session is None else asyncio.shield(session.close()))
 
     async def sweep(self, plan: SweepPlan, stop_why: Callable[[], str | None]) -> SweptCurve:
         """Measure one curve; see `drivers.interfaces.ElectronicLoad.sweep`."""
@@ -86,16 +79,20 @@ class ScpiLoad:
             try:
                 return await self._swept(session, plan, stop_why)
             finally:
-                await self._call(session.leave, 3)
+                await self._leave(session)
         except (DeadlineError, ProtocolError, LinkLostError, ConnectError):
             await self.close()
             raise
 
-    async def _call(self, function: Callable[[], T], answers: int) -> T:
-        return await self._thread.call(function, answers * self._settings.deadline_s + 2.0)
+    async def _leave(self, session: LoadSession) -> None:
+        """Switch the input off; a session that is in doubt is closed, which does so too."""
+        if session.in_doubt:
+            await self.close()
+        else:
+            await session.switch_off()
 
     async def _swept(self, session: LoadSession, plan: SweepPlan, stop_why: Callable[[], str | None]) -> SweptCurve:
-        open_circuit_v, tripped = await self._call(session.prepare, 12)
+        open_circuit_v, tripped = await session.prepare()
         if tripped:
             return SweptCurve(open_circuit_v, (), (), f"protection is latched: {tripped}")
         points: list[tuple[float, float]] = []
@@ -104,9 +101,9 @@ class ScpiLoad:
             stopped = stop_why() or ""
             if stopped:
                 break
-            await self._call(partial(session.hold, target_v, switch_on=number == 0), 1)
+            await session.hold(target_v, switch_on=number == 0)
             await asyncio.sleep(self._settings.settle_s)
-            measured = await self._call(session.measure, 3)
+            measured = await session.measure()
             if measured.tripped:
                 stopped = f"protection tripped: {measured.tripped}"
                 break

@@ -60,6 +60,8 @@ class LoadCore(LoadInstrument):
 
     def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         """Take in bytes and return the replies that they cause, each with the time [s] at which it is complete."""
+        if not self._buffer and (program := self._programs.get(data)):
+            return self._execute(program, now)
         replies = []
         for byte in data:
             if byte == _ABORT:
@@ -93,7 +95,12 @@ class LoadCore(LoadInstrument):
         if program is None:
             if len(self._programs) >= _CACHED_LINES:
                 self._programs.clear()
-            program = self._programs[line] = compile_line(line.decode("latin-1"), self.make)
+            program = compile_line(line.decode("latin-1"), self.make)
+            # Found again at once when the same line comes as one piece.
+            self._programs[line] = self._programs[line + b"\n"] = program
+        return self._execute(program, now)
+
+    def _execute(self, program: Program, now: float) -> list[tuple[float, bytes]]:
         due_s = now
         answers: list[str] = []
         try:

@@ -4,43 +4,42 @@ It holds a photovoltaic source at a voltage. Left out: modes other than constant
 nothing) and the transient generator.
 """
 
+import math
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sim_drivers.load.dialects import DIALECTS, RATINGS, DialectName
 from sim_drivers.pv_source import SourceLight
 from sim_drivers.scpi import ScpiStatus
-from solar.frames import Array
 
 OVERFLOW = 9.9e37
 SETTLING_S = 0.003
 _DROPPED_S = 0.02
-_SETTLED = 1e-4
+_SETTLED_V = 1e-4
 Trip = Literal["over-temperature", "over-voltage", "over-current", "over-power", "reverse-voltage"]
 TRIPS: tuple[Trip, ...] = ("over-temperature", "over-voltage", "over-current", "over-power", "reverse-voltage")
 
 
 class Source(Protocol):
-    """What is at the terminals; `SourceLight` may hold arrays of the voltages' shape."""
+    """What is at the terminals."""
 
     def light(self, now: float) -> SourceLight:
         """Return the state of the source at a time [s]."""
 
-    def current(self, light: SourceLight, voltage_v: ArrayLike) -> Array:
+    def current(self, light: SourceLight, voltage_v: float) -> float:
         """Return the current [A] at a voltage."""
 
-    def voltage(self, light: SourceLight, current_a: ArrayLike) -> Array:
+    def voltage(self, light: SourceLight, current_a: float) -> float:
         """Return the voltage [V] at a current."""
 
 
 class Held(NamedTuple):
-    """What truly is at the terminals, arrays of one shape, and whether the set voltage was met."""
+    """What truly is at the terminals, and whether the set voltage was met."""
 
-    voltage_v: Array
-    current_a: Array
-    regulated: np.ndarray
+    voltage_v: float
+    current_a: float
+    regulated: bool
 
 
 class LoadInstrument:
@@ -101,59 +100,42 @@ class LoadInstrument:
         """Whether it would draw current: the input is on, in constant voltage, and no protection is latched."""
         return self.on and self.mode.startswith(("VOLT", "CV")) and not self.latched
 
-    def hold(self, light: SourceLight, level_v: ArrayLike) -> Held:
-        """Return what is at the terminals while the load holds `level_v`, or comes as near as it can."""
-        level, least_v, most_a = np.asarray(level_v, dtype=np.float64), self.rating.least_v, self.limit_a
-        held_v = np.maximum(level, least_v)
+    def hold(self, light: SourceLight) -> Held:
+        """Return what is at the terminals while the load holds its voltage, or comes as near as it can."""
+        held_v, most_a = max(self.level_v, self.rating.least_v), self.limit_a
         drawn_a = self.source.current(light, held_v)
-        if (drawn_a > most_a).any():
-            drawn_a = np.minimum(drawn_a, most_a)
-            held_v = np.where(drawn_a < most_a, held_v, self.source.voltage(light, most_a))
-        if (drawn_a < 0.0).any():
-            held_v = np.where(drawn_a < 0.0, self.source.voltage(light, 0.0), held_v)
-            drawn_a = np.maximum(drawn_a, 0.0)
-        return Held(held_v, drawn_a, np.abs(held_v - level) < 1e-6)
-
-    def trace(self, first: SourceLight, last: SourceLight, levels_v: Array, settle_s: float) -> tuple[Array, Array]:
-        """Return the voltages and currents read at one level after another; fewer than the levels if it trips.
-
-        The light goes evenly from `first` to `last`; the input is on before and, unless it trips, after.
-        """
-        count = levels_v.size
-        light = SourceLight(*(np.linspace(before, after, count) for before, after in zip(first, last, strict=True)))
-        voltage_v, current_a, _ = self.hold(light, levels_v)
-        left = np.exp(-settle_s / SETTLING_S)
-        if left > _SETTLED:
-            before_v = np.concatenate([[float(self.source.voltage(first, 0.0))], voltage_v[:-1]])
-            voltage_v = voltage_v + (before_v - voltage_v) * left
-            current_a = np.clip(self.source.current(light, voltage_v), 0.0, self.limit_a)
-        beyond = np.flatnonzero(voltage_v * current_a > self.rating.trips_w)
-        if beyond.size:
-            self.trip("over-power")
-            voltage_v, current_a = voltage_v[: beyond[0]], current_a[: beyond[0]]
-        return self._read_voltage(voltage_v), self._read_current(current_a)
+        if not 0.0 <= drawn_a <= most_a:
+            drawn_a = most_a if drawn_a > most_a else 0.0
+            held_v = self.source.voltage(light, drawn_a)
+        return Held(held_v, drawn_a, abs(held_v - self.level_v) < 1e-6)
 
     def read(self, now: float) -> tuple[float, float]:
         """Measure voltage and current; `OVERFLOW` beyond what the load can measure."""
         voltage_v, current_a, _ = self.at_terminals(now)
-        return float(self._read_voltage(np.array(voltage_v))), float(self._read_current(np.array(current_a)))
+        rating = self.rating
+        return (
+            self._seen(voltage_v, rating.most_v, rating.noise_v),
+            self._seen(current_a, rating.most_a, rating.noise_a),
+        )
 
     def at_terminals(self, now: float) -> tuple[float, float, bool]:
         """Return true voltage and current, and whether the set voltage is met; a limit that is passed trips."""
         light = self.source.light(now)
-        open_v = float(self.source.voltage(light, 0.0))
+        open_v = self.source.voltage(light, 0.0)
         if open_v > self.rating.most_v:
             self.trip("over-voltage")
         if not self.draws or now < self._dropped_until_s:
             return open_v, 0.0, True
-        held = self.hold(light, self.level_v)
-        settled_v, before_v = float(held.voltage_v), open_v if self._before_v is None else self._before_v
-        voltage_v = settled_v + (before_v - settled_v) * float(np.exp((self._changed_s - now) / SETTLING_S))
-        current_a = float(np.clip(self.source.current(light, voltage_v), 0.0, self.limit_a))
+        voltage_v, current_a, regulated = self.hold(light)
+        left_v = (open_v if self._before_v is None else self._before_v) - voltage_v
+        left_v *= math.exp((self._changed_s - now) / SETTLING_S)
+        if not abs(left_v) < _SETTLED_V:
+            voltage_v += left_v
+            current_a = min(max(self.source.current(light, voltage_v), 0.0), self.limit_a)
         if voltage_v * current_a > self.rating.trips_w:
             self.trip("over-power")
             return open_v, 0.0, True
-        return voltage_v, current_a, bool(held.regulated)
+        return voltage_v, current_a, regulated
 
     def status(self, now: float) -> int:
         """Return the status bits of the channel."""
@@ -200,12 +182,6 @@ class LoadInstrument:
         self.latched = set()
         self.reset(now)
 
-    def _read_voltage(self, true: Array) -> Array:
-        return self._seen(true, self.rating.most_v, self.rating.noise_v)
-
-    def _read_current(self, true: Array) -> Array:
-        return self._seen(true, self.rating.most_a, self.rating.noise_a)
-
-    def _seen(self, true: Array, most: float, noise: float) -> Array:
-        readings = true + noise * self._random.standard_normal(true.shape)
-        return np.where(np.abs(true) <= 1.02 * most, readings, OVERFLOW)
+    def _seen(self, true: float, most: float, noise: float) -> float:
+        reading = true + noise * self._random.standard_normal()
+        return reading if abs(true) <= 1.02 * most else OVERFLOW

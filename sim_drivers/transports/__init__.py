@@ -1,11 +1,10 @@
-"""The simulated instruments in this process, behind the interfaces of real ones.
+"""Lines in memory: what the drivers of real instruments are given in place of a port to reach simulated ones.
 
-Each speaks the bytes of its instrument with the instrument's core and waits as long as the instrument takes, by the
-event loop's time, whatever that is.
+Nothing goes through a thread and nothing waits but by the event loop's time, whatever that is.
 """
 
-from sim_drivers.transports.cube import InMemoryMultiplexer, InMemoryVoltmeter
-from sim_drivers.transports.load import InMemoryLoad
-from sim_drivers.transports.positioner import InMemoryPositioner
+from sim_drivers.transports.digital_port import InMemoryPort
+from sim_drivers.transports.line import InMemoryLine
+from sim_drivers.transports.stream import InMemoryStream
 
-__all__ = ["InMemoryLoad", "InMemoryMultiplexer", "InMemoryPositioner", "InMemoryVoltmeter"]
+__all__ = ["InMemoryLine", "InMemoryPort", "InMemoryStream"]

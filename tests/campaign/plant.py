@@ -10,7 +10,6 @@ from daemon.base.records import Bus
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from sim_drivers.pozsol.setup import Setup
-from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
 from solar.frames import Angles
 from tests.support.rig import Bench, HandWeather
 
@@ -42,14 +41,6 @@ class DriverTap:
         self._driver = driver
         self._watch = watch
         self.line = line
-
-    @property
-    def link_up(self):
-        return self._driver.link_up
-
-    @link_up.setter
-    def link_up(self, up):
-        self._driver.link_up = up
 
     def __getattr__(self, name):
         return getattr(self._driver, name)
@@ -91,8 +82,13 @@ class Plant(Bench):
         super().__init__(loop, settings, start, weather, Role.BOTH, setup)
 
     def connect(self, settings):
-        line = UnitTap(self.unit, self.watch.heard)
-        return DriverTap(self.drive(line, settings), line, self.watch)
+        super().connect(settings)
+        for device, up in self.plugged.items():
+            getattr(self.cables, device).link_up = up
+
+    def drive(self, unit, settings):
+        line = UnitTap(unit, self.watch.heard)
+        return DriverTap(super().drive(line, settings), line, self.watch)
 
     @property
     def is_served(self):
@@ -110,7 +106,7 @@ class Plant(Bench):
 
     def plug(self, device, *, up):
         self.plugged[device] = up
-        getattr(self, device).link_up = up
+        getattr(self.cables, device).link_up = up
         if device == "positioner":
             self.watch.link_changes()
 
@@ -149,12 +145,8 @@ class Plant(Bench):
 
     def renew(self):
         """Build and start a new process on the same instruments and files."""
-        now, settings = self.clock.monotonic, self._lasting
-        self.multiplexer = InMemoryMultiplexer(self.switch, now)
-        self.voltmeter = InMemoryVoltmeter(self.meter, now)
-        self.positioner = self.connect(settings)
-        for device, up in self.plugged.items():
-            getattr(self, device).link_up = up
+        settings = self._lasting
+        self.connect(settings)
         self.bus = Bus()
         self.bus.subscribe(self.records.append)
         self.service = self.serve(settings, Role.BOTH)

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pvlib import pvsystem
 
-from solar.pv_module import Q_PEAK_G4_1_305, cell_temperature, curve, maximum_power, voltage
+from solar.pv_module import Q_PEAK_G4_1_305, cell_temperature, curve, maximum_power, single_diode, voltage
 
 irradiances = st.floats(1.0, 1400.0)
 temperatures = st.floats(-20.0, 90.0)
@@ -74,3 +76,23 @@ def test_the_modules_temperature_is_faimans_by_hand():
     # 20 + 800 / (25 + 6.84 * 2)
     assert cell_temperature(800.0, 20.0, 2.0) == pytest.approx(20.0 + 800.0 / 38.68)
     assert cell_temperature([0.0, 800.0], [5.0, 20.0]).shape == (2,)
+
+
+@pytest.mark.parametrize("module", [Q_PEAK_G4_1_305, replace(Q_PEAK_G4_1_305, series_resistance_ohm=1.5)])
+@pytest.mark.parametrize("irradiance", [0.01, 5.0, 200.0, 1000.0, 1400.0])
+@pytest.mark.parametrize("cell_c", [-20.0, 25.0, 80.0])
+def test_one_number_at_a_time_is_the_same_model(module, irradiance, cell_c):
+    one = single_diode(module, irradiance, cell_c)
+    volts = np.array([-20.0, 0.0, 1.0, 20.0, 32.0, 36.0, 40.0, 60.0, 240.0])
+    assert [one.current(each) for each in volts] == pytest.approx(curve(module, irradiance, cell_c, volts), abs=1e-8)
+    # In the deepest dusk pvlib's inverse loses some digits; the other direction keeps them.
+    amperes = np.linspace(-5.0, 0.99 * one.current(0.0), 12)
+    assert [one.voltage(each) for each in amperes] == pytest.approx(
+        voltage(module, irradiance, cell_c, amperes), abs=1e-6
+    )
+
+
+def test_one_module_in_the_dark_gives_nothing():
+    for irradiance in (0.0, -3.0):
+        one = single_diode(Q_PEAK_G4_1_305, irradiance, 10.0)
+        assert (one.current(20.0), one.voltage(0.0)) == (0.0, 0.0)

@@ -3,6 +3,7 @@
 import asyncio
 from datetime import UTC, datetime
 from random import Random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,16 +14,19 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
+from daemon.rigs.real import build_positioner, build_voltmeter, sweep_settings
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
+from drivers.load.chroma63600 import Chroma63600
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pv_source import PvSource
 from sim_drivers.scene import Scene, SensorModel
-from sim_drivers.transports import InMemoryLoad, InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
 from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import Conditions
 from solar.ephemeris import Site
@@ -70,24 +74,30 @@ class Bench:
         self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
         self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
         self.unit = PositionerCore(loop.time(), setup)
-        self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
-        self.voltmeter = InMemoryVoltmeter(self.meter, loop.time)
-        self.positioner = self.connect(settings)
+        self.cables = SimpleNamespace()
+        self.connect(settings)
         self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
-        self.load = InMemoryLoad(self.load_core, loop.time, settle_s=settings.load.settle_s, least_v=2.7)
+        self.cables.load = InMemoryLine("load", self.load_core, loop.time)
+        self.load = Chroma63600(self.cables.load, self.load_core.channel, sweep_settings(settings))
         self.bus = Bus()
         self.records = []
         self.bus.subscribe(self.records.append)
         self.service = self.serve(settings, role)
 
     def connect(self, settings):
-        """Return what drives the unit over its line."""
-        return self.drive(self.unit, settings)
+        """Lay the cables of cube and positioner, and put a driver at the end of each."""
+        now, cables = self.clock.monotonic, self.cables
+        cables.multiplexer = InMemoryPort(self.switch, now)
+        cables.voltmeter = InMemoryLine("voltmeter", self.meter, now)
+        self.multiplexer = NiMultiplexer(cables.multiplexer)
+        self.voltmeter = build_voltmeter(settings, line=cables.voltmeter)
+        self.positioner = self.drive(self.unit, settings)
 
     def drive(self, unit, settings):
         """Return the driver of a unit, or of what stands between."""
-        return InMemoryPositioner(unit, self.clock.monotonic, settings.limits.limits())
+        self.cables.positioner = InMemoryStream(unit, self.clock.monotonic)
+        return build_positioner(settings, self.clock, line=self.cables.positioner)
 
     def serve(self, settings, role):
         """Return a service on these instruments, as a newly started process would be."""

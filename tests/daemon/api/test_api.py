@@ -117,7 +117,7 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
 def test_what_is_too_old_is_marked_stale_and_recovers(serve):
     async def scenario(bench, call):
         await tracking(bench)
-        bench.voltmeter.link_up = bench.positioner.link_up = False
+        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = False
         await asyncio.sleep(60)
         found = (await call.get("/api/state")).json
         assert found["scan"]["stale"] is True
@@ -131,7 +131,7 @@ def test_what_is_too_old_is_marked_stale_and_recovers(serve):
         health = await call.get("/healthz")
         assert (health.status, health.json["ok"], len(health.json["down"])) == (200, True, 2)
 
-        bench.voltmeter.link_up = bench.positioner.link_up = True
+        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.TRACKING, 200)
         await asyncio.sleep(10)
         found = (await call.get("/api/state")).json
@@ -380,7 +380,7 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
         assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
         assert 'heliocube_motor_amperes{axis="b"' not in metrics
         assert "heliocube_angle_degrees{" in metrics
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until(lambda: not bench.motion.connected, 15, "the loss")
         metrics = (await call.get("/metrics")).body.decode()
         assert "heliocube_angle_degrees{" not in metrics

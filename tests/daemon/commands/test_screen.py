@@ -26,7 +26,7 @@ def shown(run_rig, *, terminal, faults=()):
         await bench.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(30)
         for name in faults:
-            getattr(bench, name).link_up = False
+            getattr(bench.cables, name).link_up = False
         await asyncio.sleep(90)
         viewing.cancel()
         await asyncio.gather(viewing, return_exceptions=True)

@@ -13,8 +13,10 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.config.stuck_lines import self_test_gaps
 from daemon.cube.acquisition import Acquisition
+from drivers.meters.keithley2000 import Keithley2000
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.multiplexer import MultiplexerCore
-from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.transports import InMemoryLine, InMemoryPort
 from sim_drivers.voltmeter.core import VoltmeterCore
 
 FACES_MV = {"east": 30.0, "south": 41.0, "west": 6.0, "zenith": 47.0}
@@ -41,8 +43,8 @@ def qualities(channels, tests, spoil, parallel=()):
         acquisition = Acquisition(
             settings.cube,
             0.3,
-            InMemoryMultiplexer(switch, loop.time),
-            InMemoryVoltmeter(meter, loop.time),
+            NiMultiplexer(InMemoryPort(switch, loop.time)),
+            Keithley2000(InMemoryLine("voltmeter", meter, loop.time)),
             LoopClock(loop.time, 1.7e9),
             Random(1),
             lambda _scan: None,

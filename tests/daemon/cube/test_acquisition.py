@@ -3,6 +3,7 @@
 import asyncio
 import logging
 from random import Random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import CubeSettings
 from daemon.cube.acquisition import Acquisition
+from drivers.meters.keithley2000 import Keithley2000
+from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.multiplexer import MultiplexerCore
-from sim_drivers.transports import InMemoryMultiplexer, InMemoryVoltmeter
+from sim_drivers.transports import InMemoryLine, InMemoryPort
 from sim_drivers.voltmeter.core import VoltmeterCore
 
 DAY, NIGHT = 30.0, -20.0
@@ -28,8 +31,11 @@ class Rig:
         self.on_input = lambda _channel: None
         self.switch = MultiplexerCore(inputs=self._input, latency_s=latency_s)
         self.core = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
-        self.multiplexer = InMemoryMultiplexer(self.switch, loop.time)
-        self.voltmeter = InMemoryVoltmeter(self.core, loop.time)
+        self.cables = SimpleNamespace(
+            multiplexer=InMemoryPort(self.switch, loop.time), voltmeter=InMemoryLine("voltmeter", self.core, loop.time)
+        )
+        self.multiplexer = NiMultiplexer(self.cables.multiplexer)
+        self.voltmeter = Keithley2000(self.cables.voltmeter)
         self.scans, self.at, self.loop, self.scanned = [], [], loop, asyncio.Event()
         self.acquisition = Acquisition(
             cube,
@@ -193,8 +199,8 @@ def test_a_sensor_of_exactly_0_v_at_night_is_not_frozen(run):
 
 def test_the_switch_is_not_touched_while_the_meter_cannot_be_opened(run, caplog):
     async def scenario(rig):
-        rig.voltmeter.link_up = False
-        rig.multiplexer.link_up = False
+        rig.cables.voltmeter.link_up = False
+        rig.cables.multiplexer.link_up = False
         await asyncio.sleep(5)
         assert "voltmeter" in rig.acquisition.outage.reason
 

@@ -136,10 +136,10 @@ def test_what_was_ordered_before_a_loss_is_forgotten(run_rig, monkeypatch):
         bench.motion.order(Target(0, 60, "test"))
         bench.motion.rest()
         bench.motion.order(Target(0, 50, "test"))
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(3)
         sent = commands_sent(bench, monkeypatch)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until(lambda: bench.motion.connected, 20, "the connection")
         await asyncio.sleep(30)
         assert not targets(sent)
@@ -152,13 +152,13 @@ def test_own_tracking_is_switched_off(run_rig, monkeypatch, when):
     async def scenario(bench):
         await quiet(bench)
         if when == "at the connection":
-            bench.positioner.link_up = False
+            bench.cables.positioner.link_up = False
             await asyncio.sleep(2)
         # Without a supply it cannot move, whatever it wants.
         bench.unit.inject("undervoltage", now(bench))
         bench.unit.inject("own_tracking", now(bench))
         sent = commands_sent(bench, monkeypatch)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until(lambda: TRACKING_OFF_PACKET in [data for _, data in sent], 20, "the command")
         await asyncio.sleep(3)
         assert not bench.motion.telemetry.autonomous
@@ -243,9 +243,9 @@ def test_after_many_short_outages_the_first_tries_to_reconnect_are_quick_again(r
     async def scenario(bench):
         await quiet(bench)
         for _ in range(8):
-            bench.positioner.link_up = False
+            bench.cables.positioner.link_up = False
             await asyncio.sleep(0.7)
-            bench.positioner.link_up = True
+            bench.cables.positioner.link_up = True
             await bench.until(lambda: bench.motion.connected, 2.5, "the connection")
             await asyncio.sleep(5)
 
@@ -331,7 +331,7 @@ def test_stands_since_tells_when_telemetry_saw_both_axes_come_to_rest(run_rig):
         assert bench.motion.stands_since_s is None, "a stop that was sent is not yet a standstill"
         await bench.until(lambda: bench.motion.stands_since_s, 3, "standstill")
         assert bench.motion.stands_since_s > stopped_s
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(2)
         assert bench.motion.stands_since_s is None
 

@@ -35,7 +35,7 @@ async def flapping(bench):
 
 
 async def unplugged(bench):
-    bench.positioner.link_up = False
+    bench.cables.positioner.link_up = False
 
 
 async def deaf(bench):

@@ -82,10 +82,10 @@ def test_a_clear_that_was_asked_for_before_the_link_was_lost_dies_with_it(run_ri
         bench.unit.power_cycle(now(bench))
         await asyncio.sleep(2)
         bench.motion.clear_faults()
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(5)
         sent = commands_sent(bench, monkeypatch)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await asyncio.sleep(60)
         assert not [data for _, data in sent if data.startswith(CLEAR_PACKET)]
         assert RESET in bench.motion.doubt
@@ -97,7 +97,7 @@ def test_a_clear_that_was_asked_for_before_the_link_was_lost_dies_with_it(run_ri
 def test_a_clear_without_telemetry_is_refused(run_rig):
     async def scenario(bench):
         await quiet(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(3)
         with pytest.raises(RefusedError, match="no telemetry"):
             bench.motion.clear_faults()
@@ -112,9 +112,9 @@ def test_a_fault_that_vanishes_while_unplugged_is_remembered(run_rig):
         await quiet(bench)
         bench.unit.inject("a_overcurrent", now(bench))
         await asyncio.sleep(2)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(1000 - now(bench))
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until(lambda: bench.motion.connected, 20, "the connection")
         await asyncio.sleep(2)
         assert not bench.motion.telemetry.faults
@@ -257,9 +257,9 @@ def test_a_homing_run_that_is_broken_off_leaves_the_doubt_that_was_there(run_rig
             assert bench.truth().b_deg == pytest.approx(90, abs=1)
             bench.control.auto()
         elif end == "unplug":
-            bench.positioner.link_up = False
+            bench.cables.positioner.link_up = False
             await asyncio.sleep(2)
-            bench.positioner.link_up = True
+            bench.cables.positioner.link_up = True
         else:
             bench.unit.power_cycle(now(bench))
         await bench.until_mode(Mode.FAULT, 60)
@@ -387,11 +387,11 @@ def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
 def test_a_tracker_that_stands_elsewhere_after_an_outage_is_in_doubt(run_rig):
     async def scenario(bench):
         await quiet(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(3)
         drive_b(bench, 60.0)
         await asyncio.sleep(60)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.FAULT, 30)
         await bench.until(lambda: bench.motion.connected, 30, "the connection")
         assert "before the loss it stood at" in bench.motion.doubt

@@ -145,9 +145,9 @@ def test_what_moves_at_the_connection_is_stopped_and_blocks_nothing(run_rig):
         await quiet(bench)
         bench.motion.order(Target(40, 15, "far"))
         await asyncio.sleep(2)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(5)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until(lambda: bench.motion.connected, 10, "the connection")
         assert await moves_for(bench, 5) == 0.0
         assert bench.motion.blocked is None
@@ -163,12 +163,12 @@ def test_what_is_asked_while_the_link_comes_back_is_what_happens(run_rig, wish, 
         await quiet(bench)
         bench.motion.order(Target(40, 15, "far"))
         await asyncio.sleep(2)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(5)
         opened = bench.positioner.open
         bench.positioner.open = lambda: (setattr(bench, "opened", True), opened())[1]
         bench.opened = False
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until(lambda: bench.opened, 10, "the connection")
         await asyncio.sleep(after_s)
         try:
@@ -476,7 +476,7 @@ def test_at_the_end_nothing_is_said_to_stand_that_was_not_seen_to(run_rig, caplo
         if trouble == "deaf":
             bench.unit.inject("deaf", bench.clock.monotonic())
         else:
-            bench.positioner.link_up = False
+            bench.cables.positioner.link_up = False
         await asyncio.sleep(1)
 
     said, moves = ended(run_rig, caplog, act)

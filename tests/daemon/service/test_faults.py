@@ -52,13 +52,13 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     async def scenario(bench):
         await tracking(bench)
         await at_rest(bench)
-        getattr(bench, instrument).link_up = False
+        getattr(bench.cables, instrument).link_up = False
         await bench.until_mode(Mode.FALLBACK, 90)
         assert "no good scan" in bench.control.why
         await asyncio.sleep(700)
         sun = sun_direction(bench.clock.utc(), *SITE)
         assert separation_deg(normal_from_angles(*bench.truth()), sun) < 2.5
-        getattr(bench, instrument).link_up = True
+        getattr(bench.cables, instrument).link_up = True
         await bench.until_mode(Mode.TRACKING, 90)
 
     bench = run_rig(scenario)
@@ -75,7 +75,7 @@ def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_r
     async def scenario(bench):
         await tracking(bench)
         await asyncio.sleep(130)
-        device = getattr(bench, instrument)
+        device = getattr(bench.cables, instrument)
         # Another instant of the scan each time, and another one of the waits between tries.
         for turn in range(5):
             device.link_up = False
@@ -164,13 +164,13 @@ def test_a_late_reply_is_never_credited_to_another_face(run_rig):
 def test_after_a_reconnection_the_first_word_is_stop_and_the_first_move_a_new_decision(run_rig, monkeypatch):
     async def scenario(bench):
         await under_way(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until_mode(Mode.FAULT, 15)
         assert "unplugged" in bench.control.why
         await asyncio.sleep(70)
         sent = commands_sent(bench, monkeypatch)
         back = bench.clock.monotonic()
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.TRACKING, 15)
         await bench.until(lambda: any(data.startswith(b"$.") for _, data in sent), 400, "a move")
         assert sent[0][1].startswith(b"$9s"), f"the first command was {sent[0]}"
@@ -364,11 +364,11 @@ def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
         await at_rest(bench)
         bench.control.goto(-40, 30, "test")
         await asyncio.sleep(5)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until_mode(Mode.FAULT, 15)
         with pytest.raises(RefusedError, match="mode fault"):
             bench.control.goto(10, 60, "test")
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.HOLD, 30)
         await asyncio.sleep(3)
         stands = bench.truth()
@@ -426,7 +426,7 @@ def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
         with pytest.raises(DeviceError):
             await bench.control.stop("test")
 
-    run_rig(lambda bench: (setattr(bench.positioner, "link_up", False), scenario(bench))[1])
+    run_rig(lambda bench: (setattr(bench.cables.positioner, "link_up", False), scenario(bench))[1])
 
 
 # The clock
@@ -510,9 +510,9 @@ def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, c
 def test_a_day_without_the_positioner_writes_few_lines(run_rig, caplog):
     async def scenario(bench):
         await tracking(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(24 * 3600)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await asyncio.sleep(60)
 
     with caplog.at_level(logging.INFO):
@@ -542,8 +542,8 @@ def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_
         async def hung():
             raise DriverHungError(instrument, "8 calls of its driver never returned")
 
-        device = getattr(bench, instrument)
-        device.open, device.link_up = hung, False
+        getattr(bench, instrument).open = hung
+        getattr(bench.cables, instrument).link_up = False
         ended = "the service ends, and has to be started anew"
         await bench.until(lambda: any(ended in event.text for event in bench.of(Event)), 30, "the end")
         if instrument != "positioner":

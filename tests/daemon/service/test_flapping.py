@@ -38,7 +38,7 @@ def test_a_day_of_a_bad_contact_is_told_in_at_most_50_lines_and_50_events(run_ri
         bench.motion._polling = SELDOM
         caplog.clear()
         bench.records.clear()
-        await flap(bench, getattr(bench, name))
+        await flap(bench, getattr(bench.cables, name))
         during = [event.text for event in bench.of(Event)]
         assert len(told(caplog)) <= MOST, "\n".join(told(caplog))
         assert len(during) <= MOST, "\n".join(during)
@@ -59,12 +59,12 @@ async def wind_comes_and_goes(bench):
 
 
 async def cube_unplugged(bench):
-    bench.voltmeter.link_up = False
+    bench.cables.voltmeter.link_up = False
     await asyncio.sleep(DAY_S)
 
 
 async def cube_for_minutes(bench):
-    await flap(bench, bench.multiplexer, down_s=200.0, up_s=200.0)
+    await flap(bench, bench.cables.multiplexer, down_s=200.0, up_s=200.0)
 
 
 @pytest.mark.parametrize(
@@ -88,12 +88,12 @@ def test_after_a_bad_contact_the_next_loss_is_told_at_once(run_rig, caplog):
     async def scenario(bench):
         await tracking(bench)
         bench.motion._polling = SELDOM
-        await flap(bench, bench.positioner, for_s=1200.0)
+        await flap(bench, bench.cables.positioner, for_s=1200.0)
         await asyncio.sleep(1900)
         assert told(caplog)[-1].startswith("the positioner is steady again: it has worked for 30 min, after 60 outages")
         caplog.clear()
         bench.records.clear()
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await asyncio.sleep(60)
         assert told(caplog)[0] == "the positioner is down: positioner: is unplugged"
         assert [event.text for event in bench.of(Event)] == ["the positioner is down: positioner: is unplugged"]

@@ -64,7 +64,7 @@ def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
 
     async def scenario(bench):
         watching = asyncio.create_task(watch(bench, notifier).run())
-        bench.voltmeter.link_up = bench.positioner.link_up = False
+        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = False
         await heard(120)
         assert (await heard(120)).count("WATCHDOG=1") >= 11
         watching.cancel()

@@ -11,12 +11,13 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
+from daemon.rigs.real import build_positioner
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.tracker.stow import WindStow
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.transports import InMemoryPositioner
+from sim_drivers.transports import InMemoryStream
 
 
 def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **safety):
@@ -24,7 +25,8 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
         clock = LoopClock(loop.time, 1.7e9)
-        positioner = InMemoryPositioner(PositionerCore(loop.time()), loop.time, settings.limits.limits())
+        line = InMemoryStream(PositionerCore(loop.time()), loop.time)
+        positioner = build_positioner(settings, clock, line=line)
         rig = Rig(None, None, (TrackerInstruments(positioner),), wind, simulated=simulated)
         service = Service(
             settings,

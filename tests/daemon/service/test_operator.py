@@ -179,13 +179,13 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
 def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_back(run_rig, monkeypatch):
     async def scenario(bench):
         await under_way(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         with pytest.raises(CommandError, match="stop could not be sent, and is sent as soon as") as told:
             await operator(bench).stop("halt")
         assert not told.value.wrong
         await bench.until(lambda: not bench.motion.connected, 5, "the loss")
         sent = commands_sent(bench, monkeypatch)
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.HOLD, 60)
         assert sent[0][1].startswith(b"$9s")
         await asyncio.sleep(3)
@@ -199,7 +199,7 @@ def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_b
 def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
     async def scenario(bench):
         await tracking(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until(lambda: not bench.motion.connected, 15, "the loss")
         for call in (operator(bench).home, operator(bench).clear, lambda why: operator(bench).goto(0, 60, why)):
             with pytest.raises(CommandError, match=r"the tracker cannot .*: positioner: is unplugged"):

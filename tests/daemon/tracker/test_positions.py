@@ -146,7 +146,7 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
 def test_no_law_travels_further_than_the_day_allows_in_fallback_either(run_rig):
     async def scenario(bench):
         await tracking(bench)
-        bench.voltmeter.link_up = False
+        bench.cables.voltmeter.link_up = False
         await asyncio.sleep(3 * 3600)
         assert bench.mode is Mode.FALLBACK
         assert "day-budget" in alarms(bench)
@@ -232,10 +232,10 @@ def test_a_good_scan_wakes_whoever_waits_for_it(run_rig):
         await tracking(bench)
         await asyncio.sleep(130)
         for wait_s in (0.0, 1.3, 2.9):
-            bench.voltmeter.link_up = False
+            bench.cables.voltmeter.link_up = False
             await bench.until_mode(Mode.FALLBACK, 90)
             await asyncio.sleep(wait_s)
-            bench.voltmeter.link_up = True
+            bench.cables.voltmeter.link_up = True
             scans = len(bench.of(Scan))
             await bench.until(lambda scans=scans: any(scan.ok for scan in bench.of(Scan)[scans:]), 60, "a good scan")
             await asyncio.sleep(0.1)

@@ -178,7 +178,7 @@ def test_a_file_of_an_earlier_version_is_in_force(run_rig, tmp_path):
 def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
     async def first(bench):
         await under_way(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         with pytest.raises(DeviceError):
             await bench.control.stop("a hand", "ana")
 
@@ -189,13 +189,13 @@ def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig
 def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_return(run_rig):
     async def scenario(bench):
         await tracking(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="stop could not be sent"):
             await operator(bench).stop("repair", "ana")
         assert bench.mode is Mode.FAULT
         assert "unplugged; stopped by ana since " in bench.control.why
-        bench.positioner.link_up = True
+        bench.cables.positioner.link_up = True
         await bench.until_mode(Mode.HOLD, 60)
         await asyncio.sleep(5)
         stands = bench.truth()
@@ -331,7 +331,7 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_every
 def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
     async def scenario(bench):
         await tracking(bench)
-        bench.positioner.link_up = False
+        bench.cables.positioner.link_up = False
         await bench.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="maintenance is noted, but stop could not be sent"):
             await operator(bench).maintenance("cable", "ana")

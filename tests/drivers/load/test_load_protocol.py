@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConnectError, DeadlineError, DeviceError, IdentityError, LinkLostError, ProtocolError
+from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.agilent6063b import Agilent6063B
 from drivers.load.chroma63600 import Chroma63600
@@ -20,9 +21,10 @@ NUMBER = re.compile(rb"[+-]?\d+\.\d+(E[+-]\d\d)?")
 
 
 def load_on(link, make="chroma63600", *, channel=1, deadline_s=0.5, least_v=3.0):
-    connect = partial(VisaLine, VisaSettings(f"ASRL{link}::INSTR", device="load", section="load"))
+    where = VisaSettings(f"ASRL{link}::INSTR", device="load", section="load")
+    line = ThreadedLine("load", partial(VisaLine, where))
     settings = SweepSettings(0.02, least_v, deadline_s)
-    return Chroma63600(connect, channel, settings) if make == "chroma63600" else Agilent6063B(connect, settings)
+    return Chroma63600(line, channel, settings) if make == "chroma63600" else Agilent6063B(line, settings)
 
 
 def steps(*levels):

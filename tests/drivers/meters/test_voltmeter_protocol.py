@@ -18,6 +18,7 @@ from drivers.errors import (
     OverRangeError,
     ProtocolError,
 )
+from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.meters.keithley2000 import Keithley2000
 from sim_drivers.voltmeter.core import VoltmeterCore
@@ -25,9 +26,13 @@ from sim_drivers.voltmeter.core import VoltmeterCore
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 
 
+def visa(settings):
+    return ThreadedLine("voltmeter", partial(VisaLine, settings))
+
+
 def meter_on(link, *, terminator="LF", **options):
     settings = VisaSettings(f"ASRL{link}::INSTR", terminator=terminator)
-    return Keithley2000(partial(VisaLine, settings), deadline_s=options.pop("deadline_s", 0.5), **options)
+    return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 0.5), **options)
 
 
 def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path):
@@ -236,7 +241,7 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
 
     async def scene():
         settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "prologix"))
-        meter = Keithley2000(partial(VisaLine, settings), deadline_s=1.0)
+        meter = Keithley2000(visa(settings), deadline_s=1.0)
         for _ in range(2):
             assert "MODEL 2000" in await meter.open()
             for _ in range(3):
@@ -258,10 +263,10 @@ def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
 
 def test_a_bus_or_library_that_is_not_there_is_named_with_the_remedy():
     async def scene():
-        meter = Keithley2000(partial(VisaLine, VisaSettings("GPIB0::16::INSTR")))
+        meter = Keithley2000(visa(VisaSettings("GPIB0::16::INSTR")))
         with pytest.raises(ConnectError, match="prologix_port"):
             await meter.open()
-        ni = Keithley2000(partial(VisaLine, VisaSettings("GPIB0::16::INSTR", library="ni")))
+        ni = Keithley2000(visa(VisaSettings("GPIB0::16::INSTR", library="ni")))
         with pytest.raises(ConnectError, match="NI-VISA is not installed"):
             await ni.open()
 

@@ -8,6 +8,7 @@ import pytest
 from nidaqmx.constants import LineGrouping
 
 from drivers.errors import ConnectError, DriverMissingError, LinkLostError, RefusedError
+from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.multiplexer import MultiplexerCore
@@ -24,8 +25,9 @@ async def ni_server(**options):
         await server.stop()
 
 
-def multiplexer_at(server, **options):
-    return NiMultiplexer(server=f"127.0.0.1:{server.port}", deadline_s=options.pop("deadline_s", 5.0), **options)
+def multiplexer_at(server, *, digital_port="Dev1/port0", deadline_s=5.0, **options):
+    port = NiPort(digital_port, server=f"127.0.0.1:{server.port}", deadline_s=deadline_s)
+    return NiMultiplexer(port, **options)
 
 
 def selected(server):
@@ -128,7 +130,7 @@ def test_the_session_of_a_program_that_died_is_taken_over():
         async with ni_server() as server:
             dead = multiplexer_at(server)
             await dead.open()
-            dead._session._channel.close()
+            dead._port._session._channel.close()
             successor = multiplexer_at(server)
             await successor.open()
             await successor.select(5)
@@ -175,6 +177,6 @@ def test_a_wrong_name_and_a_missing_driver_are_one_sentence():
             with pytest.raises(ConnectError, match="no device for Dev9/port0/line0:2"):
                 await multiplexer_at(server, digital_port="Dev9/port0").open()
         with pytest.raises(DriverMissingError, match=r"NI-DAQmx is not installed on this PC.*instruments.multiplexer"):
-            await NiMultiplexer().open()
+            await NiMultiplexer(NiPort()).open()
 
     asyncio.run(scene())

@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim_drivers.load.core import LoadCore
-from sim_drivers.load.instrument import OVERFLOW
 from sim_drivers.pv_source import SourceLight
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, voltage
 
@@ -200,27 +199,3 @@ def test_no_bytes_whatever_break_it(data):
     talk.core.feed(data, talk.now)
     talk.core.feed(b"\n\x03", talk.now)
     assert talk.ask("*OPC?") == "1"
-
-
-def test_a_trace_at_once_is_what_the_same_steps_measure_one_by_one():
-    levels = np.linspace(37.0, 5.0, 20)
-    quick, slow = chroma(), chroma()
-    quick.core.switch(quick.now, on=True)
-    light = quick.source.light(0.0)
-    voltage_v, current_a = quick.core.trace(light, light, levels, 0.03)
-    measured = []
-    for number, level_v in enumerate(levels):
-        slow.say(f"VOLT:STAT:L1 {level_v:.3f}{';:LOAD ON' if number == 0 else ''}")
-        measured.append(slow.numbers("MEAS:VOLT?;CURR?", wait_s=0.03))
-    assert np.column_stack([voltage_v, current_a]) == pytest.approx(np.array(measured), abs=0.03)
-
-
-def test_a_trace_ends_where_the_load_trips():
-    talk = agilent(source=Module(1300.0, 20.0))
-    talk.core.switch(talk.now, on=True)
-    light = talk.source.light(0.0)
-    voltage_v, current_a = talk.core.trace(light, light, np.linspace(40.0, 5.0, 40), 0.03)
-    assert 0 < voltage_v.size < 40
-    assert (voltage_v * current_a).max() < 301.0
-    assert talk.core.latched == {"over-power"}
-    assert (voltage_v < OVERFLOW).all()

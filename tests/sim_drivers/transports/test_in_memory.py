@@ -1,5 +1,8 @@
+"""The drivers of real instruments on lines in memory to simulated ones, under virtual time."""
+
 import asyncio
 import math
+import re
 
 import numpy as np
 import pytest
@@ -14,15 +17,28 @@ from drivers.errors import (
     ProtocolError,
     RefusedError,
 )
+from drivers.load.agilent6063b import Agilent6063B
+from drivers.load.chroma63600 import Chroma63600
+from drivers.load.sweep import SweepSettings
+from drivers.meters.keithley2000 import Keithley2000
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field
+from drivers.switches.ni_usb6008 import NiMultiplexer
+from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import AxisDrive, Setup
-from sim_drivers.transports import InMemoryMultiplexer, InMemoryPositioner, InMemoryVoltmeter
+from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
 from sim_drivers.voltmeter.core import VoltmeterCore
-from solar.frames import Angles, Limits
+from solar.frames import Angles
+from solar.pv_module import Q_PEAK_G4_1_305, curve
+from tests.support.ports import Module
 
 VOLTS = (0.010, 0.020, 0.030, 0.040)
+NUMBER = re.compile(rb"[+-]?\d+\.\d+(E[+-]\d\d)?")
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
 def virtually(scene):
@@ -35,8 +51,10 @@ class Cube:
     def __init__(self, now, inputs=lambda channel, _now: VOLTS[channel] if channel < 4 else None, **options):
         self.switch = MultiplexerCore(inputs)
         self.meter = VoltmeterCore(self.switch.output_voltage, np.random.default_rng(3))
-        self.multiplexer = InMemoryMultiplexer(self.switch, now)
-        self.voltmeter = InMemoryVoltmeter(self.meter, now, **options)
+        self.port = InMemoryPort(self.switch, now)
+        self.line = InMemoryLine("voltmeter", self.meter, now)
+        self.multiplexer = NiMultiplexer(self.port)
+        self.voltmeter = Keithley2000(self.line, **options)
 
     async def open(self):
         return await self.multiplexer.open(), await self.voltmeter.open()
@@ -73,7 +91,7 @@ def test_opening_identifies_configures_and_reads_the_configuration_back():
     async def scene(now):
         cube = Cube(now, range_v=0.1, nplc=10.0)
         switch, meter = await cube.open()
-        assert "8 inputs" in switch
+        assert switch == "simulated USB-6008 with the lines Dev1/port0/line0:2"
         assert "MODEL 2000" in meter
         settings = cube.meter.settings
         assert (settings.range_v, settings.nplc, settings.autorange, settings.continuous) == (0.1, 10.0, False, False)
@@ -87,12 +105,11 @@ def test_opening_identifies_configures_and_reads_the_configuration_back():
 
 def test_a_meter_that_is_something_else_or_cannot_be_set_is_not_opened():
     async def scene(now):
-        other = InMemoryVoltmeter(
-            VoltmeterCore(lambda _now: 0.0, np.random.default_rng(1), identity="KEITHLEY,MODEL 2700,1,A01"), now
-        )
+        core = VoltmeterCore(lambda _now: 0.0, np.random.default_rng(1), identity="KEITHLEY,MODEL 2700,1,A01")
+        other = Keithley2000(InMemoryLine("voltmeter", core, now))
         with pytest.raises(IdentityError, match="2700"):
             await other.open()
-        with pytest.raises(ProtocolError, match="configuration"):
+        with pytest.raises(ProtocolError, match=r"did not take .*NPLC 50"):
             await Cube(now, nplc=50.0).voltmeter.open()
         with pytest.raises(LinkLostError):
             await other.read_voltage()
@@ -104,7 +121,7 @@ def test_a_silent_meter_cannot_be_opened():
     async def scene(now):
         cube = Cube(now)
         cube.meter.mute = True
-        with pytest.raises(ConnectError, match="does not answer"):
+        with pytest.raises(ConnectError, match=r"did not answer .IDN.*is it on"):
             await cube.voltmeter.open()
 
     virtually(scene)
@@ -170,7 +187,7 @@ def test_a_garbled_reply_is_refused_and_the_next_reading_is_good():
         await cube.open()
         for _ in range(30):
             cube.meter.corrupt_next()
-            with pytest.raises(ProtocolError):
+            with pytest.raises((ProtocolError, DeadlineError)):
                 await cube.read(0)
             assert await cube.read(2) == pytest.approx(VOLTS[2], abs=5e-6)
 
@@ -226,16 +243,16 @@ def test_pulled_cables_are_lost_until_they_are_plugged_in_and_opened_again():
         cube = Cube(now)
         await cube.open()
         await cube.read(2)
-        for instrument, use in (
-            (cube.multiplexer, lambda: cube.multiplexer.select(1)),
-            (cube.voltmeter, cube.voltmeter.read_voltage),
+        for cable, instrument, use, gone in (
+            (cube.port, cube.multiplexer, lambda: cube.multiplexer.select(1), r"unplugged \(-201003\)"),
+            (cube.line, cube.voltmeter, cube.voltmeter.read_voltage, "is unplugged"),
         ):
-            instrument.link_up = False
-            with pytest.raises(LinkLostError, match="unplugged"):
+            cable.link_up = False
+            with pytest.raises(LinkLostError, match=gone):
                 await use()
-            with pytest.raises(ConnectError):
+            with pytest.raises(ConnectError, match="plugged in"):
                 await instrument.open()
-            instrument.link_up = True
+            cable.link_up = True
             with pytest.raises(LinkLostError, match="opened first"):
                 await use()
             await instrument.open()
@@ -249,10 +266,10 @@ def test_a_cable_pulled_during_an_exchange_is_noticed_in_it():
         cube = Cube(now)
         await cube.open()
         loop = asyncio.get_running_loop()
-        loop.call_later(0.01, setattr, cube.voltmeter, "link_up", False)
+        loop.call_later(0.01, setattr, cube.line, "link_up", False)
         with pytest.raises(LinkLostError):
             await cube.voltmeter.read_voltage()
-        loop.call_later(0.001, setattr, cube.multiplexer, "link_up", False)
+        loop.call_later(0.001, setattr, cube.port, "link_up", False)
         with pytest.raises(LinkLostError):
             await cube.multiplexer.select(1)
 
@@ -264,9 +281,9 @@ def test_without_its_usb_the_multiplexer_falls_back_to_its_last_input():
         cube = Cube(now)
         await cube.open()
         await cube.multiplexer.select(2)
-        cube.multiplexer.link_up = False
+        cube.port.link_up = False
         assert cube.switch.selected(now()) == 7
-        cube.multiplexer.link_up = True
+        cube.port.link_up = True
         await cube.multiplexer.open()
         assert cube.switch.selected(now()) == 7
 
@@ -290,23 +307,128 @@ def test_an_error_of_the_port_ends_the_session_and_names_its_number():
     virtually(scene)
 
 
-def test_an_enable_of_the_other_polarity_leaves_every_input_off():
+def test_the_enable_line_of_the_configuration_is_that_of_the_switch():
     async def scene(now):
         switch = MultiplexerCore(lambda _channel, _now: 1.0, enable="active-low")
-        wrong, right = InMemoryMultiplexer(switch, now), InMemoryMultiplexer(switch, now, enable_high=False)
-        for host, expected in ((wrong, None), (right, 3)):
-            await host.open()
-            await host.select(3)
+        for level, expected in ((True, None), (False, 3)):
+            multiplexer = NiMultiplexer(InMemoryPort(switch, now), enable_line=3, enable_level=level)
+            await multiplexer.open()
+            await multiplexer.select(3)
+            await asyncio.sleep(0.01)
             assert switch.selected(now()) == expected
+        with pytest.raises(ConnectError, match=r"line0:4 cannot be used: the port has the lines 0 to 3 \(-200170\)"):
+            await NiMultiplexer(InMemoryPort(switch, now), enable_line=4).open()
+
+    virtually(scene)
+
+
+class Recorded:
+    """A core, and what goes over its line."""
+
+    def __init__(self, core):
+        self._core = core
+        self.sent, self.answered = [], []
+
+    def __getattr__(self, name):
+        return getattr(self._core, name)
+
+    def feed(self, data, now):
+        self.sent.append(data)
+        replies = self._core.feed(data, now)
+        self.answered += [reply for _, reply in replies]
+        return replies
+
+
+def assert_same(core, pieces):
+    assert core.sent == [piece.data for piece in pieces if piece.direction == ">"]
+    expected = [piece.data for piece in pieces if piece.direction == "<"]
+    assert [NUMBER.sub(b"#", reply) for reply in core.answered] == [NUMBER.sub(b"#", reply) for reply in expected]
+
+
+def test_the_voltmeters_line_carries_what_its_port_does(transcript):
+    async def scene(now):
+        core = Recorded(VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3)))
+        meter = Keithley2000(InMemoryLine("voltmeter", core, now))
+        await meter.open()
+        assert [await meter.read_voltage() for _ in range(2)] == pytest.approx([0.0123, 0.0123], abs=5e-6)
+        await meter.close()
+        assert_same(core, transcript("voltmeter"))
+
+    virtually(scene)
+
+
+@pytest.mark.parametrize("make", ["chroma63600", "agilent6063b"])
+def test_the_loads_line_carries_what_its_port_does(transcript, make):
+    async def scene(now):
+        channel = 3 if make == "chroma63600" else 1
+        core = Recorded(LoadCore(Module(), np.random.default_rng(3), make=make, channel=channel))
+        core.scpi.clear()
+        line, how = InMemoryLine("load", core, now), SweepSettings(0.02)
+        load = Chroma63600(line, 3, how) if make == "chroma63600" else Agilent6063B(line, how)
+        await load.open()
+        swept = await load.sweep(lambda _open_circuit_v: (36.0, 31.5, 10.0), lambda: None)
+        await load.close()
+        truth = curve(Q_PEAK_G4_1_305, 800.0, 40.0, np.array(swept.voltage_v))
+        assert swept.current_a == pytest.approx(truth, abs=0.04)
+        assert_same(core, transcript(f"load_{make}"))
+
+    virtually(scene)
+
+
+def test_the_multiplexers_port_takes_the_same_values(transcript):
+    async def scene(now):
+        cube = Cube(now)
+        await cube.open()
+        written, write = [], cube.switch.write
+        cube.switch.write = lambda value, at: (written.append(value), write(value, at))
+        for channel in range(8):
+            await cube.multiplexer.select(channel)
+        assert written == [int(piece.data) for piece in transcript("multiplexer")]
+
+    virtually(scene)
+
+
+def test_a_sweep_that_is_cancelled_leaves_the_input_off_and_the_line_closed():
+    async def scene(now):
+        core = LoadCore(Module(), np.random.default_rng(3))
+        load = Chroma63600(InMemoryLine("load", core, now), 1, SweepSettings())
+        await load.open()
+        for moment_s in (0.061, 0.1, 0.113):
+            sweep = asyncio.create_task(load.sweep(lambda _open_circuit_v: [30.0] * 50, lambda: None))
+            await asyncio.sleep(moment_s)
+            assert core.on
+            sweep.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await sweep
+            assert not core.on
+            await load.open()
+
+    virtually(scene)
+
+
+def test_a_load_that_is_unplugged_during_a_sweep_is_switched_off_by_the_next_opening():
+    async def scene(now):
+        core = LoadCore(Module(), np.random.default_rng(3))
+        line = InMemoryLine("load", core, now)
+        load = Chroma63600(line, 1, SweepSettings())
+        await load.open()
+        asyncio.get_running_loop().call_later(0.5, setattr, line, "link_up", False)
+        with pytest.raises(LinkLostError, match="is unplugged"):
+            await load.sweep(lambda _open_circuit_v: [30.0] * 50, lambda: None)
+        assert core.on
+        line.link_up = True
+        await load.open()
+        assert not core.on
 
     virtually(scene)
 
 
 class Tracker:
-    def __init__(self, now, limits=Limits(), **setup):  # noqa: B008 - frozen
+    def __init__(self, now, **setup):
         self.now = now
         self.core = PositionerCore(now(), Setup(**setup))
-        self.positioner = InMemoryPositioner(self.core, now, limits)
+        self.cable = InMemoryStream(self.core, now)
+        self.positioner = PozsolPositioner(self.cable, now, A, B)
 
     async def rest(self):
         await asyncio.sleep(300.0)
@@ -512,14 +634,14 @@ def test_a_move_goes_on_with_the_link_pulled():
         tracker = Tracker(now)
         await tracker.positioner.open()
         await tracker.positioner.move_to(-30.0, 45.0)
-        tracker.positioner.link_up = False
+        tracker.cable.link_up = False
         for use in (tracker.positioner.read_telemetry, tracker.positioner.stop, tracker.positioner.clear_faults):
             with pytest.raises(LinkLostError):
                 await use()
         with pytest.raises(ConnectError):
             await tracker.positioner.open()
         assert await tracker.rest() == pytest.approx((-30.0, 45.0), abs=0.5)
-        tracker.positioner.link_up = True
+        tracker.cable.link_up = True
         with pytest.raises(LinkLostError, match="opened first"):
             await tracker.positioner.read_telemetry()
         await tracker.positioner.open()

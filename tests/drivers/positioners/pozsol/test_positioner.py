@@ -14,8 +14,7 @@ from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.transports import InMemoryPositioner
-from solar.frames import Limits
+from sim_drivers.transports import InMemoryStream
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -27,7 +26,7 @@ def on_unit(scenario):
     async def scene():
         now = asyncio.get_running_loop().time
         core = PositionerCore(now())
-        positioner = InMemoryPositioner(core, now, Limits())
+        positioner = PozsolPositioner(InMemoryStream(core, now), now, A, B)
         await positioner.open()
         await scenario(positioner, core, now)
 
@@ -65,9 +64,9 @@ def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
 
 
 def test_a_geometry_that_has_no_place_for_the_target_refuses_the_move():
-    async def scenario(positioner, _core, _now):
+    async def scenario(positioner, core, now):
         flat = replace(A, geometry=Triangle(300.0, 300.0, 90.0, -52.0, 290.0))
-        positioner = PozsolPositioner(positioner.cable, _now, flat, B)
+        positioner = PozsolPositioner(InMemoryStream(core, now), now, flat, B)
         assert "a_axis cannot be" in (await positioner.open()).setup_conflicts[0]
         with pytest.raises(RefusedError, match="no position for"):
             await positioner.move_to(0.0, 45.0)

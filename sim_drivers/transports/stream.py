@@ -1,20 +1,16 @@
-"""The simulated positioner in this process: the real driver over a line that has no port, no thread and no wait."""
+"""The simulated positioner's stream of telemetry in memory."""
 
 from collections.abc import Callable
 
-from drivers.positioners.pozsol import geometry
 from drivers.positioners.pozsol.link import Heard
-from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.wire import TokenStream, require_allowed
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import Actuator
-from sim_drivers.transports.link import Cabled
-from solar.frames import Limits
+from sim_drivers.transports.cable import Cabled
 
 
-class CoreLine(Cabled):
-    """The cable of a simulated unit: whatever moves is read when it is asked for, as if all of it had just come.
+class InMemoryStream(Cabled):
+    """A `drivers.positioners.pozsol.link.PositionerLine`: what moves is read when it is asked for, as if just come.
 
     Parameters
     ----------
@@ -84,48 +80,3 @@ class CoreLine(Cabled):
     def _take(self, screens: bytes, now_s: float) -> None:
         self._table.take(TokenStream().feed(screens + b"$"), now_s)
         self._heard = Heard(self._table.snapshot())
-
-
-class InMemoryPositioner(PozsolPositioner):
-    """The driver on a `CoreLine`.
-
-    Parameters
-    ----------
-    core
-        The simulated unit.
-    now
-        The event loop's time [s].
-    limits
-        Targets outside them are refused before anything is sent.
-    """
-
-    def __init__(self, core: PositionerCore, now: Callable[[], float], limits: Limits) -> None:
-        self.cable = CoreLine(core, now)
-        a, b = core.setup.a_actuator, core.setup.b_actuator
-        super().__init__(
-            self.cable,
-            now,
-            geometry.AxisSetup(_triangle(a), limits.a_min_deg, limits.a_max_deg, a.zero_offset_mm),
-            geometry.AxisSetup(_triangle(b), limits.b_min_deg, limits.b_max_deg, b.zero_offset_mm),
-            b_out_bit=core.setup.b_out_bit,
-        )
-
-    @property
-    def link_up(self) -> bool:
-        """Whether the cable is plugged in."""
-        return self.cable.link_up
-
-    @link_up.setter
-    def link_up(self, up: bool) -> None:
-        self.cable.link_up = up
-
-
-def _triangle(actuator: Actuator) -> geometry.Triangle:
-    return geometry.Triangle(
-        actuator.arm_1_mm,
-        actuator.arm_2_mm,
-        actuator.apex_deg,
-        actuator.low_deg,
-        actuator.holder_mm,
-        "raises" if actuator.raises else "lowers",
-    )

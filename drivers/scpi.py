@@ -1,0 +1,140 @@
+"""Questions and answers in SCPI over a line, in turn and proven to belong together.
+
+A query that an instrument does not understand is answered by silence, and a reply that comes too late would be taken
+for the answer to the next question. So whatever does not answer as it should leaves a doubt, and nothing that it says
+is believed before it has given back a number that was never sent before.
+"""
+
+import contextlib
+import re
+from collections.abc import Iterator
+from typing import Protocol
+
+from drivers.errors import ConnectError, DeadlineError, ProtocolError
+
+POWER_ON = 128
+"""Event bit of an instrument that has restarted."""
+ERRORS = 4 | 8 | 16 | 32
+"""Event bits of commands that were not carried out."""
+
+_NO_ERROR = re.compile(r"[+-]?0+,")
+_QUIET_S = 0.1
+_MOST_STALE_LINES = 20
+LONGEST_SYNCHRONISATION = _MOST_STALE_LINES + 2
+"""Most answers that `ScpiSession.synchronise` may wait for."""
+
+
+class ScpiLine(Protocol):
+    """An instrument's line, whatever carries it. Raises `drivers.errors.DeviceError` and nothing else."""
+
+    async def open(self) -> None:
+        """Connect."""
+
+    async def close(self) -> None:
+        """Release the line; never raises."""
+
+    async def send(self, text: str) -> None:
+        """Send one line; its end is added."""
+
+    async def ask(self, text: str, within_s: float) -> str:
+        """Send one line and return the next one that comes, as `receive` does."""
+
+    async def receive(self, within_s: float) -> str:
+        """Return the next line without its end; `DeadlineError` if none is complete in time."""
+
+    async def interrupt(self) -> None:
+        """Make the instrument drop what it is doing and what it has to say."""
+
+    async def drain(self, quiet_s: float) -> None:
+        """Throw away what comes until nothing has come for a time [s]."""
+
+
+class ScpiSession:
+    """One connection to an instrument.
+
+    Parameters
+    ----------
+    line
+        Already open.
+    device
+        Role of the instrument, for errors.
+    deadline_s
+        How long one answer may take.
+
+    Attributes
+    ----------
+    in_doubt
+        Whether it is open to which question the next answer belongs.
+    """
+
+    def __init__(self, line: ScpiLine, device: str, deadline_s: float) -> None:
+        self.in_doubt = False
+        self._line = line
+        self._device = device
+        self._deadline_s = deadline_s
+        self._number = 0
+
+    @contextlib.contextmanager
+    def doubting(self) -> Iterator[None]:
+        """Leave a doubt unless the block comes to its end: until all answers are in, every way out leaves one."""
+        self.in_doubt = True
+        yield
+        self.in_doubt = False
+
+    async def tell(self, command: str) -> None:
+        """Send what is not answered."""
+        await self._line.send(command)
+
+    async def ask(self, query: str) -> str:
+        """Return the answer to a question; `DeadlineError` if it does not come in time."""
+        try:
+            return (await self._line.ask(query, self._deadline_s)).strip()
+        except DeadlineError:
+            raise DeadlineError(self._device, f"did not answer {query} within {self._deadline_s:g} s") from None
+
+    async def quieten(self) -> None:
+        """Make the instrument drop what it still had to say, and throw away what of it is under way."""
+        await self._line.interrupt()
+        await self._line.drain(_QUIET_S)
+
+    async def synchronise(self) -> None:
+        """Prove that the next answer belongs to the next question, whatever was still under way."""
+        self._number = self._number % 127 + 1
+        await self._line.send(f"*ESE {self._number}")
+        answer = await self.ask("*ESE?")
+        for _ in range(_MOST_STALE_LINES):
+            if answer.isdecimal() and int(answer) == self._number:
+                return
+            answer = (await self._line.receive(self._deadline_s)).strip()
+        raise ProtocolError(self._device, f"keeps answering {answer[:80]!r} to *ESE?")
+
+    async def events(self) -> int:
+        """Return the standard event register, which that clears; `ProtocolError` if the answer is no number."""
+        answer = await self.ask("*ESR?")
+        if not answer.isdecimal():
+            raise ProtocolError(self._device, f"answers {answer[:80]!r} to *ESR?")
+        return int(answer)
+
+    async def command(self, command: str) -> None:
+        """Send a command and look whether the error queue has anything against it; `ProtocolError` if so."""
+        await self._line.send(command)
+        error = await self.ask(":SYST:ERR?")
+        if not _NO_ERROR.match(error):
+            raise ProtocolError(self._device, f"did not take {command}: {error[:80]}")
+
+
+@contextlib.contextmanager
+def opening(device: str, settings: str) -> Iterator[None]:
+    """Turn silence while an instrument is opened into a `ConnectError` with what to look at.
+
+    Parameters
+    ----------
+    device
+        Role of the instrument.
+    settings
+        What has to be set at it, such as ``this interface and speed``.
+    """
+    try:
+        yield
+    except DeadlineError as error:
+        raise ConnectError(device, f"{error.message}; is it on, and set to {settings}?") from error

@@ -1,0 +1,106 @@
+"""The line in memory to a simulated instrument that answers questions."""
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import NoReturn, Protocol
+
+from drivers.errors import DeadlineError
+from sim_drivers.transports.cable import Cabled
+
+_INTERRUPT = b"\x03"
+
+
+class AnsweringCore(Protocol):
+    """A simulated instrument that is fed bytes; `aborts` grows when it drops what it had to say."""
+
+    aborts: int
+
+    def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """Take in bytes and return the replies that they cause, each with the time [s] at which it is complete."""
+
+
+class InMemoryLine(Cabled):
+    """A `drivers.scpi.ScpiLine` whose bytes take no time; replies come when the instrument has them ready.
+
+    Parameters
+    ----------
+    device
+        Role of the instrument, for errors.
+    core
+        The simulated instrument.
+    now
+        The event loop's time [s].
+    """
+
+    def __init__(self, device: str, core: AnsweringCore, now: Callable[[], float]) -> None:
+        super().__init__(device)
+        self._core = core
+        self._now = now
+        self._aborts = core.aborts
+        self._arriving: deque[tuple[float, bytes]] = deque()
+
+    async def open(self) -> None:
+        """Connect; what was still to come over an earlier connection is gone."""
+        self._connect()
+        self._arriving.clear()
+
+    async def close(self) -> None:
+        """Release the line."""
+        self._disconnect()
+
+    async def send(self, text: str) -> None:
+        """Hand one line to the instrument."""
+        self._hand_over(text)
+
+    async def ask(self, text: str, within_s: float) -> str:
+        """Hand one line over and return the next one that comes."""
+        self._hand_over(text)
+        return await self.receive(within_s)
+
+    async def receive(self, within_s: float) -> str:
+        """Return the next line."""
+        self._require_open()
+        self._forget_aborted()
+        now_s = self._now()
+        wait_s = self._arriving[0][0] - now_s if self._arriving else math.inf
+        if wait_s > within_s:
+            await self._miss(within_s)
+        if wait_s > 0.0:
+            await asyncio.sleep(wait_s)
+            self._require_open()
+            self._forget_aborted()
+            if not self._arriving:
+                await self._miss(within_s - wait_s)
+        return self._arriving.popleft()[1].decode("latin-1").strip("\r\n")
+
+    async def interrupt(self) -> None:
+        """Send control-C."""
+        self._require_open()
+        self._core.feed(_INTERRUPT, self._now())
+
+    async def drain(self, quiet_s: float) -> None:
+        """Throw away what comes."""
+        self._require_open()
+        self._forget_aborted()
+        begun_s = last_s = self._now()
+        while self._arriving and self._arriving[0][0] <= last_s + quiet_s:
+            last_s = max(last_s, self._arriving.popleft()[0])
+        await asyncio.sleep(last_s + quiet_s - begun_s)
+        self._require_open()
+
+    async def _miss(self, wait_s: float) -> NoReturn:
+        await asyncio.sleep(wait_s)
+        self._require_open()
+        raise DeadlineError(self._device, "no line came in time")
+
+    def _hand_over(self, text: str) -> None:
+        self._require_open()
+        self._forget_aborted()
+        self._arriving.extend(self._core.feed(text.encode("ascii") + b"\n", self._now()))
+
+    def _forget_aborted(self) -> None:
+        if self._core.aborts != self._aborts:
+            self._aborts = self._core.aborts
+            self._arriving.clear()
