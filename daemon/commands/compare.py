@@ -8,6 +8,7 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.options import TableFormat
+from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.studies.inputs import instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def simulate(
     weather: Annotated[
         str | None, typer.Option(metavar="SKY", help="clear, overcast, variable, broken, or a measured file.")
     ] = None,
-    laws: LawsOption = "mu-prime,chronometric",
+    laws: LawsOption = f"{DEFAULT_LAW},{FALLBACK_LAW}",
     config: ConfigOption = None,
     site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
@@ -203,13 +204,13 @@ def paper(
     afternoon: Annotated[
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
-    law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = "mu-prime",
+    law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = DEFAULT_LAW,
 ) -> None:
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
     from typing import get_args
 
     from daemon.commands.simulate import progress_bar
-    from daemon.config.sections import LawName
+    from daemon.config.plugged import law_names
     from daemon.config.settings import Settings
     from daemon.config.simulation import WeatherName
     from daemon.studies.compare.paper import as_text, notes, run_paper, verdicts, write_paper
@@ -219,8 +220,7 @@ def paper(
     if not chosen:
         raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
     names: tuple[WeatherName, ...] = get_args(WeatherName)
-    laws: tuple[LawName, ...] = get_args(LawName)
-    weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, laws, "--law")
+    weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
     settings = Settings()
     with progress_bar(Console(stderr=True), "repeating") as progress:
         runs = list(run_paper(settings, chosen, seeds, weather, cube_law, progress))
@@ -262,11 +262,11 @@ def _one_of(text: str, known: tuple[Name, ...], option: str) -> Name:
 
 
 def _laws(text: str) -> Any:
-    from typing import get_args
-
-    from daemon.config.sections import LawName
+    from daemon.config.plugged import law_names
 
     names = [word.strip() for word in text.split(",")]
     if len(names) != 2:
-        raise UserError(f"--laws: '{text}' is not two laws, T-Cube's and T-Chrono's, such as mu-prime,chronometric")
-    return tuple(_one_of(name, get_args(LawName), "--laws") for name in names)
+        raise UserError(
+            f"--laws: '{text}' is not two laws, T-Cube's and T-Chrono's, such as {DEFAULT_LAW},{FALLBACK_LAW}"
+        )
+    return tuple(_one_of(name, law_names(), "--laws") for name in names)

@@ -166,7 +166,7 @@ def _summary(settings: Settings) -> dict[str, str]:
         "site": f"{site.name}: {site.latitude_deg:g} N, {site.longitude_deg:g} E, {site.altitude_m:g} m",
         "cube": f"{cube.name}: a scan every {cube.scan_every_s:g} s; inputs {channels}",
         "instruments": settings.instruments.kind.upper(),
-        "law": f"{settings.law.name}: mean of {settings.windows.mean_s:g} s, decided every"
+        "law": f"{settings.law.driver}: mean of {settings.windows.mean_s:g} s, decided every"
         f" {settings.windows.decide_every_s:g} s",
         "limits": str(settings.limits.limits()),
         "safety": f"wind from {safety.stow_wind_m_s:g} m/s stows at A {safety.stow_a_deg:g} deg,"

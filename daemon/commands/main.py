@@ -1,7 +1,6 @@
 """The command line: `heliocube`."""
 
 import sys
-from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.commands import calibrate, compare, energy, export, gain, operate, probe, tools
 from daemon.commands import config as config_commands
-from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, RoleChoice, TableFormat
+from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, LawOption, RoleChoice, TableFormat
 from daemon.commands.simulate import progress_bar, replay, report
 from daemon.config.settings import Settings
 from daemon.studies.inputs import instant, settings_for, site_values
@@ -34,16 +33,6 @@ app.command("bench-ctl", rich_help_panel=BENCH)(tools.control)
 app.add_typer(export.app)
 
 
-class LawChoice(StrEnum):
-    """The laws as the command line names them."""
-
-    mu_prime = "mu-prime"
-    sun_vector = "sun-vector"
-    optimal = "optimal"
-    chronometric = "chronometric"
-    flat = "flat"
-
-
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", "-c", help="Configuration file. Without one: the simulated rig.")
 ]
@@ -53,10 +42,6 @@ WeatherOption = Annotated[
         metavar="SKY",
         help="Simulated sky: clear, overcast, variable, broken, or a measured file (CSV, BSRN, SURFRAD, MIDC, TMY3).",
     ),
-]
-LawOption = Annotated[
-    LawChoice | None,
-    typer.Option(metavar="LAW", help="Pointing law: mu-prime, sun-vector, optimal, chronometric or flat."),
 ]
 SiteOption = Annotated[
     str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site, in degrees north, degrees east and metres.")
@@ -153,7 +138,7 @@ def _settings(
     config: Path | None,
     *,
     weather: str | None,
-    law: LawChoice | None,
+    law: str | None,
     site: str | None,
     seed: int | None,
     speed: float | None,
@@ -163,7 +148,7 @@ def _settings(
     return settings_for(
         config,
         weather=weather,
-        law=None if law is None else law.value,
+        law=law,
         site=None if site is None else site_values(site),
         seed=seed,
         speed=speed,

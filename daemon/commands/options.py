@@ -1,6 +1,9 @@
 """What several commands share."""
 
 from enum import StrEnum
+from typing import Annotated
+
+import typer
 
 # Headings of the list of commands.
 SERVICE = "The service"
@@ -8,6 +11,12 @@ OPERATION = "To the running service"
 FILES = "Files and tools"
 SCIENCE = "Science"
 BENCH = "Instruments and the bench"
+
+
+# The names are not listed here: to find those of all installed packages takes a tenth of a second of every command.
+LawOption = Annotated[
+    str | None, typer.Option(metavar="LAW", help="Pointing law by name, as law.driver; a wrong one lists them all.")
+]
 
 
 class RoleChoice(StrEnum):

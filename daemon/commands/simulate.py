@@ -9,6 +9,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from daemon.commands.options import LawOption
+
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
@@ -36,7 +38,7 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     lines = (
         (
-            f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {settings.law.name}, "
+            f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {settings.law.driver}, "
             f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
         ),
         (
@@ -60,9 +62,7 @@ def replay(
         str | None,
         typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres. Or in --config."),
     ] = None,
-    law: Annotated[
-        str | None, typer.Option(metavar="LAW", help="mu-prime, sun-vector, optimal, chronometric or flat.")
-    ] = None,
+    law: LawOption = None,
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
     config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
 ) -> None:
@@ -89,4 +89,4 @@ def replay(
         rows = rows_of_store(store)
     with progress_bar(Console(stderr=True), "replaying") as progress:
         run_replay(settings, rows, out, progress)
-    typer.echo(f"{len(rows)} rows by {settings.law.name}: {out}")
+    typer.echo(f"{len(rows)} rows by {settings.law.driver}: {out}")

@@ -5,13 +5,15 @@ import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from daemon.base.errors import UserError
 from daemon.config import keys as config_keys
 from daemon.config import rules as config_rules
+from daemon.config.keys import Chosen
+from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
 from daemon.config.settings import Settings
 
 if TYPE_CHECKING:
@@ -91,11 +93,14 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
     Parameters
     ----------
     changes
-        New values by section and key: ``{"law": {"name": "flat"}}``.
+        New values by section and key: ``{"law": {"driver": "flat"}}``.
     """
     raw = settings.model_dump()
     for section, values in changes.items():
-        raw[section] |= values
+        if section in SECTIONS:
+            raw[section] = SECTIONS[section].changed(getattr(settings, section), values)
+        else:
+            raw[section] |= values
     return _settings(raw, "the command line")
 
 
@@ -147,20 +152,25 @@ def _syntax_problem(message: str, text: str) -> str:
 def _settings(
     raw: dict[str, Any], source: str, unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
 ) -> Settings:
-    problems = [_unknown("", name, value) for name, value in raw.items() if name not in Settings.model_fields]
+    tables, chosen, wrong_in_drivers = settled(raw)
+    problems = [_unknown("", name, value, chosen) for name, value in raw.items() if name not in Settings.model_fields]
+    problems += [_driver_problem(path, each, chosen) for path, each in wrong_in_drivers]
     sections: dict[str, Any] = {}
     for name, field in Settings.model_fields.items():
-        kind: type[Section] = type(field.default)
-        given = raw.get(name, {})
+        given = tables.get(name, {})
+        if isinstance(given, BaseModel):
+            sections[name] = given
+            continue
+        kind = cast("type[Section]", field.annotation)
         try:
             sections[name] = kind.model_validate(given)
         except ValidationError as error:
-            found = {problem.key: problem for problem in _problems(error, name)}
+            found = {problem.key: problem for problem in _problems(error, name, chosen)}
             problems += found.values()
             # The rules between keys are still worth checking for all that is right.
-            sections[name] = kind.model_validate(_without(given, name, found.keys()))
+            sections[name] = kind.model_validate(_without(given, name, found.keys(), chosen))
     settings = Settings.model_construct(**sections)
-    problems += [_Problem(key, _wrong(key, _value_of(settings, key))) for key in unusable(settings)]
+    problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
     wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in config_rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
@@ -174,19 +184,39 @@ def _settings(
     return settings
 
 
-def _problems(error: ValidationError, section: str) -> Iterator[_Problem]:
+def _problems(error: ValidationError, section: str, chosen: Chosen) -> Iterator[_Problem]:
     for item in error.errors(include_url=False, include_context=False):
-        loc = (section, *item["loc"])
-        if item["type"] == "extra_forbidden":
-            yield _unknown(_path(loc[:-1]), str(loc[-1]), item["input"])
-        else:
-            path = _path(loc)
-            yield _Problem(path, _wrong(path, item["input"]))
+        kind: Literal["unknown", "value"] = "unknown" if item["type"] == "extra_forbidden" else "value"
+        yield _problem((section, *item["loc"]), item["input"], kind, chosen)
 
 
-def _path(loc: tuple[int | str, ...]) -> str:
+def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
+    """Return what is wrong in a section that belongs to a driver."""
+    if wrong.kind == "other":
+        path = _joined(section, ".".join(str(part) for part in wrong.loc))
+        return _Problem(path, f" = {_shown(wrong.value)}: {wrong.reason}")
+    loc: tuple[int | str, ...] = (*section.split("."), *wrong.loc)
+    former = SECTIONS[section].former
+    if wrong.kind == "value" and wrong.loc == (former,):
+        # What the key takes is what the one takes that it has become.
+        return _Problem(f"{section}.{former}", _wrong(f"{section}.{DRIVER}", wrong.value, chosen))
+    if wrong.kind == "unknown" and [str(part).lower() for part in wrong.loc] == [former]:
+        meant = f"{section}.{DRIVER}"
+        reason = f" = {_shown(wrong.value)}: there is no such key; did you mean {meant}?"
+        return _Problem(_joined(section, str(wrong.loc[0])), reason, meant)
+    return _problem(loc, wrong.value, wrong.kind, chosen)
+
+
+def _problem(loc: tuple[int | str, ...], value: Any, kind: Literal["unknown", "value"], chosen: Chosen) -> _Problem:
+    if kind == "unknown":
+        return _unknown(_path(loc[:-1], chosen), str(loc[-1]), value, chosen)
+    path = _path(loc, chosen)
+    return _Problem(path, _wrong(path, value, chosen))
+
+
+def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
     """Return the key's path; what pydantic adds behind it to name the part of a union is dropped."""
-    path, known = str(loc[0]), config_keys.keys()
+    path, known = str(loc[0]), config_keys.keys(chosen)
     for part in loc[1:]:
         if path in known:
             return f"{path}[{part}]" if isinstance(part, int) else path
@@ -194,8 +224,8 @@ def _path(loc: tuple[int | str, ...]) -> str:
     return path
 
 
-def _wrong(path: str, value: Any) -> str:
-    key = config_keys.keys().get(path.partition("[")[0])
+def _wrong(path: str, value: Any, chosen: Chosen) -> str:
+    key = config_keys.keys(chosen).get(path.partition("[")[0])
     if key is None:
         return f" = {_shown(value)}: must be a section of its own, [{path}]"
     if "[" in path:
@@ -224,12 +254,12 @@ def _joined(section: str, name: str) -> str:
     return f"{section}.{written}" if section else written
 
 
-def _unknown(section: str, name: str, value: Any) -> _Problem:
+def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     what = "there is no such section" if isinstance(value, dict) else "there is no such key"
-    meant = config_keys.resembling(section, name)
+    meant = config_keys.resembling(section, name, chosen)
     if meant is None:
         kind = "sections" if isinstance(value, dict) or not section else "keys"
-        known = config_keys.inside(section)[kind]
+        known = config_keys.inside(section, chosen)[kind]
         where = f"the {kind} of [{section}] are" if section else f"the {kind} are"
         remedy = f"{where} {', '.join(known)}" if known else f"[{section}] has no {kind}"
     else:
@@ -240,15 +270,15 @@ def _unknown(section: str, name: str, value: Any) -> _Problem:
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 
 
-def _without(given: Any, section: str, wrong: Collection[str]) -> dict[str, Any]:
+def _without(given: Any, section: str, wrong: Collection[str], chosen: Chosen) -> dict[str, Any]:
     """Return what is right in a section of the file."""
     if not isinstance(given, dict) or section in wrong:
         return {}
     kept = {}
     for name, value in given.items():
         path = _joined(section, name)
-        if isinstance(value, dict) and path in config_keys.tables():
-            kept[name] = _without(value, path, wrong)
+        if isinstance(value, dict) and path in config_keys.tables(chosen):
+            kept[name] = _without(value, path, wrong, chosen)
         elif not any(_covers(path, key) for key in wrong):
             kept[name] = value
     return kept

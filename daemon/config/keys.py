@@ -3,15 +3,20 @@
 import difflib
 import json
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import date, time
 from functools import cache
 from inspect import cleandoc
 from typing import Any
 
-from daemon.config.section import Section
+from pydantic import BaseModel
+
+from daemon.config.plugged import DRIVER, SECTIONS, Plugged
 from daemon.config.settings import Settings
+
+Chosen = tuple[tuple[str, str], ...]
+"""Paths of sections that name a driver, and the names."""
 
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _UNITS = {
@@ -93,6 +98,8 @@ class Key:
         The permitted values as JSON Schema.
     default
         None where the key may be left out and has no value then.
+    only_for
+        The drivers that know the key, where the one that is chosen does not.
     """
 
     path: str
@@ -100,11 +107,12 @@ class Key:
     name: str
     schema: dict[str, Any]
     default: Any
+    only_for: tuple[str, ...] = ()
 
     @property
     def description(self) -> str:
         """Meaning of the key, in sentences."""
-        return str(self.schema["description"])
+        return "".join(f"{name}: " for name in (", ".join(self.only_for),) if name) + str(self.schema["description"])
 
     @property
     def example(self) -> str:
@@ -156,24 +164,29 @@ class SettingsTable:
     path: str
     about: str
     keys: tuple[Key, ...]
+    only_for: str = ""
 
 
 @cache
-def tables() -> dict[str, SettingsTable]:
-    """Return all sections by their path, in the order of the models."""
-    return {table.path: table for table in _walk(Settings(), "")}
+def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
+    """Return all sections by their path, in the order of the models.
+
+    Where drivers know different keys, those of the `chosen` one count, or of the default; then those of the others.
+    """
+    return {table.path: table for table in _walk(Settings(), "", dict(chosen))}
 
 
 @cache
-def keys() -> dict[str, Key]:
+def keys(chosen: Chosen = ()) -> dict[str, Key]:
     """Return all keys by their path, in the order of the models."""
-    return {key.path: key for table in tables().values() for key in table.keys}
+    return {key.path: key for table in tables(chosen).values() for key in table.keys}
 
 
-def inside(section: str) -> dict[str, list[str]]:
+def inside(section: str, chosen: Chosen = ()) -> dict[str, list[str]]:
     """Return the names of the ``keys`` and of the ``sections`` directly inside a section; ``""`` is the file."""
-    sections = [path for path in tables() if path and path.rpartition(".")[0] == section]
-    return {"keys": [key.name for key in tables()[section].keys], "sections": [_leaf(path) for path in sections]}
+    known = tables(chosen)
+    sections = [path for path in known if path and path.rpartition(".")[0] == section]
+    return {"keys": [key.name for key in known[section].keys], "sections": [_leaf(path) for path in sections]}
 
 
 def toml_value(value: Any) -> str:
@@ -223,14 +236,14 @@ def number_with_unit(text: str, key: Key) -> float | None:
     return converted(value, unit, split_unit(key.name)[1]) if unit else value
 
 
-def resembling(section: str, name: str) -> str | None:
+def resembling(section: str, name: str, chosen: Chosen = ()) -> str | None:
     """Return the path of the key or section that someone who wrote `name` in `section` most likely meant.
 
     In this order: the same name elsewhere, the same words in another order, the same name with
     another unit, a misspelling here, one elsewhere.
     """
     written = name.lower().replace("-", "_")
-    paths = [*keys(), *[path for path in tables() if path]]
+    paths = [*keys(chosen), *[path for path in tables(chosen) if path]]
     here = [path for path in paths if path.rpartition(".")[0] == section]
     near = [path for path in paths if section and path.startswith(f"{section}.") and path not in here]
     ordered = [*here, *near, *[path for path in paths if path not in here and path not in near]]
@@ -267,20 +280,47 @@ def _leaf(path: str) -> str:
     return path.rpartition(".")[2]
 
 
-def _walk(section: Section, path: str) -> Iterator[SettingsTable]:
-    kind = type(section)
-    properties = kind.model_json_schema()["properties"]
+def _walk(section: BaseModel, path: str, chosen: Mapping[str, str]) -> Iterator[SettingsTable]:
     prefix = f"{path}." if path else ""
-    inner = {name: getattr(section, name) for name in kind.model_fields}
-    own = [
-        Key(prefix + name, path, name, properties[name], value)
-        for name, value in inner.items()
-        if not isinstance(value, Section)
-    ]
-    yield SettingsTable(path, cleandoc(kind.__doc__ or ""), tuple(own))
+    inner = {name: getattr(section, name) for name in type(section).model_fields}
+    yield SettingsTable(path, cleandoc(type(section).__doc__ or ""), tuple(_own_keys(section, path)))
     for name, value in inner.items():
-        if isinstance(value, Section):
-            yield from _walk(value, prefix + name)
+        if prefix + name in SECTIONS:
+            yield from _walk_plugged(SECTIONS[prefix + name], chosen)
+        elif isinstance(value, BaseModel):
+            yield from _walk(value, prefix + name, chosen)
+
+
+def _walk_plugged(plugged: Plugged, chosen: Mapping[str, str]) -> Iterator[SettingsTable]:
+    """Yield the tables of one section for all drivers together: each key once, that of the chosen driver first."""
+    name = chosen.get(plugged.path, plugged.default)
+    drivers = {name: plugged.settings_class(name)(), **{other: kind() for other, kind in plugged.others(name)}}
+    first, *more = (_walk(settings, plugged.path, {}) for settings in drivers.values())
+    own, *inner = first
+    found = {key.name: key for key in own.keys if key.name != DRIVER}
+    nested = {table.path: table for table in inner}
+    for other, others in zip(list(drivers)[1:], more, strict=True):
+        table, *deeper = others
+        for key in table.keys:
+            known = found.setdefault(key.name, replace(key, only_for=(other,)))
+            if known.only_for and other not in known.only_for:
+                found[key.name] = replace(known, only_for=(*known.only_for, other))
+        for each in deeper:
+            nested.setdefault(each.path, replace(each, only_for=other))
+    found.pop(DRIVER, None)
+    about = " ".join([plugged.about, *(cleandoc(type(each).__doc__ or "") for each in drivers.values())])
+    schema = {"type": "string", "enum": list(plugged.names()), "description": about}
+    driver = Key(f"{plugged.path}.{DRIVER}", plugged.path, DRIVER, schema, plugged.default)
+    yield SettingsTable(plugged.path, plugged.title, (driver, *found.values()))
+    yield from nested.values()
+
+
+def _own_keys(section: BaseModel, path: str) -> Iterator[Key]:
+    properties = type(section).model_json_schema()["properties"]
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        if not isinstance(value, BaseModel):
+            yield Key(f"{path}.{name}" if path else name, path, name, properties[name], value)
 
 
 def _expected(part: dict[str, Any], unit: str) -> str:

@@ -5,19 +5,20 @@ The descriptions here are the only ones: the commented file, the reference and t
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
 from daemon.config.instruments import Instruments, Load
 from daemon.config.links import ApiSettings, BridgeSettings, MqttSettings, StoreSettings
+from daemon.config.plugged import LAW
 from daemon.config.section import Duration, FilePath, NotNegative, Positive, Section, with_defaults
 from daemon.config.simulation import SimulationSettings
 from solar.ephemeris import Site
 from solar.frames import Limits
+from solar.laws.law import LawSettings
 
 Azimuth = Annotated[float, Field(ge=0, lt=360)]
 Channel = Annotated[int, Field(ge=0, le=15)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
-LawName = Literal["mu-prime", "sun-vector", "optimal", "chronometric", "flat"]
 
 
 class SiteSettings(Section):
@@ -101,43 +102,6 @@ class CubeSettings(Section):
     def _complete(cls, value: Any, info: ValidationInfo) -> Any:
         """Give a face of which the file names some keys that same face's defaults for the others."""
         return with_defaults(cls, value, info)
-
-
-class LawSection(Section):
-    """The pointing law and its parameters."""
-
-    name: LawName = Field(
-        "mu-prime",
-        description="mu-prime: towards sun and bright sky, the paper's (12). sun-vector: towards the sun as the cube"
-        " sees it. optimal: where the expected light is collected best, for little travel."
-        " chronometric: towards the sun by ephemeris. flat: up.",
-    )
-    albedo: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
-    )
-    uniform_threshold: float = Field(
-        0.01,
-        ge=0,
-        le=0.5,
-        description="Differences between faces below this share of the zenith are noise of a uniform sky, not sun.",
-    )
-    gain_uncertainty: float = Field(
-        0.03,
-        ge=0,
-        le=0.2,
-        description="sun-vector: standard error of a face's gain, as a share; a beam that such errors explain is not"
-        " pointed at.",
-    )
-    thrift: float = Field(
-        1.0, ge=0.1, le=100, description="optimal: weight of wear against harvest; 2 travels less for a little energy."
-    )
-    travel_per_day_deg: Positive = Field(
-        1300.0, le=100000, description="optimal: degrees of travel in a day, A and B added, that are never exceeded."
-    )
-    moves_per_day: int = Field(250, ge=1, le=1440, description="optimal: moves in a day that are never exceeded.")
 
 
 class WindowSettings(Section):
@@ -231,7 +195,7 @@ class Sections(Section):
     cube: CubeSettings = CubeSettings()
     instruments: Instruments = Instruments()
     load: Load = Load()
-    law: LawSection = LawSection()
+    law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.settle)] = Field(default_factory=LAW.defaults)
     windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()
     motion: MotionSettings = MotionSettings()

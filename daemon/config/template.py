@@ -64,7 +64,8 @@ def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
     values
         Values in place of defaults, by the key's path.
     """
-    tables = [table for table in config_keys.tables().values() if table.path and table.path not in _NOT_READ[role]]
+    known = config_keys.tables().values()
+    tables = [table for table in known if table.path and table.path not in _NOT_READ[role] and not table.only_for]
     blocks = [_heading(role), *[_block(table, values or {}) for table in tables]]
     return "\n\n".join(blocks) + "\n"
 
@@ -100,13 +101,15 @@ def _block(table: SettingsTable, values: Mapping[str, Any]) -> str:
     lines = [] if "." in table.path else [rule]
     lines += [_comment(table.about), f"[{table.path}]"]
     for key in table.keys:
-        lines += ["", *_entry(key, values.get(key.path, key.default))]
+        lines += ["", *_entry(key, values)]
     return "\n".join(lines)
 
 
-def _entry(key: Key, value: Any) -> Iterator[str]:
+def _entry(key: Key, values: Mapping[str, Any]) -> Iterator[str]:
+    value = values.get(key.path, key.default)
     yield _comment(f"{key.description} Takes {key.expected}.")
-    yield f"#{key.name} = {key.example}" if value is None else f"{key.name} = {config_keys.toml_value(value)}"
+    unused = "#" if key.only_for and key.path not in values else ""
+    yield f"#{key.name} = {key.example}" if value is None else f"{unused}{key.name} = {config_keys.toml_value(value)}"
 
 
 def _comment(text: str) -> str:

@@ -232,7 +232,7 @@ def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
         name=tracker.name,
         control=control.state,
         silent_s=now_s - control.last_tick_s,
-        law=tracker.settings.law.name,
+        law=tracker.settings.law.driver,
         law_shown=control.pointing.law.shown(),
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),

@@ -84,7 +84,7 @@ def settings_for(
     }
     changes: dict[str, dict[str, Any]] = {
         "simulation": {key: value for key, value in simulation.items() if value is not None},
-        "law": {} if law is None else {"name": law},
+        "law": {} if law is None else {"driver": law},
         "site": dict(site or {}),
     }
     return override(load_settings(config) if config is not None else Settings(), changes)

@@ -10,7 +10,7 @@ from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_file import LawFile
 from solar.frames import Angles
-from solar.laws.law import Aim, Law, LawSettings, Moment, Reading, TrackerFacts
+from solar.laws.law import Aim, Law, Moment, Reading, TrackerFacts
 
 
 class NamedLaw(NamedTuple):
@@ -91,20 +91,17 @@ def build_pointing(settings: Settings, utc_s: float) -> Pointing:
     )
     fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
     return Pointing(
-        NamedLaw(settings.law.name, _build(settings, tracker, file)),
+        NamedLaw(settings.law.driver, _build(settings, tracker, file)),
         NamedLaw(FALLBACK_LAW, cast("Law", fallback.build(fallback.SETTINGS(), replace(tracker, kept=None)))),
         file,
     )
 
 
 def _build(settings: Settings, tracker: TrackerFacts, file: LawFile) -> Law:
-    module = plugins.load(plugins.LAWS, settings.law.name)
-    own: LawSettings = module.SETTINGS(
-        **{name: value for name, value in settings.law.model_dump().items() if name in module.SETTINGS.model_fields}
-    )
+    module = plugins.load(plugins.LAWS, settings.law.driver)
     if tracker.kept is not None:
         try:
-            return cast("Law", module.build(own, tracker))
+            return cast("Law", module.build(settings.law, tracker))
         except ValueError:
             file.refuse()
-    return cast("Law", module.build(own, replace(tracker, kept=None)))
+    return cast("Law", module.build(settings.law, replace(tracker, kept=None)))

@@ -37,7 +37,7 @@ class LiveOptimalSettings(LawSettings):
         0.2,
         ge=0,
         le=1,
-        description="Share of the irradiance that the ground reflects, to begin with; the law learns its own.",
+        description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
     )
     thrift: float = Field(
         1.0, ge=0.1, le=100, description="Weight of wear against harvest; 2 travels less for a little energy."

@@ -12,7 +12,12 @@ from solar.laws.steer import by_the_mean
 class SunVectorSettings(LawSettings):
     """sun-vector: towards the sun as the cube sees it."""
 
-    albedo: float = Field(0.2, ge=0, le=1, description="Share of the irradiance that the ground reflects.")
+    albedo: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
+    )
     uniform_threshold: float = Field(
         0.01,
         ge=0,

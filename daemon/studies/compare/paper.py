@@ -10,7 +10,7 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.config.file import override
-from daemon.config.sections import LawName
+from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts
@@ -76,7 +76,7 @@ def run_paper(
     skies: Sequence[SkyModel],
     seeds: int,
     afternoon: WeatherName,
-    cube_law: LawName,
+    cube_law: str,
     progress: Callable[[float], None],
 ) -> Iterator[Run]:
     """Yield 12 and 14 October 2022 under every sky and seed, corrected by a flat-flat day of August before them.
@@ -97,7 +97,7 @@ def run_paper(
     total = 1 + 2 * len(skies) * seeds
     done = 0
 
-    def run(own: Settings, laws: tuple[LawName, LawName], start: datetime, days: float, parts: Parts) -> Pairs:
+    def run(own: Settings, laws: tuple[str, str], start: datetime, days: float, parts: Parts) -> Pairs:
         nonlocal done
         weather = build_weather_in_parts(own, parts)
         measured = side_by_side(
@@ -114,7 +114,7 @@ def run_paper(
 
     flat = flat_pairs(run(settings, ("flat", "flat"), _FLAT_START, _FLAT_DAYS, [(0.0, "clear")]))
     found = fit(flat)
-    laws: tuple[LawName, LawName] = (cube_law, "chronometric")
+    laws = (cube_law, FALLBACK_LAW)
     for sky in skies:
         for seed in range(1, seeds + 1):
             own = override(settings, {"simulation": {"sky": sky, "seed": seed}})
@@ -176,7 +176,7 @@ class Verdict:
         return "met" if self.printed.lowest_pct <= self.median_pct <= self.printed.highest_pct else "NOT MET"
 
 
-def verdicts(runs: Sequence[Run], cube_law: LawName) -> list[Verdict]:
+def verdicts(runs: Sequence[Run], cube_law: str) -> list[Verdict]:
     """Return one verdict for each period and sky."""
     skies = list(dict.fromkeys(run.sky for run in runs))
     return [
@@ -193,7 +193,7 @@ def verdicts(runs: Sequence[Run], cube_law: LawName) -> list[Verdict]:
     ]
 
 
-def notes(settings: Settings, afternoon: WeatherName, cube_law: LawName, seeds: int) -> list[str]:
+def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int) -> list[str]:
     """Return what the experiment assumes and what it cannot show, a paragraph each."""
     limits = settings.limits.limits()
     closed = ceilings(settings.site.place(), limits)

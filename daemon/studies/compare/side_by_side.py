@@ -14,7 +14,7 @@ from daemon.base.records import Bus, Record
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
-from daemon.config.sections import LawName
+from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import SimulatedPair
 from daemon.service.rig import Role
@@ -51,11 +51,11 @@ class ComparedTracker:
     """One of the two trackers: its name and its law."""
 
     name: str
-    law: LawName
+    law: str
 
 
 def two_trackers(
-    cube_law: LawName = "mu-prime", chrono_law: LawName = "chronometric"
+    cube_law: str = DEFAULT_LAW, chrono_law: str = FALLBACK_LAW
 ) -> tuple[ComparedTracker, ComparedTracker]:
     """Return T-Cube and T-Chrono as the paper has them, or under other laws."""
     return ComparedTracker(T_CUBE, cube_law), ComparedTracker(T_CHRONO, chrono_law)
@@ -139,7 +139,7 @@ async def _run_both(
         tracker = trackers[which]
         own = settings.model_copy(
             update={
-                "law": settings.law.model_copy(update={"name": tracker.law}),
+                "law": LAW.rechosen(settings.law, tracker.law),
                 "bridge": settings.bridge.model_copy(update={"send_to": send_to, "transport": "udp"}),
             }
         )

@@ -5,13 +5,12 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
 from daemon.config.links import BridgeSettings
-from daemon.config.section import Section
 from daemon.config.sections import LimitSettings, SafetySettings
 from daemon.config.settings import Settings
 from daemon.config.template import example, reference
@@ -53,7 +52,7 @@ THEIR_LINES = """\
   site.altitude_m = "156 m": must be a number from -430 to 9000 m; did you mean 156, without quotes?
   cube.scan_every_s = 1.0: is too short for 4 readings of 0.3 s to settle and 0.04 s to convert: they take 1.36 s
   cube.west.channel = 1: is the input of cube.south.channel already; each face needs one of its own
-  law.name = "mu_prime": must be "mu-prime", "sun-vector", "optimal", "chronometric" or "flat"; did you mean "mu-prime"?
+  law.name = "mu_prime": must be "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"; did you mean "mu-prime"?
   windows.mean_min = 2: there is no such key; did you mean windows.mean_s = 120?
   limits.a_min_deg = 20.0: must be below limits.a_max_deg (10 deg)
   safety.stow_wind_kmh = 54: there is no such key; did you mean safety.stow_wind_m_s = 15?
@@ -103,7 +102,7 @@ def test_an_empty_file_is_the_defaults(load):
         ("[site]\nlattitude_deg = 48", "site.latitude_deg"),
         ("[site]\nlatitude = 48", "site.latitude_deg"),
         ("[safety]\nwind_stow_m_s = 12", "safety.stow_wind_m_s"),
-        ("[law]\nName = 'flat'", "law.name"),
+        ("[law]\nName = 'flat'", "law.driver"),
         ("[cube]\nscan-every-s = 5", "cube.scan_every_s"),
         ("[cube]\nchannel = 5", "cube.east.channel"),
         ("[windows]\ncoverage = 0.5", "windows.minimum_coverage"),
@@ -122,8 +121,8 @@ def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
 def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
     assert problems("[law]\ncolour = 3") == [
         (
-            "law.colour = 3: there is no such key; the keys of [law] are name, albedo, uniform_threshold,"
-            " gain_uncertainty, thrift, travel_per_day_deg, moves_per_day"
+            "law.colour = 3: there is no such key; the keys of [law] are driver, uniform_threshold, albedo, thrift,"
+            " travel_per_day_deg, moves_per_day, gain_uncertainty"
         )
     ]
     assert problems("[zzz]")[0].startswith("zzz: there is no such section; the sections are site, cube,")
@@ -278,7 +277,7 @@ def test_what_is_not_toml_is_told_with_its_line_and_column(problems, text, line)
 
 
 def test_the_mark_that_windows_editors_put_in_front_is_no_error(load):
-    assert load(b"\xef\xbb\xbf[law]\nname = 'flat'\n").law.name == "flat"
+    assert load(b"\xef\xbb\xbf[law]\nname = 'flat'\n").law.driver == "flat"
 
 
 def test_a_file_that_is_not_there_or_not_a_file_is_one_sentence(tmp_path):
@@ -304,8 +303,8 @@ def test_checking_looks_at_the_files_that_are_named(tmp_path):
 
 
 def test_the_command_line_changes_keys_under_the_same_rules():
-    changed = override(Settings(), {"law": {"name": "flat"}, "simulation": {"seed": 7}})
-    assert (changed.law.name, changed.simulation.seed, changed.law.albedo) == ("flat", 7, 0.2)
+    changed = override(Settings(), {"law": {"driver": "flat"}, "simulation": {"seed": 7}})
+    assert (changed.law.driver, changed.simulation.seed) == ("flat", 7)
     with pytest.raises(ConfigError, match=r"(?s)command line has 1 problem:.*site.latitude_deg = 95.0: must be"):
         override(Settings(), {"site": {"latitude_deg": 95.0}})
 
@@ -318,7 +317,7 @@ def test_the_commented_file_is_exactly_the_defaults(load, role):
 def walk(section, path=""):
     for name in type(section).model_fields:
         value = getattr(section, name)
-        if isinstance(value, Section):
+        if isinstance(value, BaseModel):
             yield f"{path}{name}", None
             yield from walk(value, f"{path}{name}.")
         else:
@@ -340,7 +339,10 @@ def entries(text):
 
 def test_the_commented_file_has_every_key_and_section_with_a_comment():
     found = entries(example("both"))
-    assert list(found) == [path for path, _ in walk(Settings())]
+    known = [path for table in tables().values() for path in (table.path, *(key.path for key in table.keys))]
+    assert list(found) == [path for path in known if path]
+    assert {path for path, _ in walk(Settings())} <= set(found)
+    assert "law.thrift" in found, "nor are the keys of laws that are not chosen left out"
     assert all(len(comment) > 12 for comment in found.values()), found
 
 

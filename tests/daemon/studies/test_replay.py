@@ -183,7 +183,7 @@ GOOD = readings(NOON + np.arange(0, 60, 5.0))
         ([["2022-10-12T12:00:00Z", "x", "1", "1", "1"]], (), "east is 'x'"),
         ([["2022-10-12T12:00:00Z", "1", "1"]], (), "3 cells where the header has 5"),
         (readings(NOON + np.arange(0, 3600, 600.0)), (), "600 s apart"),
-        (GOOD, ("--law", "best"), "law.name"),
+        (GOOD, ("--law", "best"), "law.driver"),
         (GOOD, ("--site", "here"), "--site"),
         (GOOD, ("--store", "x"), "either FACES.csv or --store"),
         (GOOD, ("--config", "missing.toml"), "missing.toml"),

@@ -1,0 +1,80 @@
+"""Sections whose keys belong to a plug-in that is chosen by name."""
+
+import subprocess
+import sys
+
+import pytest
+
+from daemon.config.file import ConfigError, load_settings, override
+from daemon.config.settings import Settings
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text):
+        (tmp_path / "heliocube.toml").write_text(text)
+        return load_settings(tmp_path / "heliocube.toml")
+
+    return load_text
+
+
+@pytest.fixture
+def problem(load):
+    def only_problem(text):
+        with pytest.raises(ConfigError) as caught:
+            load(text)
+        (line,) = caught.value.problems
+        return line
+
+    return only_problem
+
+
+@pytest.mark.parametrize("key", ["driver", "name"])
+def test_a_law_is_chosen_by_driver_and_by_what_driver_was_called_before(load, key):
+    law = load(f"[law]\n{key} = 'optimal'\nthrift = 2.0\n").law
+    assert (law.driver, law.thrift, law.moves_per_day) == ("optimal", 2.0, 250)
+
+
+def test_both_spellings_at_once_are_one_too_many(problem):
+    assert 'law.name = "flat": stands beside law.driver' in problem("[law]\ndriver = 'flat'\nname = 'flat'\n")
+
+
+def test_an_unknown_name_lists_the_known_ones(problem):
+    line = problem("[law]\ndriver = 'fastest'\n")
+    assert line == 'law.driver = "fastest": must be "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"'
+
+
+def test_keys_of_another_law_may_stay_and_serve_when_the_name_changes(load):
+    settings = load("[law]\ndriver = 'mu-prime'\nthrift = 2.0\n")
+    assert override(settings, {"law": {"driver": "optimal"}}).law.thrift == 2.0
+    again = override(override(settings, {"law": {"driver": "flat"}}), {"law": {"name": "optimal"}})
+    assert again.law.thrift == 2.0
+
+
+@pytest.mark.parametrize("driver", ["optimal", "mu-prime"])
+def test_a_wrong_value_is_told_by_the_law_that_knows_the_key_chosen_or_not(problem, driver):
+    line = problem(f"[law]\ndriver = '{driver}'\nthrift = 500.0\n")
+    assert line == "law.thrift = 500.0: must be a number from 0.1 to 100"
+
+
+def test_a_misspelt_key_brings_the_one_that_was_meant(problem):
+    assert problem("[law]\nthirft = 2.0\n").endswith("there is no such key; did you mean law.thrift?")
+
+
+def test_only_the_law_that_is_chosen_is_imported(tmp_path):
+    (tmp_path / "heliocube.toml").write_text("[law]\ndriver = 'flat'\n")
+    code = (
+        "import sys; from pathlib import Path; from daemon.config.file import load_settings;"
+        f"load_settings(Path({str(tmp_path / 'heliocube.toml')!r}));"
+        "print(*(name for name in sys.modules if name.startswith('solar.laws.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    imported = {name.rpartition(".")[2] for name in done.stdout.split()}
+    assert "flat" in imported
+    assert not imported & {"mu_prime", "sun_vector", "chronometric", "optimal_live"}
+
+
+def test_settings_made_in_a_program_are_checked_alike():
+    assert Settings(law={"driver": "optimal", "thrift": 2.0}).law.thrift == 2.0
+    with pytest.raises(ValueError, match="thrift = 500"):
+        Settings(law={"driver": "optimal", "thrift": 500.0})
