@@ -6,6 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("solar", "drivers", "sim_drivers", "daemon")
+MOST_BY_PLACE = 4
 
 
 def modules():
@@ -22,3 +23,33 @@ def test_no_two_classes_share_a_name():
                 places[node.name].append(name)
     assert len(places) > 300
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+def is_record(node):
+    decorators = {ast.unparse(part).partition("(")[0] for part in node.decorator_list}
+    return "dataclass" in decorators or any(ast.unparse(base) == "NamedTuple" for base in node.bases)
+
+
+def is_field(node):
+    return isinstance(node, ast.AnnAssign) and not ast.unparse(node.annotation).startswith("ClassVar")
+
+
+def test_records_of_more_than_four_fields_are_built_by_keyword():
+    trees = list(modules())
+    records = {
+        node.name
+        for _, tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and is_record(node) and sum(map(is_field, node.body)) > MOST_BY_PLACE
+    }
+    assert len(records) > 50
+    by_place = [
+        f"{name}:{node.lineno} {node.func.id}"
+        for name, tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in records
+        and len(node.args) > MOST_BY_PLACE
+    ]
+    assert by_place == []

@@ -1,10 +1,13 @@
-"""The one policy of telling an outage: once when it begins, seldom while it lasts, once with its length at its end.
+"""The one way to keep a device in use, and the one policy of reporting an outage.
 
-What comes and goes is told as that: the first few times each for itself, then by number (`daemon.base.recurrence`).
+An outage is reported once when it begins, seldom while it lasts, once with its length at its end. What comes and goes
+is reported as that: the first few times each for itself, then by number (`daemon.base.recurrence`).
 """
 
+import asyncio
 import logging
 import math
+from collections.abc import Awaitable, Callable
 from random import Random
 
 from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Said
@@ -151,3 +154,116 @@ class Backoff:
     def reset(self) -> None:
         """Start again from the first delay; to be called once the device has proven itself."""
         self._delay_s = self._first_s
+
+
+class Rhythm:
+    """Beats at whole multiples of a period from its start, so that delays do not add up.
+
+    Attributes
+    ----------
+    skipped
+        How many beats were left out because the one before took too long.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due_s = math.nan
+        self.skipped = 0
+
+    def start(self, now_s: float) -> None:
+        """Let the first beat be now; those of before are no longer waited for."""
+        self._due_s = now_s
+
+    def wait_s(self, now_s: float) -> float:
+        """Return how long it is to the next beat; what is due already is left out and counted."""
+        self._due_s += self._period_s
+        if self._due_s <= now_s:
+            missed = math.floor((now_s - self._due_s) / self._period_s) + 1
+            self.skipped += missed
+            self._due_s += missed * self._period_s
+        return self._due_s - now_s
+
+
+class Reconnection:
+    """Keeps one device in use: after every loss it is closed, and used anew after a growing pause.
+
+    Parameters
+    ----------
+    outage
+        Reports the losses.
+    random
+        For the jitter of the pauses.
+    now_s
+        Returns monotonic time [s].
+    notify
+        Called with the sentence that begins an outage, and with the one that ends it.
+    lost
+        The errors that mean that the device is lost.
+    hopeless
+        Those among them that only a new process can mend.
+    """
+
+    def __init__(
+        self,
+        outage: Outage,
+        random: Random,
+        now_s: Callable[[], float],
+        notify: Callable[[str], None],
+        *,
+        lost: type[Exception],
+        hopeless: tuple[type[Exception], ...] = (),
+    ) -> None:
+        self._outage = outage
+        self._backoff = Backoff(random)
+        self._now_s = now_s
+        self._notify = notify
+        self._lost = lost
+        self._hopeless = hopeless
+
+    async def run(
+        self,
+        use: Callable[[], Awaitable[None]],
+        close: Callable[[], Awaitable[None]],
+        forget: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Use the device until cancelled; raises the errors that are hopeless.
+
+        Parameters
+        ----------
+        use
+            Opens the device and works with it; `works` is to be called as soon as it has proven itself.
+        close
+            Releases it, after every loss.
+        forget
+            Called at every loss before it is reported: what was wanted of the device is no longer.
+        """
+        while True:
+            try:
+                await use()
+            except self._hopeless:
+                raise
+            except self._lost as error:
+                forget()
+                self._report(str(error))
+                await close()
+                await asyncio.sleep(self._backoff.next_s())
+
+    def works(self, how: str = "") -> bool:
+        """Take note that the device works, as long as it does; return whether that was worth a notification.
+
+        Parameters
+        ----------
+        how
+            What is to be known of it when it is back.
+        """
+        self._backoff.reset()
+        text = self._outage.up(self._now_s(), how)
+        if text:
+            self._notify(text)
+        return bool(text)
+
+    def _report(self, reason: str) -> None:
+        begins = not self._outage.is_down
+        text = self._outage.down(self._now_s(), reason)
+        if begins and text:
+            self._notify(text)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from random import Random
 
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Backoff, Outage
+from daemon.base.reconnect import Outage, Reconnection, Rhythm
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
@@ -83,10 +83,12 @@ class Acquisition:
         # As read in the present scan, for the watch over the faces.
         self._read_mv = [math.nan] * len(FACES)
         self._read_w_m2 = [math.nan] * len(FACES)
-        self._backoff = Backoff(random)
         self.outage = Outage(log, "the cube")
+        self._reconnection = Reconnection(
+            self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
+        )
+        self._rhythm = Rhythm(cube.scan_every_s)
         self._was_open = False
-        self.skipped = 0
         self.scan_every_s = cube.scan_every_s
         self.last_scan_s = clock.monotonic()
 
@@ -95,25 +97,18 @@ class Acquisition:
         """Whether the instruments are open and answering."""
         return self._sequence > 0 and not self.outage.is_down
 
+    @property
+    def skipped(self) -> int:
+        """How many scans were left out because the one before took too long."""
+        return self._rhythm.skipped
+
     async def run(self) -> None:
         """Acquire until cancelled; a lost instrument is opened anew for as long as it takes.
 
         Raises `DriverHungError` when only a new process can open it.
         """
         try:
-            while True:
-                try:
-                    await self._open()
-                    await self._acquire()
-                except DriverHungError:
-                    raise
-                except DeviceError as error:
-                    first = not self.outage.is_down
-                    text = self.outage.down(self._clock.monotonic(), str(error))
-                    if first:
-                        self._tell(text)
-                    await self._close()
-                    await asyncio.sleep(self._backoff.next_s())
+            await self._reconnection.run(self._acquire, self._close)
         finally:
             await self._close()
 
@@ -130,20 +125,14 @@ class Acquisition:
         await self._multiplexer.close()
 
     async def _acquire(self) -> None:
-        due_s = self._clock.monotonic()
+        await self._open()
+        self._rhythm.start(self._clock.monotonic())
         while True:
             scan = await self.scan()
-            self._tell(self.outage.up(self._clock.monotonic()))
-            self._backoff.reset()
+            self._reconnection.works()
             self.last_scan_s = self._clock.monotonic()
             self._on_scan(scan)
-            due_s += self._cube.scan_every_s
-            now_s = self._clock.monotonic()
-            if due_s <= now_s:
-                missed = math.floor((now_s - due_s) / self._cube.scan_every_s) + 1
-                self.skipped += missed
-                due_s += missed * self._cube.scan_every_s
-            await asyncio.sleep(due_s - now_s)
+            await asyncio.sleep(self._rhythm.wait_s(self._clock.monotonic()))
 
     async def scan(self) -> Scan:
         """Read the four faces once, in 4 x (settle + conversion); raises `DeviceError` when the link is gone."""
@@ -231,6 +220,5 @@ class Acquisition:
             return Quality.STALE
         return Quality.OK
 
-    def _tell(self, text: str) -> None:
-        if text:
-            self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))
+    def _notify(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))

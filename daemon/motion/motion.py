@@ -16,7 +16,7 @@ from random import Random
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Backoff, Outage
+from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
 from daemon.config.instruments import PositionerSettings
@@ -95,7 +95,6 @@ class Motion(MotionState):
         self._publish = publish
         self._changed = changed
         self._polling = polling
-        self._backoff = Backoff(random)
         guard = Guard(positioner, expected, Doubts(directory), clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
         self._rehoming = Rehoming(enabled=settings.rehome == "automatic")
@@ -103,6 +102,9 @@ class Motion(MotionState):
         every_s = polling.moving_s
         runs = Runs(positioner, guard, limits, settings, expected, retries, clock, publish, changed, wake, every_s)
         super().__init__(guard, runs, retries, Outage(log, "the positioner"), clock)
+        self._reconnection = Reconnection(
+            self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
+        )
         self._wanted: Target | None = None
         self._stowing = False
         self._home_wanted = False
@@ -212,15 +214,7 @@ class Motion(MotionState):
         Raises `DriverHungError` when only a new process can connect it.
         """
         try:
-            while True:
-                try:
-                    await self._connect()
-                    await self._serve()
-                except DriverHungError:
-                    raise
-                except DeviceError as error:
-                    await self._lost(error)
-                    await asyncio.sleep(self._backoff.next_s())
+            await self._reconnection.run(self._serve, self._close, self._forget)
         finally:
             await self._leave()
 
@@ -250,9 +244,8 @@ class Motion(MotionState):
                 f"A {before.a_deg:.1f}, B {before.b_deg:.1f} deg"
             )
             if told:
-                self._tell(text)
+                self._report(text)
             self._guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
-        self._backoff.reset()
         self._note_readiness()
 
     def _note_link(self, name: str = "") -> bool:
@@ -262,30 +255,26 @@ class Motion(MotionState):
             if not self.outage.is_down:
                 log.info("the positioner is connected: %s", name)
                 return True
-        text = self.outage.up(self._clock.monotonic(), name)
-        if text:
-            self._publish_event(text)
-        return bool(text)
+        return self._reconnection.works(name)
 
     def _jumped(self, before: Pose, after: Pose) -> bool:
         tolerance = self._settings.tolerance_deg
         return not (abs(before.a_deg - after.a_deg) <= tolerance and abs(before.b_deg - after.b_deg) <= tolerance)
 
-    async def _lost(self, error: DeviceError) -> None:
+    def _forget(self) -> None:
         self._guard.lost()
         self._wanted = None
         self._home_wanted = False
         if self._clear_wanted is not None:
             self._clear_wanted = None
-            self._tell("nothing was cleared: the positioner was lost first")
-        first = not self.outage.is_down
-        text = self.outage.down(self._clock.monotonic(), str(error))
-        if first and text:
-            self._publish_event(text)
+            self._report("nothing was cleared: the positioner was lost first")
+
+    async def _close(self) -> None:
         self._note_readiness()
         await self._positioner.close()
 
     async def _serve(self) -> None:
+        await self._connect()
         while True:
             await self._guard.look(moving=False)
             self._note_link()
@@ -327,7 +316,7 @@ class Motion(MotionState):
             await self._runs.move(target, stow=self._stowing)
         else:
             # It came up after the order was taken.
-            self._tell(f"no move: {obstacle}")
+            self._report(f"no move: {obstacle}")
 
     def _must_rehome(self) -> bool:
         doubt = self._guard.doubts.reference
@@ -347,9 +336,9 @@ class Motion(MotionState):
             self._was_ready = ready
             self._changed()
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         log.info(text)
-        self._publish_event(text)
+        self._notify(text)
 
-    def _publish_event(self, text: str) -> None:
+    def _notify(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

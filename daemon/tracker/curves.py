@@ -10,7 +10,7 @@ from random import Random
 import numpy as np
 
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Backoff, Outage
+from daemon.base.reconnect import Outage, Reconnection, Rhythm
 from daemon.base.records import CurveQuality, Event, IvCurve, Quality, Record, Scan
 from daemon.config.instruments import Load
 from drivers.errors import DeviceError
@@ -63,13 +63,18 @@ class IvAcquisition:
         self._publish = publish
         self._sun_elevation_deg = sun_elevation_deg
         self._scan_stale_s = scan_stale_s
-        self._backoff = Backoff(random)
         self._zenith_w_m2, self._zenith_s = math.nan, -math.inf
         self.outage = Outage(log, "the load")
+        self._reconnection = Reconnection(self.outage, random, clock.monotonic, self._notify, lost=DeviceError)
+        self._rhythm = Rhythm(settings.period_s)
         self._was_open = False
-        self.skipped = 0
         self.identity: str | None = None
         self.last: IvCurve | None = None
+
+    @property
+    def skipped(self) -> int:
+        """How many curves were left out because the one before took too long."""
+        return self._rhythm.skipped
 
     def note(self, record: Record) -> None:
         """Remember what the cube's zenith face reads; a subscriber of the bus."""
@@ -81,20 +86,13 @@ class IvAcquisition:
     async def run(self) -> None:
         """Measure until cancelled; a lost load is opened anew for as long as it takes."""
         try:
-            while True:
-                try:
-                    await self._open()
-                    await self._measure()
-                except DeviceError as error:
-                    first = not self.outage.is_down
-                    text = self.outage.down(self._clock.monotonic(), str(error))
-                    if first:
-                        self._tell(text)
-                    self.identity = None
-                    await self._load.close()
-                    await asyncio.sleep(self._backoff.next_s())
+            await self._reconnection.run(self._measure, self._close)
         finally:
             await self._load.close()
+
+    async def _close(self) -> None:
+        self.identity = None
+        await self._load.close()
 
     async def _open(self) -> None:
         self.identity = await self._load.open()
@@ -103,23 +101,17 @@ class IvAcquisition:
             log.info("the load is open", extra={"fields": {"load": self.identity}})
 
     async def _measure(self) -> None:
-        due_s = self._clock.monotonic()
+        await self._open()
+        self._rhythm.start(self._clock.monotonic())
         while True:
             curve = None
             if self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
                 curve = await self._curve()
-            self._tell(self.outage.up(self._clock.monotonic()))
-            self._backoff.reset()
+            self._reconnection.works()
             if curve is not None:
                 self.last = curve
                 self._publish(curve)
-            due_s += self._settings.period_s
-            now_s = self._clock.monotonic()
-            if due_s <= now_s:
-                missed = math.floor((now_s - due_s) / self._settings.period_s) + 1
-                self.skipped += missed
-                due_s += missed * self._settings.period_s
-            await asyncio.sleep(due_s - now_s)
+            await asyncio.sleep(self._rhythm.wait_s(self._clock.monotonic()))
 
     async def _curve(self) -> IvCurve:
         utc_s, start_s, before = self._clock.utc(), self._clock.monotonic(), self._zenith()
@@ -170,9 +162,8 @@ class IvAcquisition:
             curve=_packed(voltage_v, current_a) if self._settings.keep_curves else "",
         )
 
-    def _tell(self, text: str) -> None:
-        if text:
-            self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
+    def _notify(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "load", text))
 
 
 def _packed(voltage_v: np.ndarray, current_a: np.ndarray) -> str:

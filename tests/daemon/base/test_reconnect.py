@@ -1,10 +1,13 @@
+import asyncio
 import logging
+from random import Random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.base.reconnect import Outage
+from daemon.base.reconnect import Outage, Reconnection, Rhythm
+from daemon.base.timeloop import VirtualTimeLoop
 
 
 @pytest.fixture
@@ -134,3 +137,69 @@ def test_whether_it_is_down_is_known_however_it_is_told(outage):
     assert (outage.is_down, outage.since, outage.reason) == (True, end_s, "no answer")
     outage.up(end_s + 5.0)
     assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
+
+
+class GoneError(Exception):
+    pass
+
+
+class HungError(GoneError):
+    pass
+
+
+def reconnecting(outage, tries):
+    """Use a device that answers as `tries` says, one by one, and return what happened when, in tenths of a second."""
+    seen = []
+    loop = VirtualTimeLoop()
+
+    def note(what):
+        seen.append((round(loop.time() * 10), what))
+
+    async def use():
+        answer = tries.pop(0)
+        if answer is None:
+            reconnection.works("as before")
+            answer = asyncio.CancelledError()
+        note("use")
+        raise answer
+
+    async def close():
+        note("close")
+
+    class Steady(Random):
+        def random(self):
+            return 0.0
+
+    reconnection = Reconnection(outage, Steady(), loop.time, note, lost=GoneError, hopeless=(HungError,))
+    try:
+        loop.run_until_complete(reconnection.run(use, close, lambda: note("forget")))
+    except (asyncio.CancelledError, HungError, ValueError) as error:
+        note(type(error).__name__)
+    finally:
+        loop.close()
+    return seen
+
+
+def test_a_lost_device_is_forgotten_reported_closed_and_used_again_after_growing_pauses(outage):
+    assert reconnecting(outage, [GoneError("no port"), GoneError("no port"), None]) == [
+        (0, "use"), (0, "forget"), (0, "the positioner is down: no port"), (0, "close"),
+        (5, "use"), (5, "forget"), (5, "close"),
+        (14, "the positioner is back: as before"), (14, "use"), (14, "CancelledError"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("error", [HungError("no answer"), ValueError("a defect")])
+def test_what_only_a_new_process_can_mend_is_not_tried_again(outage, error):
+    assert reconnecting(outage, [error]) == [(0, "use"), (0, type(error).__name__)]
+
+
+def test_a_rhythm_keeps_to_its_start_and_counts_what_it_leaves_out():
+    rhythm = Rhythm(5.0)
+    rhythm.start(100.0)
+    assert rhythm.wait_s(101.0) == pytest.approx(4.0)
+    assert rhythm.wait_s(109.5) == pytest.approx(0.5)
+    assert rhythm.skipped == 0
+    assert rhythm.wait_s(122.0) == pytest.approx(3.0)
+    assert rhythm.skipped == 2
+    assert rhythm.wait_s(130.0) == pytest.approx(5.0), "a beat that is due this instant has no time left"
+    assert rhythm.skipped == 3
