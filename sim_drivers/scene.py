@@ -176,7 +176,13 @@ class Scene:
         """Return the true sun and sky."""
         now = self._sky_at(utc_s)
         azimuth, elevation = azimuth_from_direction(now.sun, self._site.latitude_deg)
-        return SkyState(float(azimuth), float(elevation), float(now.ghi_w_m2), float(now.dni_w_m2), float(now.dhi_w_m2))
+        return SkyState(
+            sun_azimuth_deg=float(azimuth),
+            sun_elevation_deg=float(elevation),
+            ghi_w_m2=float(now.ghi_w_m2),
+            dni_w_m2=float(now.dni_w_m2),
+            dhi_w_m2=float(now.dhi_w_m2),
+        )
 
     def plane_of_array(self, a_deg: float, b_deg: float, utc_s: float) -> float:
         """Return the irradiance on a module at tracker angles A and B [deg], in W/m2."""

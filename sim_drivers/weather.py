@@ -131,7 +131,13 @@ class GeneratedWeather:
             # Sunlit flanks of broken clouds scatter towards the cube, most of all those beside the sun.
             flanks = brokenness * clear_ghi * (0.08 + 0.2 * edge * (1.0 - blocked))
             dhi = clear_dhi + blocked * (thick_dhi - clear_dhi) * (1.0 - 0.4 * brokenness) + flanks
-        return Conditions(dni * sine + dhi, dni, dhi, self._wind(utc_s), self._temperature(utc_s))
+        return Conditions(
+            ghi_w_m2=dni * sine + dhi,
+            dni_w_m2=dni,
+            dhi_w_m2=dhi,
+            wind_speed_m_s=self._wind(utc_s),
+            temp_air_degc=self._temperature(utc_s),
+        )
 
     def _clouds(self, utc_s: Array) -> tuple[Array, Array, Array]:
         """How far the beam is blocked, how broken the cloud is, how near its edge the sun stands; each 0..1."""

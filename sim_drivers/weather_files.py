@@ -96,7 +96,7 @@ class MeasuredWeather:
             self._refuse(float(instants[~covered][0]))
         ghi, dni, dhi = (_interpolate(instants, self.utc_s, self.irradiance_w_m2[key]) for key in IRRADIANCES)
         wind, temperature = (_interpolate(instants, *self._others[key]) for key in OPTIONAL)
-        return Conditions(ghi, dni, dhi, wind, temperature)
+        return Conditions(ghi_w_m2=ghi, dni_w_m2=dni, dhi_w_m2=dhi, wind_speed_m_s=wind, temp_air_degc=temperature)
 
     def _refuse(self, utc_s: float) -> NoReturn:
         if not (self.start_utc_s <= utc_s <= self.end_utc_s):

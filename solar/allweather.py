@@ -109,7 +109,7 @@ def all_weather_sky(
         horizontal = radiance @ dome.weight
         scale = np.divide(dhi[part], horizontal, out=np.zeros_like(horizontal), where=horizontal > 0.0)
         coefficients[:, part] = (radiance @ dome.to_polynomial).T * scale
-    return AllWeatherSky(sun, dni * sine + dhi, dni, dhi, coefficients)
+    return AllWeatherSky(sun=sun, ghi_w_m2=dni * sine + dhi, dni_w_m2=dni, dhi_w_m2=dhi, coefficients=coefficients)
 
 
 def _shape_parameters(sine: Array, dni: Array, dhi: Array, extra: Array) -> Array:
@@ -165,11 +165,11 @@ def _dome() -> _Dome:
     fit = np.linalg.pinv(_monomials(planes))
     slant = 1.0 / np.array([directions[ring == index][0, 2] for index in range(rings)])
     return _Dome(
-        directions.astype(np.float32),
-        ring,
-        slant.astype(np.float32),
-        (directions[:, 2] * area).astype(np.float32),
-        (kernel @ fit.T).astype(np.float32),
+        directions=directions.astype(np.float32),
+        ring=ring,
+        ring_slant=slant.astype(np.float32),
+        weight=(directions[:, 2] * area).astype(np.float32),
+        to_polynomial=(kernel @ fit.T).astype(np.float32),
     )
 
 

@@ -62,7 +62,13 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
     # The fit scales the powers for itself, and converts back.
     polynomial = np.polynomial.Polynomial.fit(power, reference, DEGREE).convert()
     constant, linear, quadratic = (float(c) for c in np.pad(polynomial.coef, (0, DEGREE + 1 - polynomial.coef.size)))
-    return ChainBias(constant, linear, quadratic, float(power.min()), float(power.max()))
+    return ChainBias(
+        constant_w=constant,
+        linear=linear,
+        quadratic_per_w=quadratic,
+        lowest_w=float(power.min()),
+        highest_w=float(power.max()),
+    )
 
 
 def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = 60.0) -> float:

@@ -102,16 +102,16 @@ def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: 
     solar = steps + round(site.longitude_deg * 240.0 / step_s)
     day, step = solar // per_day, solar % per_day
     return DaylightWeather(
-        utc_s,
-        sun,
-        np.maximum(dni_w_m2[used], 0.0),
-        np.maximum(dhi_w_m2[used], 0.0),
-        extraterrestrial_dni(utc_s),
-        step_s,
-        step - step.min(),
-        day - day.min(),
-        site,
-        int(day.min()),
+        utc_s=utc_s,
+        sun=sun,
+        dni_w_m2=np.maximum(dni_w_m2[used], 0.0),
+        dhi_w_m2=np.maximum(dhi_w_m2[used], 0.0),
+        extra_w_m2=extraterrestrial_dni(utc_s),
+        step_s=step_s,
+        step=step - step.min(),
+        day=day - day.min(),
+        site=site,
+        first_day=int(day.min()),
     )
 
 

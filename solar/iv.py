@@ -107,11 +107,28 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     vmpp_v, pmpp_w, sigma_w, points = fit
     if not pmpp_w > 0.0 or pmpp_w < _LEAST_SIGNIFICANCE * sigma_w:
         return _none("the highest power is no more than noise", voc_v)
-    return MeasuredMaximum(pmpp_w, vmpp_v, pmpp_w / vmpp_v, sigma_w, voc_v, _isc(voltage, current, vmpp_v), points)
+    return MeasuredMaximum(
+        pmpp_w=pmpp_w,
+        vmpp_v=vmpp_v,
+        impp_a=pmpp_w / vmpp_v,
+        pmpp_sigma_w=sigma_w,
+        voc_v=voc_v,
+        isc_a=_isc(voltage, current, vmpp_v),
+        points=points,
+    )
 
 
 def _none(why: str, voc_v: float = np.nan) -> MeasuredMaximum:
-    return MeasuredMaximum(np.nan, np.nan, np.nan, np.nan, voc_v, np.nan, 0, why)
+    return MeasuredMaximum(
+        pmpp_w=np.nan,
+        vmpp_v=np.nan,
+        impp_a=np.nan,
+        pmpp_sigma_w=np.nan,
+        voc_v=voc_v,
+        isc_a=np.nan,
+        points=0,
+        why_not=why,
+    )
 
 
 def _without_wild_points(voltage: Array, current: Array) -> tuple[Array, Array]:

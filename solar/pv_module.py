@@ -151,7 +151,14 @@ def single_diode(module: PvModule, effective_irradiance_w_m2: float, cell_temper
     """Return the module in one light."""
     _, dark, parameters = _parameters(module, effective_irradiance_w_m2, cell_temperature_c)
     photocurrent_a, saturation_a, series_ohm, shunt_ohm, ideality_v = map(float, parameters)
-    return SingleDiode(photocurrent_a, saturation_a, series_ohm, shunt_ohm, ideality_v, bool(dark))
+    return SingleDiode(
+        photocurrent_a=photocurrent_a,
+        saturation_a=saturation_a,
+        series_ohm=series_ohm,
+        shunt_ohm=shunt_ohm,
+        ideality_v=ideality_v,
+        dark=bool(dark),
+    )
 
 
 def maximum_power(

@@ -123,7 +123,13 @@ class _Target:
 
     @property
     def statistics(self) -> TargetStatistics:
-        return TargetStatistics(str(self.address), self._sent, self._failed, self._last_error, self._failing)
+        return TargetStatistics(
+            target=str(self.address),
+            sent=self._sent,
+            failed=self._failed,
+            last_error=self._last_error,
+            down=self._failing,
+        )
 
     def send(self, datagram: bytes, now_s: float) -> None:
         error: OSError | None = None

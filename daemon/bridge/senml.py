@@ -104,15 +104,15 @@ def decode(payload: bytes) -> Scan:
         raise _malformed(f"has a calibration that is no identifier of one: {_shown(calibration)}")
     east, south, west, zenith = (_face(name, named, time_utc_s, monotonic_s) for name in FACES)
     return Scan(
-        source,
-        session,
-        sequence,
-        time_utc_s,
-        monotonic_s,
-        east,
-        south,
-        west,
-        zenith,
+        source=source,
+        session=session,
+        sequence=sequence,
+        time_utc_s=time_utc_s,
+        time_monotonic_s=monotonic_s,
+        east=east,
+        south=south,
+        west=west,
+        zenith=zenith,
         simulated=simulated,
         calibration=calibration,
     )

@@ -157,15 +157,15 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
             loop.call_soon_threadsafe(service.bus.publish, event)
 
     origin = Origin(
-        service.clock.utc(),
-        role.value,
-        version("heliocube"),
-        service.rig.simulated,
-        site.name,
-        site.latitude_deg,
-        site.longitude_deg,
-        site.altitude_m,
-        service.settings.mqtt.name or role.value,
+        started_utc_s=service.clock.utc(),
+        role=role.value,
+        version=version("heliocube"),
+        simulated=service.rig.simulated,
+        site=site.name,
+        latitude_deg=site.latitude_deg,
+        longitude_deg=site.longitude_deg,
+        altitude_m=site.altitude_m,
+        tracker=service.settings.mqtt.name or role.value,
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
     service.bus.subscribe(store.keep)

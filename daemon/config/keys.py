@@ -310,7 +310,9 @@ def _walk_plugged(plugged: Plugged, chosen: Mapping[str, str]) -> Iterator[Setti
     found.pop(DRIVER, None)
     about = " ".join([plugged.about, *(cleandoc(type(each).__doc__ or "") for each in drivers.values())])
     schema = {"type": "string", "enum": list(plugged.names()), "description": about}
-    driver = Key(f"{plugged.path}.{DRIVER}", plugged.path, DRIVER, schema, plugged.default)
+    driver = Key(
+        path=f"{plugged.path}.{DRIVER}", section=plugged.path, name=DRIVER, schema=schema, default=plugged.default
+    )
     yield SettingsTable(plugged.path, plugged.title, (driver, *found.values()))
     yield from nested.values()
 
@@ -320,7 +322,9 @@ def _own_keys(section: BaseModel, path: str) -> Iterator[Key]:
     for name in type(section).model_fields:
         value = getattr(section, name)
         if not isinstance(value, BaseModel):
-            yield Key(f"{path}.{name}" if path else name, path, name, properties[name], value)
+            yield Key(
+                path=f"{path}.{name}" if path else name, section=path, name=name, schema=properties[name], default=value
+            )
 
 
 def _expected(part: dict[str, Any], unit: str) -> str:

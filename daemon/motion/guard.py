@@ -284,7 +284,13 @@ class Guard:
 
     def _note_pose(self, telemetry: Telemetry, *, moving: bool) -> None:
         now_s, told = self._clock.monotonic(), self._told_pose
-        pose = Pose(self._clock.utc(), now_s, telemetry.a_deg, telemetry.b_deg, moving)
+        pose = Pose(
+            time_utc_s=self._clock.utc(),
+            time_monotonic_s=now_s,
+            a_deg=telemetry.a_deg,
+            b_deg=telemetry.b_deg,
+            moving=moving,
+        )
         self.pose = pose
         self.rested = pose if self.watch.settled and not moving else None
         if (

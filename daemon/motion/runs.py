@@ -110,8 +110,19 @@ class Runs:
             end = self._guard.pose or start
             self.target = None
             duration_s = self._clock.monotonic() - start_s
-            where = (start.a_deg, start.b_deg, target.a_deg, target.b_deg, end.a_deg, end.b_deg)
-            self.last_move = Move(start_utc_s, start_s, duration_s, *where, outcome, why)
+            self.last_move = Move(
+                time_utc_s=start_utc_s,
+                time_monotonic_s=start_s,
+                duration_s=duration_s,
+                from_a_deg=start.a_deg,
+                from_b_deg=start.b_deg,
+                target_a_deg=target.a_deg,
+                target_b_deg=target.b_deg,
+                end_a_deg=end.a_deg,
+                end_b_deg=end.b_deg,
+                outcome=outcome,
+                why=why,
+            )
             self._publish(self.last_move)
         self._count(outcome, why)
         self._changed()

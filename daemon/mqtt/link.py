@@ -90,17 +90,17 @@ class Link:
     def status(self) -> LinkStatus:
         """A snapshot for displays."""
         return LinkStatus(
-            f"{self._settings.host}:{self._settings.port}",
-            self._connected,
-            self._since_utc_s,
-            None if self._connected else self._down_why,
-            self._connections,
-            self._outbox.waiting,
-            self._sent,
-            self._received,
-            self._outbox.dropped,
-            self._dropped_since_utc_s,
-            tuple(self._troubles.values()),
+            broker=f"{self._settings.host}:{self._settings.port}",
+            connected=self._connected,
+            since_utc_s=self._since_utc_s,
+            down_why=None if self._connected else self._down_why,
+            connections=self._connections,
+            waiting=self._outbox.waiting,
+            sent=self._sent,
+            received=self._received,
+            dropped=self._outbox.dropped,
+            dropped_since_utc_s=self._dropped_since_utc_s,
+            troubles=tuple(self._troubles.values()),
         )
 
     def listen(self, topic: str, handler: Handler) -> None:

@@ -51,7 +51,12 @@ def voltmeter_line(settings: Settings, tap: Tap = no_tap) -> ScpiLine:
             ' "ASRL/dev/serial/by-id/...::INSTR" or "GPIB0::16::INSTR"'
         )
     where = VisaSettings(
-        meter.resource, meter.visa, meter.prologix_port, meter.baud_rate, meter.terminator, meter.flow_control
+        resource=meter.resource,
+        library=meter.visa,
+        prologix_port=meter.prologix_port,
+        baud_rate=meter.baud_rate,
+        terminator=meter.terminator,
+        flow_control=meter.flow_control,
     )
     return ThreadedLine("voltmeter", partial(VisaLine, where, tap))
 
@@ -119,8 +124,20 @@ def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:
     positioner, limits = settings.instruments.positioner, settings.limits
     a, b, step = positioner.a_axis, positioner.b_axis, _STEP[positioner.position_unit]
     return (
-        AxisSetup(_geometry(positioner, a), limits.a_min_deg, limits.a_max_deg, a.zero_offset, step),
-        AxisSetup(_geometry(positioner, b), limits.b_min_deg, limits.b_max_deg, b.zero_offset, step),
+        AxisSetup(
+            geometry=_geometry(positioner, a),
+            minimum_deg=limits.a_min_deg,
+            maximum_deg=limits.a_max_deg,
+            zero_offset=a.zero_offset,
+            step=step,
+        ),
+        AxisSetup(
+            geometry=_geometry(positioner, b),
+            minimum_deg=limits.b_min_deg,
+            maximum_deg=limits.b_max_deg,
+            zero_offset=b.zero_offset,
+            step=step,
+        ),
     )
 
 
@@ -137,6 +154,13 @@ def positioner_port(settings: Settings) -> str:
 
 def _geometry(positioner: PositionerSettings, axis: AxisGeometry) -> Geometry:
     if positioner.position_unit == "mm":
-        return Triangle(axis.arm_1_mm, axis.arm_2_mm, axis.apex_deg, axis.low_deg, axis.holder_mm, axis.sense)
+        return Triangle(
+            arm_1_mm=axis.arm_1_mm,
+            arm_2_mm=axis.arm_2_mm,
+            apex_deg=axis.apex_deg,
+            low_deg=axis.low_deg,
+            holder_mm=axis.holder_mm,
+            sense=axis.sense,
+        )
     units_per_deg = axis.impulses_per_deg if positioner.position_unit == "impulse" else 1.0
     return Proportional(units_per_deg, axis.low_deg)

@@ -136,7 +136,9 @@ class Store:
         """A snapshot for displays."""
         with self._changed:
             down_why = self._outage.reason if self._outage.is_down else None
-            return StoreStatus(self._path, self._written, len(self._waiting), self._lost, down_why)
+            return StoreStatus(
+                path=self._path, written=self._written, waiting=len(self._waiting), lost=self._lost, down_why=down_why
+            )
 
     def close(self) -> None:
         """Write what waits and end; gives up after a few seconds and says what was lost then."""

@@ -174,16 +174,16 @@ def _row(
     room = float((bound[lit] - reference[lit]).sum())
     clear = types == 0
     return EnergyRow(
-        sky_name,
-        law,
-        float(energy.sum()),
-        _gain(energy, reference, lit),
-        tuple(_gain(energy, reference, types == index) for index in range(len(DAY_TYPES))),
-        100.0 * float((energy - reference).sum()) / room if room > 0.0 else np.nan,
-        float((100.0 * (energy[clear] / reference[clear] - 1.0)).min()) if clear.any() else np.nan,
-        float(result.travel_deg[lit].mean()),
-        float(result.return_deg[lit].mean()),
-        float(result.moves[lit].mean()),
+        sky=sky_name,
+        law=law,
+        energy_kwh_m2=float(energy.sum()),
+        gain_pct=_gain(energy, reference, lit),
+        gain_by_type_pct=tuple(_gain(energy, reference, types == index) for index in range(len(DAY_TYPES))),
+        share_pct=100.0 * float((energy - reference).sum()) / room if room > 0.0 else np.nan,
+        worst_clear_day_pct=float((100.0 * (energy[clear] / reference[clear] - 1.0)).min()) if clear.any() else np.nan,
+        travel_deg_per_day=float(result.travel_deg[lit].mean()),
+        return_deg_per_day=float(result.return_deg[lit].mean()),
+        moves_per_day=float(result.moves[lit].mean()),
     )
 
 

@@ -274,7 +274,18 @@ def _scan(cube: CubeSettings, number: int, row: Row, now_s: float) -> Scan:
         quality = Quality.OK if low <= value <= high else Quality.MISSING if math.isnan(value) else Quality.IMPLAUSIBLE
         faces.append(FaceReading(value, quality, utc_s, now_s))
     east, south, west, zenith = faces
-    return Scan(cube.name, "replay", number, utc_s, now_s, east, south, west, zenith, simulated=True)
+    return Scan(
+        source=cube.name,
+        session="replay",
+        sequence=number,
+        time_utc_s=utc_s,
+        time_monotonic_s=now_s,
+        east=east,
+        south=south,
+        west=west,
+        zenith=zenith,
+        simulated=True,
+    )
 
 
 def _opened(path: Path, suffix: str) -> TextIO:

@@ -119,7 +119,18 @@ def _scan(row: Row, source: str, session: str, sequence: int, utc_s: float, mono
         FaceReading(value, Quality.MISSING if math.isnan(value) else Quality.OK, utc_s, monotonic_s)
         for value in row.irradiances_w_m2
     )
-    return Scan(source, session, sequence, utc_s, monotonic_s, east, south, west, zenith, simulated=True)
+    return Scan(
+        source=source,
+        session=session,
+        sequence=sequence,
+        time_utc_s=utc_s,
+        time_monotonic_s=monotonic_s,
+        east=east,
+        south=south,
+        west=west,
+        zenith=zenith,
+        simulated=True,
+    )
 
 
 def _opened(path: Path) -> TextIO:

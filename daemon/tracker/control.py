@@ -153,14 +153,14 @@ class Control(Doors):
         now_s = self._clock.monotonic()
         deciding = self.mode in (Mode.TRACKING, Mode.FALLBACK)
         return ControlState(
-            self.mode,
-            self.why,
-            self._since_utc_s,
-            self._readings.newest,
-            now_s - self._readings.good_s,
-            self._readings.mean(now_s),
-            self._decision,
-            max(self._due_s - now_s, 0.0) if deciding else math.nan,
+            mode=self.mode,
+            why=self.why,
+            since_utc_s=self._since_utc_s,
+            scan=self._readings.newest,
+            scan_age_s=now_s - self._readings.good_s,
+            irradiances=self._readings.mean(now_s),
+            decision=self._decision,
+            next_decision_s=max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
 
     async def run(self) -> None:
@@ -251,7 +251,7 @@ class Control(Doors):
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()
         self._log_mode(mode, why, now_s)
-        self._publish(ModeChange(utc_s, now_s, self.mode, mode, why))
+        self._publish(ModeChange(time_utc_s=utc_s, time_monotonic_s=now_s, before=self.mode, after=mode, why=why))
         self.mode = mode
         self._since_utc_s = utc_s
         self._due_s = now_s
@@ -300,18 +300,18 @@ class Control(Doors):
         moved = says.target is not None and self._worth_moving(target) and self._order_within_budget(target)
         log.info("%s", "moving" if moved else "staying", extra={"fields": _told(chosen.name, target)})
         self._decision = Decision(
-            utc_s,
-            now_s,
-            self.mode,
-            chosen.name,
-            mean,
-            says.azimuth_deg,
-            says.elevation_deg,
-            says.sun.azimuth_deg,
-            says.sun.elevation_deg,
-            target,
-            moved,
-            Estimate(says.beam_w_m2, says.diffuse_w_m2, says.albedo),
+            time_utc_s=utc_s,
+            time_monotonic_s=now_s,
+            mode=self.mode,
+            law=chosen.name,
+            irradiances=mean,
+            direction_azimuth_deg=says.azimuth_deg,
+            direction_elevation_deg=says.elevation_deg,
+            sun_azimuth_deg=says.sun.azimuth_deg,
+            sun_elevation_deg=says.sun.elevation_deg,
+            target=target,
+            moved=moved,
+            estimate=Estimate(says.beam_w_m2, says.diffuse_w_m2, says.albedo),
         )
         self._publish(self._decision)
 

@@ -181,7 +181,13 @@ class Window:
         if not needed_s > 0:
             return None
         east, south, west, zenith = means
-        return Irradiances(east, south, west, zenith, min(1.0, needed_s / self._mean_s))
+        return Irradiances(
+            east_w_m2=east,
+            south_w_m2=south,
+            west_w_m2=west,
+            zenith_w_m2=zenith,
+            coverage=min(1.0, needed_s / self._mean_s),
+        )
 
 
 class _FaceWindow:

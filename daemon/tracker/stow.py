@@ -120,13 +120,13 @@ class WindStow:
         """Return how it stood when it was last asked."""
         safety = self._safety
         return StowStatus(
-            self.name,
-            self._why,
-            now_s - self._heard_s,
-            self._speed_m_s,
-            safety.stow_wind_m_s,
-            safety.release_wind_m_s,
-            release_in_s(self._why, now_s - self._strong_s, safety.stow_at_least_s),
+            name=self.name,
+            why=self._why,
+            age_s=now_s - self._heard_s,
+            speed_m_s=self._speed_m_s,
+            stow_from_m_s=safety.stow_wind_m_s,
+            release_below_m_s=safety.release_wind_m_s,
+            release_in_s=release_in_s(self._why, now_s - self._strong_s, safety.stow_at_least_s),
         )
 
     def resume(self, why: str, now_s: float) -> None:

@@ -101,7 +101,9 @@ def coast(start_s: float, position: float, velocity: float, drive: AxisDrive) ->
     piece = _Piece(start_s, position, velocity, -math.copysign(rate, velocity))
     end_s = start_s + duration
     last_s = max(end_s - _LAST_EDGE_S, start_s)
-    return Profile((piece,), end_s, position + 0.5 * velocity * duration, start_s, last_s)
+    return Profile(
+        pieces=(piece,), end_s=end_s, end=position + 0.5 * velocity * duration, first_edge_s=start_s, last_edge_s=last_s
+    )
 
 
 def drive_on(start_s: float, position: float, velocity: float, side: float, drive: AxisDrive) -> Profile:
@@ -150,7 +152,14 @@ def _drive(
     crosses_s = min(fall.time_at(target), end_s) if top and distance else fall.start_s
     pieces += [rise, level, fall]
     last_s = max(crosses_s + _BRAKED_EDGE_S, end_s - _LAST_EDGE_S)
-    return Profile(tuple(pieces), end_s, target + side * beyond, first_s, last_s, crosses_s)
+    return Profile(
+        pieces=tuple(pieces),
+        end_s=end_s,
+        end=target + side * beyond,
+        first_edge_s=first_s,
+        last_edge_s=last_s,
+        crosses_s=crosses_s,
+    )
 
 
 def _top_speed(distance: float, speed: float, drive: AxisDrive) -> tuple[float, float]:

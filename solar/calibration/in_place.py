@@ -145,7 +145,9 @@ def calibrate_in_place(
         response=values[:4],
         attitude=shape.attitude,
         albedo=shape.albedo,
-        errors=FieldErrors(response_error, yaw, equator, east, albedo),
+        errors=FieldErrors(
+            response=response_error, yaw_deg=yaw, lean_equator_deg=equator, lean_east_deg=east, albedo=albedo
+        ),
         shape=shape,
         days=int(np.unique(day).size),
     )

@@ -78,7 +78,15 @@ def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunPath:
     delta = declination_deg(day)
     noon, midnight = cosdg(phi - delta), cosdg(phi + delta)
     w0 = 2.0 * np.arctan2(np.sqrt(np.maximum(noon, 0.0)), np.sqrt(np.maximum(midnight, 0.0)))
-    return SunPath(sindg(phi), cosdg(phi), sindg(delta), cosdg(delta), noon, midnight, w0)
+    return SunPath(
+        sin_phi=sindg(phi),
+        cos_phi=cosdg(phi),
+        sin_delta=sindg(delta),
+        cos_delta=cosdg(delta),
+        noon=noon,
+        midnight=midnight,
+        w0=w0,
+    )
 
 
 def half_day_h(phi_deg: ArrayLike, n: ArrayLike) -> Array:

@@ -81,11 +81,11 @@ def daily(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: Arr
     """
     static = static_energy(phi_deg, beta_deg, n, lambda_deg)
     return Energies(
-        sun_day(phi_deg, n).max_h,
-        static.clip_h,
-        static.abs_h,
-        vertical_energy_h(phi_deg, beta_deg, n),
-        horizontal_energy_h(phi_deg, beta_deg, n, lambda_deg),
+        dual=sun_day(phi_deg, n).max_h,
+        static=static.clip_h,
+        static_abs=static.abs_h,
+        vertical=vertical_energy_h(phi_deg, beta_deg, n),
+        horizontal=horizontal_energy_h(phi_deg, beta_deg, n, lambda_deg),
     )
 
 

@@ -88,7 +88,13 @@ def sky_series(site: Site, utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, model
     day = (solar_days - solar_days.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64) + 1
     towards = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, site.latitude_deg)
     overhead = sky(model, towards, dni_w_m2, dhi_w_m2, extraterrestrial_dni(utc_s))
-    return SkySeries(site.latitude_deg, day, sun.azimuth_deg, sun.elevation_deg, overhead)
+    return SkySeries(
+        latitude_deg=site.latitude_deg,
+        day=day,
+        azimuth_deg=sun.azimuth_deg,
+        elevation_deg=sun.elevation_deg,
+        overhead=overhead,
+    )
 
 
 def dual_irradiance(series: SkySeries, albedo: float = ALBEDO) -> Array:

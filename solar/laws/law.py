@@ -221,7 +221,7 @@ class DirectionLaw(Law):
         sun = self.sun(now.utc_s)
         direction = self.direction(now, direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self.site[0]))
         if not np.isfinite(direction).all():
-            return Aim(np.nan, np.nan, sun, None, "has no direction")
+            return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=sun, target=None, why="has no direction")
         a_deg, b_deg = angles_within(direction, self.limits)
         azimuth, elevation = azimuth_from_direction(direction, self.site[0])
         return Aim(float(azimuth), float(elevation), sun, Angles(float(a_deg), float(b_deg)))

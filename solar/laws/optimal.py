@@ -236,7 +236,14 @@ class OptimalLaw:
         gain = product(vector, best_a, best_b) - product(vector, a, b)
         price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
         move = (gain > price) & (sun[..., 2] > 0.0) & self.affords(distance)
-        return Choice(np.where(move, best_a, a), np.where(move, best_b, b), move, gain, price, vector)
+        return Choice(
+            a_deg=np.where(move, best_a, a),
+            b_deg=np.where(move, best_b, b),
+            move=move,
+            gain_w_m2=gain,
+            price_w_m2=price,
+            vector=vector,
+        )
 
     def book(self, distance_deg: ArrayLike, move: ArrayLike = True) -> None:
         """Take moves out of the day's budget: what was travelled, or ordered to be, A and B added [deg]."""

@@ -158,7 +158,13 @@ class LiveOptimal(Law):
         self._take_in(directions[2:])
         sun = SunPosition(*(float(values[0]) for values in suns))
         if now.heading is None:
-            return Aim(math.nan, math.nan, sun, None, "where the tracker stands is not known")
+            return Aim(
+                azimuth_deg=math.nan,
+                elevation_deg=math.nan,
+                sun=sun,
+                target=None,
+                why="where the tracker stands is not known",
+            )
         choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s))
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         target, why = None, f"{float(choice.gain_w_m2):.1f} W/m2 to gain, not worth a move"

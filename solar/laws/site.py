@@ -139,7 +139,14 @@ def _sums_of(faces: Array, sun: Array, beam: Array, seconds: Array) -> DaySums:
     shaded = np.minimum(east, west)
     diffuse = zenith - beam * sun[..., 2]
     albedo = (2.0 * (shaded - _HORIZON_SHARE * diffuse) - diffuse) / np.maximum(zenith, _LIGHT_W_M2)
-    return DaySums(seconds, seconds * albedo, east_s, east_s * east_log, west_s, west_s * west_log)
+    return DaySums(
+        albedo_s=seconds,
+        albedo=seconds * albedo,
+        east_s=east_s,
+        east=east_s * east_log,
+        west_s=west_s,
+        west=west_s * west_log,
+    )
 
 
 def step(learned: Learned, sums: DaySums) -> Learned:

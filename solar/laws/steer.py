@@ -82,7 +82,15 @@ class _Day:
     def __init__(
         self, build: Callable[[TrackerFacts], Law], weather: DaylightWeather, limits: Limits, begins_utc_s: float
     ) -> None:
-        self._law = build(TrackerFacts(weather.site, limits, weather.step_s, PAPER_EVERY_S, begins_utc_s))
+        self._law = build(
+            TrackerFacts(
+                site=weather.site,
+                limits=limits,
+                scan_every_s=weather.step_s,
+                decide_every_s=PAPER_EVERY_S,
+                utc_s=begins_utc_s,
+            )
+        )
         self._every = max(round(self._law.decide_every_s / weather.step_s), 1)
 
     def steer(self, step: int, utc_s: float, reading: Array, mean: Array, heading: Angles) -> Angles:

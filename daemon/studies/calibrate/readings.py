@@ -89,7 +89,7 @@ def read_csv(path: Path) -> FaceReadings:
         if f"{face}_quality" in frame:
             faces[frame[f"{face}_quality"].to_numpy() != "ok", place] = np.nan
     made_with = frozenset(frame["calibration"]) if "calibration" in frame else frozenset({""})
-    return FaceReadings(str(path), utc_s, faces, ending == _MV, made_with)
+    return FaceReadings(source=str(path), utc_s=utc_s, faces=faces, in_mv=ending == _MV, calibrations=made_with)
 
 
 def read_store(directory: Path, start: datetime | None, end: datetime | None) -> FaceReadings:
@@ -111,7 +111,11 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
     table = np.array(rows, dtype=np.float64)
     _, first = np.unique(table[:, 0], return_index=True)
     return FaceReadings(
-        f"the store {path}", table[first, 0], table[first, 1:], False, frozenset(row[0] for row in made_with)
+        source=f"the store {path}",
+        utc_s=table[first, 0],
+        faces=table[first, 1:],
+        in_mv=False,
+        calibrations=frozenset(row[0] for row in made_with),
     )
 
 

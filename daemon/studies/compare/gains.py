@@ -112,17 +112,17 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
         beyond = 100.0 * energy_wh(time, np.where(bias.beyond(pairs.cube.pmpp_w), power, 0.0)) / cube
     start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
     return Gain(
-        start[:10],
-        period,
-        f"{start}Z",
-        f"{end}Z",
-        energy_wh(time, np.ones(time.shape)),
-        cube,
-        chrono,
-        gain_pct(cube, chrono),
-        gain_pct(energy_wh(time, pairs.cube.pmpp_w), chrono),
-        gain_pct(*irradiation),
-        beyond,
+        date=start[:10],
+        period=period,
+        start=f"{start}Z",
+        end=f"{end}Z",
+        hours=energy_wh(time, np.ones(time.shape)),
+        cube_wh=cube,
+        chrono_wh=chrono,
+        gain_pct=gain_pct(cube, chrono),
+        uncorrected_pct=gain_pct(energy_wh(time, pairs.cube.pmpp_w), chrono),
+        irradiation_pct=gain_pct(*irradiation),
+        extrapolated_pct=beyond,
     )
 
 

@@ -59,11 +59,11 @@ class Pairs:
     def where(self, chosen: NDArray[np.bool_]) -> "Pairs":
         """Return some of the pairs."""
         return Pairs(
-            self.names,
-            self.utc_s[chosen],
-            self.cube.where(chosen),
-            self.chrono.where(chosen),
-            self.diffuse_fraction[chosen],
+            names=self.names,
+            utc_s=self.utc_s[chosen],
+            cube=self.cube.where(chosen),
+            chrono=self.chrono.where(chosen),
+            diffuse_fraction=self.diffuse_fraction[chosen],
         )
 
 
@@ -116,7 +116,7 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
         both[f"{name}_cube"].fillna(both[f"{name}_chrono"]).to_numpy(float) for name in ("ghi_w_m2", "dhi_w_m2")
     )
     fraction = np.clip(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=ghi > 0.0), 0.0, 1.0)
-    return Pairs(names, both["time"].to_numpy(float), cube, chrono, fraction)
+    return Pairs(names=names, utc_s=both["time"].to_numpy(float), cube=cube, chrono=chrono, diffuse_fraction=fraction)
 
 
 def _read(path: Path) -> pd.DataFrame:

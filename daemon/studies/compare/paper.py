@@ -125,7 +125,7 @@ def run_paper(
             )
             both = (twelfth, fourteenth)
             rows = [row for day in both for row in gains(day, found.bias, SPANS) if row.period != WHOLE_DAY]
-            yield Run(sky, seed, both, found, flat, tuple(rows))
+            yield Run(sky=sky, seed=seed, pairs=both, found=found, flat=flat, gains=tuple(rows))
 
 
 def _twelfth(afternoon: WeatherName) -> Parts:

@@ -162,15 +162,15 @@ def keeping(
     try:
         for name in names:
             origin = Origin(
-                start_utc_s,
-                "both",
-                version("heliocube"),
-                True,
-                site.name,
-                site.latitude_deg,
-                site.longitude_deg,
-                site.altitude_m,
-                name,
+                started_utc_s=start_utc_s,
+                role="both",
+                version=version("heliocube"),
+                simulated=True,
+                site=site.name,
+                latitude_deg=site.latitude_deg,
+                longitude_deg=site.longitude_deg,
+                altitude_m=site.altitude_m,
+                tracker=name,
             )
             stores[name] = Store(directory, settings.store.batch_s, settings.store.keep_days, origin, clock, _ignore)
         taken = 0

@@ -49,11 +49,11 @@ def exact_energies(latitude: float, tilts: DeviceTilts, days: Array, azimuths: A
     """Return daily energies [h], each device at its own tilt."""
     static = gain.static_energy(latitude, tilts.static, days, azimuths)
     return Energies(
-        2.0 * gain.half_day_h(latitude, days),
-        static.clip_h,
-        static.abs_h,
-        gain.vertical_energy_h(latitude, tilts.vertical, days),
-        gain.horizontal_energy_h(latitude, tilts.horizontal, days, azimuths),
+        dual=2.0 * gain.half_day_h(latitude, days),
+        static=static.clip_h,
+        static_abs=static.abs_h,
+        vertical=gain.vertical_energy_h(latitude, tilts.vertical, days),
+        horizontal=gain.horizontal_energy_h(latitude, tilts.horizontal, days, azimuths),
     )
 
 

@@ -70,11 +70,11 @@ class SkySource:
                     horizontal_irradiance(series, tilts.horizontal[at], deviation)
                 )
         return Energies(
-            dual,
-            received[Device.STATIC],
-            np.full(shape, np.nan),
-            received[Device.VERTICAL],
-            received[Device.HORIZONTAL],
+            dual=dual,
+            static=received[Device.STATIC],
+            static_abs=np.full(shape, np.nan),
+            vertical=received[Device.VERTICAL],
+            horizontal=received[Device.HORIZONTAL],
         )
 
 

@@ -93,9 +93,23 @@ class PositionerWatch:
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
-        seen = AxisObservation(before.position_a, before.destination_a, before.a_remain, 0.0, _NO_STATUS, 0.0)
+        seen = AxisObservation(
+            position=before.position_a,
+            destination=before.destination_a,
+            remain=before.a_remain,
+            time_s=0.0,
+            status=_NO_STATUS,
+            status_s=0.0,
+        )
         if axis == "b":
-            seen = AxisObservation(before.position_b, before.destination_b, before.b_remain, 0.0, _NO_STATUS, 0.0)
+            seen = AxisObservation(
+                position=before.position_b,
+                destination=before.destination_b,
+                remain=before.b_remain,
+                time_s=0.0,
+                status=_NO_STATUS,
+                status_s=0.0,
+            )
         self.run = HomingRun(axis, self._setups[axis], seen, sent_s, trusted=not self.reference.doubts(axis))
         self._last = None
         return self.run
@@ -135,8 +149,12 @@ class PositionerWatch:
         )
         a_amps, b_amps, a_left, b_left = (known[field].number if field in known else math.nan for field in _EXTRA)
         seen: dict[AxisName, AxisObservation] = {
-            "a": AxisObservation(a_at, a_to, a_left, time_s, status, status_s),
-            "b": AxisObservation(b_at, b_to, b_left, time_s, status, status_s),
+            "a": AxisObservation(
+                position=a_at, destination=a_to, remain=a_left, time_s=time_s, status=status, status_s=status_s
+            ),
+            "b": AxisObservation(
+                position=b_at, destination=b_to, remain=b_left, time_s=time_s, status=status, status_s=status_s
+            ),
         }
         homing = self._follow_run(seen) or status.homing
         self._note_doubts(heard, seen, homing)
