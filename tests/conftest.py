@@ -1,9 +1,7 @@
-"""Fixtures for every tier: nothing may leak a thread or a file descriptor out of a test."""
+"""Fixtures for every tier; the one that no test may leak is in tests/support/leaks.py."""
 
-import gc
 import os
 import socket
-import threading
 from pathlib import Path
 
 import pytest
@@ -20,7 +18,7 @@ settings.load_profile("heliocube")
 MEASURED = SHARED / "data"
 
 
-pytest_plugins = ("tests.support.rig", "tests.support.ports", "tests.support.mqtt")
+pytest_plugins = ("tests.support.leaks", "tests.support.rig", "tests.support.ports", "tests.support.mqtt")
 
 _TIER_OF_FIXTURE = {
     "run_rig": "rig",
@@ -50,36 +48,6 @@ def pytest_report_header():
         None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
     )
     return [line for line in (broker, missing()) if line]
-
-
-@pytest.fixture(autouse=True)
-def nothing_leaks():
-    """Fail a test that leaves a thread or a file descriptor behind."""
-    threads = set(threading.enumerate())
-    descriptors = _descriptors()
-    yield
-    gc.collect()
-    left = [t for t in threading.enumerate() if t not in threads and t.is_alive()]
-    for thread in left:
-        thread.join(timeout=1.0)
-    assert not [t.name for t in left if t.is_alive()], "the test left threads running"
-    opened = {number: target for number, target in _descriptors().items() if number not in descriptors}
-    assert not opened, f"the test left file descriptors open: {opened}"
-
-
-def _descriptors() -> dict[str, str]:
-    found = {}
-    for entry in Path("/proc/self/fd").iterdir():
-        try:
-            target = str(entry.readlink())
-        except OSError:
-            continue
-        # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.
-        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or (
-            "/tmp" in target and "site-packages" not in target
-        ):
-            found[entry.name] = target
-    return found
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,80 @@
+"""Nothing may leak out of a test: no task of any event loop, no thread, no file descriptor, no child process."""
+
+import asyncio
+import contextlib
+import gc
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+
+_ENDS_WITHIN_S = 1.0
+
+
+class _Tasks:
+    """Notes what is still pending where an event loop is closed, which cancels it without a word."""
+
+    def __init__(self, patch):
+        self.left = []
+        close = asyncio.Runner.close
+
+        def closing(runner):
+            loop = runner._loop
+            if loop is not None and not loop.is_closed():
+                # What has been told to end may take the loop's next turn to do it.
+                self.left += [repr(task) for task in asyncio.all_tasks(loop) if not task.cancelling()]
+            close(runner)
+
+        patch.setattr(asyncio.Runner, "close", closing)
+
+
+@pytest.fixture(autouse=True)
+def nothing_leaks():
+    """Fail a test that leaves a task, a thread, a file descriptor or a process behind, whatever its tier."""
+    threads, descriptors, children = set(threading.enumerate()), _descriptors(), _children()
+    with pytest.MonkeyPatch.context() as patch:
+        tasks = _Tasks(patch)
+        yield
+    gc.collect()
+    left = [thread for thread in threading.enumerate() if thread not in threads and thread.is_alive()]
+    for thread in left:
+        thread.join(_ENDS_WITHIN_S)
+    opened = {number: target for number, target in _descriptors().items() if number not in descriptors}
+    started = {number: command for number, command in _children().items() if number not in children}
+    for number in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+    assert not started, f"the test left processes running: {started}"
+    assert not tasks.left, f"the test left tasks pending at the end of their loop: {tasks.left}"
+    assert not [thread.name for thread in left if thread.is_alive()], "the test left threads running"
+    assert not opened, f"the test left file descriptors open: {opened}"
+
+
+def _descriptors() -> dict[str, str]:
+    found = {}
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            target = str(entry.readlink())
+        except OSError:
+            continue
+        # Regular files of imported data (time zones, compiled caches) are the interpreter's, not the test's.
+        if target.startswith(("socket:", "pipe:", "/dev/pt", "anon_inode:")) or (
+            "/tmp" in target and "site-packages" not in target
+        ):
+            found[entry.name] = target
+    return found
+
+
+def _children() -> dict[int, str]:
+    """Return the processes that this one has started and not waited for, with what they run."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            # A process may end while it is looked at.
+            with contextlib.suppress(OSError):
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                if int(fields[1]) == os.getpid():
+                    found[int(entry.name)] = (entry / "cmdline").read_text().replace("\0", " ") or "ended, not awaited"
+    return found

@@ -1,0 +1,28 @@
+"""The tests lie as what they test."""
+
+import pytest
+
+from tests.support import ROOT
+
+MIRRORED = ("solar", "drivers", "sim_drivers", "daemon", "heliocube", "docs")
+# Recorded bytes, not tests.
+RECORDS = {ROOT / "tests" / "drivers" / "transcripts"}
+
+
+@pytest.mark.parametrize("top", MIRRORED)
+def test_every_folder_of_tests_has_its_source(top):
+    own = ROOT / "tests" / top
+    folders = [own, *(path for path in own.rglob("*") if path.is_dir() and path.name != "__pycache__")]
+    astray = [
+        str(path.relative_to(ROOT))
+        for path in folders
+        if path not in RECORDS and not (ROOT / path.relative_to(ROOT / "tests")).is_dir()
+    ]
+    assert not astray, f"no such folder in the source: {astray}"
+
+
+def test_every_test_lies_with_a_source_or_in_a_tier_of_its_own():
+    tiers = {"campaign", "firmware", "support", "system"}
+    # Those at the top look at the whole house.
+    places = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").rglob("*/test_*.py")}
+    assert places <= tiers | set(MIRRORED)
