@@ -1,0 +1,30 @@
+"""The page about the house, its picture and the examples of docs/develop."""
+
+import importlib.util
+from xml.etree import ElementTree as ET
+
+from tests.support import DOCS
+
+SCRIPT = DOCS / "develop" / "house.py"
+
+
+def drawing():
+    specification = importlib.util.spec_from_file_location("house_picture", SCRIPT)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_the_picture_is_the_house_as_it_is():
+    house = drawing()
+    assert house.PICTURE.read_text(encoding="utf-8") == house.picture(), "run python docs/develop/house.py"
+
+
+def test_every_room_is_in_the_picture_and_no_text_leaves_its_box():
+    house = drawing()
+    boxes = house.laid_out(house.floors())
+    rooms = {path.parent.name for path in (house.ROOT / "daemon").glob("*/__init__.py")}
+    assert rooms <= {box.module.removeprefix("daemon.") for box in boxes}
+    for box in boxes:
+        assert max(map(len, box.lines)) * 11.5 * house.LETTER < box.width
+    ET.fromstring(house.picture())
