@@ -2,7 +2,7 @@
 
 import contextlib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -10,8 +10,11 @@ from rich.text import Text
 
 from daemon.base.records import FACES
 from daemon.commands.options import RoleChoice
-from daemon.config.links import MqttSettings
-from daemon.config.settings import Settings
+
+if TYPE_CHECKING:
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.links import MqttSettings
+    from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
 TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
@@ -51,7 +54,7 @@ def init(
     console.print(_NEXT[role], markup=False)
 
 
-def check_file(path: Path) -> Settings:
+def check_file(path: Path) -> "Settings":
     """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
@@ -150,7 +153,7 @@ _NEXT = {
 }
 
 
-def _summary(settings: Settings) -> dict[str, str]:
+def _summary(settings: "Settings") -> dict[str, str]:
     site, cube, bridge, safety = settings.site, settings.cube, settings.bridge, settings.safety
     channels = ", ".join(f"{name} {getattr(cube, name).channel}" for name in FACES)
     targets = [*bridge.send_to, *([bridge.multicast_group] if bridge.multicast_group else [])]
@@ -178,7 +181,7 @@ def _summary(settings: Settings) -> dict[str, str]:
     }
 
 
-def _broker(mqtt: MqttSettings) -> str:
+def _broker(mqtt: "MqttSettings") -> str:
     known = f"as the user in {mqtt.credentials_file}" if mqtt.credentials_file else "without a user"
     inputs = ", ".join(part.topic for part in (mqtt.wind, mqtt.safe) if part.topic) or "none"
     return (

@@ -3,7 +3,7 @@
 import sys
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -13,8 +13,11 @@ from daemon.commands import calibrate, compare, energy, export, gain, operate, p
 from daemon.commands import config as config_commands
 from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, LawOption, RoleChoice, TableFormat
 from daemon.commands.simulate import progress_bar, replay, report
-from daemon.config.settings import Settings
 from daemon.studies.inputs import instant, settings_for, site_values
+
+if TYPE_CHECKING:
+    # Help and completion must not wait for the science.
+    from daemon.config.settings import Settings
 
 app = typer.Typer(
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
@@ -143,7 +146,7 @@ def _settings(
     seed: int | None,
     speed: float | None,
     start: str | None,
-) -> Settings:
+) -> "Settings":
     """Read the file, if any, and lay the command line's choices over it."""
     return settings_for(
         config,

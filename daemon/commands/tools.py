@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from daemon.config.settings import Settings
+if TYPE_CHECKING:
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.settings import Settings
 
 app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no_args_is_help=True)
 
@@ -64,7 +66,7 @@ def send_csv(
     Console().print(f"{sent} scans sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
 
 
-def serve(settings: Settings, directory: Path) -> None:
+def serve(settings: "Settings", directory: Path) -> None:
     """Run the bench."""
     from daemon.rigs.bench import serve_bench
 

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from daemon.base.errors import UserError
-from daemon.config.file import load_settings, override
-from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
+
+if TYPE_CHECKING:
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.settings import Settings
 
 
 def parse_site(text: str) -> tuple[float, float, float]:
@@ -55,7 +57,7 @@ def settings_for(
     seed: int | None = None,
     speed: float | None = None,
     start: datetime | None = None,
-) -> Settings:
+) -> "Settings":
     """Return the settings of a file, or of the simulated rig as it comes, with the choices that are given laid over.
 
     Parameters
@@ -76,6 +78,9 @@ def settings_for(
     UserError
         The file, or a choice, cannot be used.
     """
+    from daemon.config.file import load_settings, override  # noqa: PLC0415 - as above
+    from daemon.config.settings import Settings  # noqa: PLC0415 - as above
+
     simulation = {
         "weather": None if weather is None else weather_choice(weather),
         "seed": seed,
