@@ -94,14 +94,16 @@ def the_enable_line_is_free(settings: Sections) -> Iterator[Conflict]:
 
 
 def the_triangle_holds(settings: Sections) -> Iterator[Conflict]:
-    """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limit."""
+    """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limits."""
     positioner = settings.instruments.positioner
     if positioner.position_unit != "mm":
         return
     for axis in "ab":
-        geometry, high = getattr(positioner, f"{axis}_axis"), getattr(settings.limits, f"{axis}_max_deg")
-        low = min(geometry.low_deg, getattr(settings.limits, f"{axis}_min_deg"))
-        if not (geometry.apex_deg + low > 0 and geometry.apex_deg + high < 180):
+        geometry, limits = getattr(positioner, f"{axis}_axis"), settings.limits
+        angles = geometry.low_deg, getattr(limits, f"{axis}_min_deg"), getattr(limits, f"{axis}_max_deg")
+        low, high = min(angles), max(angles)
+        narrow, wide = (low, high) if geometry.sense == "raises" else (-high, -low)
+        if not (geometry.apex_deg + narrow > 0 and geometry.apex_deg + wide < 180):
             path = f"instruments.positioner.{axis}_axis"
             others = (f"{path}.low_deg", f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
             reason = f"makes no triangle at some angle from {low:g} to {high:g} deg"

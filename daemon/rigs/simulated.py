@@ -18,14 +18,13 @@ from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.real import build_load, build_multiplexer, build_positioner, build_voltmeter, sweep_settings
+from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.load.chroma63600 import Chroma63600
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
-from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import AxisDrive, Setup
 from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
@@ -39,10 +38,6 @@ from solar.sky import Sky, sky
 
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
-
-_RAMP_S = 0.5
-"""How long the simulated motors take to full speed."""
-
 
 _COVER_EVERY_S = 60.0
 _WIND_EVERY_S = 1800.0
@@ -237,13 +232,8 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
 
 def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
     """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
-    core = _build_unit(settings, clock)
+    core = build_unit(settings, clock)
     return core.truth, build_positioner(settings, clock, line=InMemoryStream(core, clock.monotonic))
-
-
-def _build_unit(settings: Settings, clock: Clock) -> PositionerCore:
-    speed = settings.simulation.motor_speed_mm_s
-    return PositionerCore(clock.monotonic(), Setup(drive=AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S)))
 
 
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[Multiplexer, Voltmeter]:
@@ -344,7 +334,7 @@ async def run_bench(
 
     scene = _build_scene(settings, weather)
     switch, meter = _build_cube_cores(settings, clock, scene)
-    unit = _build_unit(settings, clock)
+    unit = build_unit(settings, clock)
     source = _build_source(clock, scene, unit.truth, Q_PEAK_G4_1_305)
     noise, now_s = _noise_of_load(settings), clock.monotonic()
     if settings.load.driver == "agilent6063b":

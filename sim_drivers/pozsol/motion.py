@@ -8,7 +8,7 @@ import math
 from typing import Literal
 
 from sim_drivers.pozsol.profile import Profile, coast, drive_on, drive_to
-from sim_drivers.pozsol.setup import Actuator, AxisDrive
+from sim_drivers.pozsol.setup import AxisDrive, Mechanics
 
 HARD_STOP_MM = 1.0
 """How far beyond an end switch the mechanics go if the switch does not act."""
@@ -42,7 +42,7 @@ class Axis:
         Not switched off by a lost Hall signal.
     """
 
-    def __init__(self, actuator: Actuator, drive: AxisDrive, angle_deg: float) -> None:
+    def __init__(self, actuator: Mechanics, drive: AxisDrive, angle_deg: float) -> None:
         low, high = sorted((actuator.low_deg, actuator.high_deg))
         if not (low <= angle_deg <= high):
             raise ValueError(f"the axis can stand between {low} and {high}, not {angle_deg} deg")

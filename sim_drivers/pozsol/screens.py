@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivers.positioners.pozsol.wire import SEPARATOR, Field
 from sim_drivers.pozsol.motion import Axis
-from sim_drivers.pozsol.setup import Actuator, Setup
+from sim_drivers.pozsol.setup import Mechanics, Setup, SlewDrive
 
 BOARD = "36A1"
 VERSION = "1.402 (B1.100)"
@@ -42,8 +42,9 @@ SLOW_SCREENS: tuple[tuple[int, ...], ...] = (
     (204, 205, 206, 209),
     (226, 214, 215, 216, 217, 220, 223, 225),
 )
-_TWO_ARMS_GEOMETRY = "3"
+_TWO_ARMS_GEOMETRY, _SLEW_GEOMETRY = "3", "1"
 _ELEVATION = "2"
+_HORIZON_DEG = 90.0
 _ONE_DECIMAL = (*range(61, 63), 94, 95, 73, 99, 77, 103, 119, 120, 134, 135, 137, 138, 157, 160, 161)
 _TWO_DECIMALS = (*range(147, 157), *range(162, 166), 192, 193, 199)
 _PRINTED: dict[int, str] = {
@@ -128,16 +129,25 @@ def default_parameters(setup: Setup) -> dict[int, str]:
         (70, (78, 79, 80, 83), setup.a_actuator),
         (96, (104, 105, 106, 107), setup.b_actuator),
     ):
-        values = (f"{setup.drive.counts_per_mm:.1f}", f"{int(actuator.travel_mm)}", _ELEVATION, _TWO_ARMS_GEOMETRY)
+        values = (f"{setup.drive.counts_per_mm:.1f}", f"{int(actuator.travel_mm)}", _ELEVATION, _mode(actuator))
         parameters.update(zip(codes, values, strict=True))
-        parameters.update(_triangle(first, actuator))
+        parameters.update(_geometry(first, actuator))
     parameters[192] = f"{setup.a_actuator.zero_offset_mm:.2f}"
     parameters[193] = f"{setup.b_actuator.zero_offset_mm:.2f}"
     return parameters
 
 
-def _triangle(first: int, actuator: Actuator) -> dict[int, str]:
-    """Return stator, both arms, holder, sense and angle as the unit has them: it counts angles from the lower side."""
+def _mode(mechanics: Mechanics) -> str:
+    return _SLEW_GEOMETRY if isinstance(mechanics, SlewDrive) else _TWO_ARMS_GEOMETRY
+
+
+def _geometry(first: int, actuator: Mechanics) -> dict[int, str]:
+    """Return stator, both arms, holder, sense and angle as the unit has them: it counts angles from the lower side.
+
+    A slew drive has the angle at its low end alone, as an elevation from the horizon.
+    """
+    if isinstance(actuator, SlewDrive):
+        return {first: f"{actuator.low_deg + _HORIZON_DEG:.1f}"}
     angle_deg = -actuator.apex_deg if actuator.raises else 180 - actuator.apex_deg
     sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm)
     numbers = (*sides, 0.0, actuator.holder_mm, float(actuator.raises), angle_deg, 0.0)

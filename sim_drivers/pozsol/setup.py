@@ -1,4 +1,4 @@
-"""How a simulated positioner is built and set: the triangles of its actuators, its drive, its own modes."""
+"""How a simulated positioner is built and set: the mechanics of its axes, their drive, its own modes."""
 
 import math
 from collections.abc import Callable
@@ -76,6 +76,46 @@ class Actuator:
         return self.apex_deg + (angle_deg if self.raises else -angle_deg)
 
 
+@dataclass(frozen=True, slots=True)
+class SlewDrive:
+    """A gear on the axis itself. Position units stand where an actuator has millimetres: degrees, or motor impulses.
+
+    Attributes
+    ----------
+    units_per_deg
+        Position units per degree of the tracker.
+    low_deg, high_deg
+        The tracker's angle at the low and at the high end switch.
+    zero_offset_mm
+        What the unit adds to every target, in position units.
+    """
+
+    units_per_deg: float
+    low_deg: float
+    high_deg: float
+    zero_offset_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.units_per_deg > 0 and self.low_deg < self.high_deg):
+            raise ValueError(f"a slew drive needs positive units and a low end below its high end, not {self}")
+
+    @property
+    def travel_mm(self) -> float:
+        """Position units between the end switches."""
+        return self.position_mm(self.high_deg)
+
+    def position_mm(self, angle_deg: float) -> float:
+        """Position units from the low end switch at a tracker angle [deg]."""
+        return (angle_deg - self.low_deg) * self.units_per_deg
+
+    def angle_deg(self, position_mm: float) -> float:
+        """Tracker angle [deg] so many position units from the low end switch."""
+        return self.low_deg + position_mm / self.units_per_deg
+
+
+Mechanics = Actuator | SlewDrive
+"""What turns an axis."""
+
 A_ACTUATOR = Actuator(300.0, 300.0, apex_deg=90.0, low_deg=-52.0, high_deg=54.7)
 B_ACTUATOR = Actuator(300.0, 300.0, apex_deg=37.5, low_deg=13.0, high_deg=92.0)
 
@@ -115,6 +155,18 @@ class AxisDrive:
         if not (self.dead_band_mm >= 0 and self.overshoot_mm >= 0 and self.braking_mm >= 0):
             raise ValueError(f"dead-band, braking distance and overshoot must not be negative, not {self}")
 
+    def scaled(self, units_per_mm: float) -> "AxisDrive":
+        """Return the same drive where positions are counted in other units."""
+        return AxisDrive(
+            speed_mm_s=self.speed_mm_s * units_per_mm,
+            acceleration_mm_s2=self.acceleration_mm_s2 * units_per_mm,
+            run_out_s=self.run_out_s,
+            braking_mm=self.braking_mm * units_per_mm,
+            overshoot_mm=self.overshoot_mm * units_per_mm,
+            dead_band_mm=self.dead_band_mm * units_per_mm,
+            counts_per_mm=self.counts_per_mm / units_per_mm,
+        )
+
 
 _DRIVE = AxisDrive()
 
@@ -151,8 +203,8 @@ class Setup:
         For how long after the wind, the snow, has ended.
     """
 
-    a_actuator: Actuator = A_ACTUATOR
-    b_actuator: Actuator = B_ACTUATOR
+    a_actuator: Mechanics = A_ACTUATOR
+    b_actuator: Mechanics = B_ACTUATOR
     drive: AxisDrive = _DRIVE
     start: Angles = FLAT
     synchronous: bool = False

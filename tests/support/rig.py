@@ -15,6 +15,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
 from daemon.rigs.real import build_positioner, build_voltmeter, sweep_settings
+from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
@@ -73,7 +74,7 @@ class Bench:
         self.scene = Scene(SITE, weather, sky_model="isotropic", seed=1, sensors=SENSORS)
         self.switch = MultiplexerCore(inputs=self._sensor, latency_s=0.0)
         self.meter = VoltmeterCore(input_voltage=self.switch.output_voltage, random=np.random.default_rng(1))
-        self.unit = PositionerCore(loop.time(), setup)
+        self.unit = PositionerCore(loop.time(), setup) if setup else build_unit(settings, self.clock)
         self.cables = SimpleNamespace()
         self.connect(settings)
         self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)

@@ -29,6 +29,29 @@ def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start
     assert "SIMULATED" not in rig.service.log()
 
 
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        """
+a_axis = { arm_1_mm = 410.0, arm_2_mm = 280.0, low_deg = -55.0, apex_deg = 85.0, holder_mm = 20.0 }
+b_axis = { sense = "lowers", low_deg = 90.0, apex_deg = 140.0 }
+""",
+        """
+position_unit = "deg"
+a_axis = { low_deg = -60.0 }
+""",
+    ],
+    ids=["other arms", "slew drives"],
+)
+def test_a_configured_geometry_is_that_of_the_bench_and_of_the_service(tmp_path, start_bench, start_service, geometry):
+    config = brisk(tmp_path)
+    config.write_text(f"{config.read_text()}\n[instruments.positioner]\n{geometry}")
+    rig = Rig(bench := start_bench("--config", config, *HIGH_SUN), start_service(bench.config))
+    rig.settle()
+    rig.new_sky()
+    rig.settle()
+
+
 @pytest.mark.parametrize("devices", [("positioner",), ("voltmeter", "multiplexer")], ids="-".join)
 def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
     rig = start_rig()

@@ -1,0 +1,66 @@
+"""The simulated positioner, built as the configuration says that the real one is."""
+
+from dataclasses import replace
+
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.config.instruments import AxisGeometry
+from daemon.config.settings import Settings
+from daemon.rigs.real import B_OUT_BIT
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, AxisDrive, Mechanics, Setup, SlewDrive
+
+_RAMP_S = 0.5
+"""How long the simulated motors take to full speed."""
+_BEYOND_DEG = 2.0
+"""How far the travel goes on beyond the limits."""
+
+
+def build_unit(settings: Settings, clock: Clock) -> PositionerCore:
+    """Return the simulated unit; `UserError` for a geometry that cannot be built."""
+    positioner, limits = settings.instruments.positioner, settings.limits
+    layout = B_OUT_BIT[positioner.status_layout]
+    try:
+        a = _mechanics(settings, positioner.a_axis, A_ACTUATOR, (limits.a_min_deg, limits.a_max_deg))
+        b = _mechanics(settings, positioner.b_axis, B_ACTUATOR, (limits.b_min_deg, limits.b_max_deg))
+        setup = Setup(a_actuator=a, b_actuator=b, drive=_drive(settings, a))
+        if layout is not None:
+            setup = replace(setup, b_out_bit=layout)
+        return PositionerCore(clock.monotonic(), setup)
+    except ValueError as error:
+        raise UserError(f"instruments.positioner has a geometry that cannot be simulated: {error}") from error
+
+
+def _mechanics(settings: Settings, axis: AxisGeometry, usual: Actuator, limits_deg: tuple[float, float]) -> Mechanics:
+    unit = settings.instruments.positioner.position_unit
+    low_limit_deg, high_limit_deg = limits_deg
+    raises = unit != "mm" or axis.sense == "raises"
+    if raises:
+        high_deg = max(usual.high_deg, high_limit_deg + _BEYOND_DEG)
+    else:
+        high_deg = min(usual.low_deg, low_limit_deg - _BEYOND_DEG)
+    if unit != "mm":
+        per_deg = axis.impulses_per_deg if unit == "impulse" else 1.0
+        return SlewDrive(per_deg, low_deg=axis.low_deg, high_deg=high_deg, zero_offset_mm=axis.zero_offset)
+    return Actuator(
+        axis.arm_1_mm,
+        axis.arm_2_mm,
+        apex_deg=axis.apex_deg,
+        low_deg=axis.low_deg,
+        high_deg=high_deg,
+        holder_mm=axis.holder_mm,
+        raises=raises,
+        zero_offset_mm=axis.zero_offset,
+    )
+
+
+def _drive(settings: Settings, a: Mechanics) -> AxisDrive:
+    """Return a drive that turns axis A as fast as the usual actuator is turned, in position units of this one."""
+    speed = settings.simulation.motor_speed_mm_s
+    drive = AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S)
+    if isinstance(a, Actuator):
+        return drive
+    return drive.scaled(a.travel_mm / (a.high_deg - a.low_deg) / _USUAL_MM_PER_DEG)
+
+
+_USUAL_MM_PER_DEG = A_ACTUATOR.travel_mm / (A_ACTUATOR.high_deg - A_ACTUATOR.low_deg)

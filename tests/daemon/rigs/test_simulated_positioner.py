@@ -1,0 +1,76 @@
+"""The simulated positioner is built as the configuration says, and the driver of the same configuration moves it."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.clock import LoopClock
+from daemon.base.errors import UserError
+from daemon.base.records import Mode, Move, MoveOutcome
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.settings import Settings
+from daemon.rigs.simulated import build_simulated_positioner
+
+GEOMETRIES = {
+    "other arms": {
+        "a_axis": {"arm_1_mm": 410.0, "arm_2_mm": 280.0, "apex_deg": 85.0, "low_deg": -55.0, "holder_mm": 20.0},
+        "b_axis": {"arm_1_mm": 350.0, "zero_offset": 2.5},
+    },
+    "the other way round": {
+        "a_axis": {"sense": "lowers", "low_deg": 55.0, "apex_deg": 95.0},
+        "b_axis": {"sense": "lowers", "low_deg": 90.0, "apex_deg": 140.0},
+        "status_layout": "lpc",
+    },
+    "slew drives": {"position_unit": "deg", "a_axis": {"low_deg": -60.0}, "b_axis": {"low_deg": 10.0}},
+    "impulses": {"position_unit": "impulse", "a_axis": {"impulses_per_deg": 80.0}},
+}
+
+
+def settings_of(geometry):
+    return Settings.model_validate({"instruments": {"positioner": geometry}})
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
+def test_it_moves_and_arrives_with_any_geometry(geometry):
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        clock = LoopClock(runner.get_loop().time, 1.7e9)
+        truth, positioner = build_simulated_positioner(settings_of(geometry), clock)
+
+        async def scene():
+            identity = await positioner.open()
+            assert identity.setup_conflicts == ()
+            for target in ((-30.0, 45.0), (50.0, 15.0), (-50.0, 90.0)):
+                await positioner.move_to(*target)
+                await asyncio.sleep(400.0)
+                assert truth(clock.monotonic()) == pytest.approx(target, abs=0.8)
+                seen = await positioner.read_telemetry()
+                assert (seen.a_deg, seen.b_deg) == pytest.approx(target, abs=0.8)
+            await positioner.home("a")
+            await asyncio.sleep(600.0)
+            low_deg = geometry.get("a_axis", {}).get("low_deg", -52.0)
+            assert truth(clock.monotonic()).a_deg == pytest.approx(low_deg, abs=1.1)
+
+        runner.run(scene())
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
+def test_the_service_tracks_with_it(run_rig, geometry):
+    async def scenario(bench):
+        await bench.until_mode(Mode.TRACKING, 300)
+        await bench.until(lambda: bench.of(Move), 400, "the end of a move")
+        assert bench.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+
+    run_rig(scenario, instruments={"positioner": geometry})
+
+
+def test_a_triangle_that_opens_too_far_is_refused_in_either_sense():
+    for sense, apex_deg in (("raises", 140.0), ("lowers", 60.0)):
+        with pytest.raises(ValueError, match=r"b_axis\.apex_deg makes no triangle at some angle from 13 to 90 deg"):
+            settings_of({"b_axis": {"sense": sense, "apex_deg": apex_deg}})
+
+
+def test_a_geometry_that_cannot_be_is_one_sentence():
+    clock = LoopClock(lambda: 0.0, 1.7e9)
+    settings = settings_of({"position_unit": "deg", "a_axis": {"low_deg": 80.0}})
+    with pytest.raises(UserError, match=r"instruments\.positioner has a geometry that cannot be simulated: a slew"):
+        build_simulated_positioner(settings, clock)
