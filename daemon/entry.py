@@ -8,7 +8,14 @@ from daemon.base.errors import UserError
 from daemon.base.installation import damage
 
 _URGENT = ("stop", "stow")
-_OPTIONS = {"--config": "config", "-c": "config", "--api": "api", "--token-file": "token_file", "--why": "why"}
+_OPTIONS = {
+    "--config": "config",
+    "-c": "config",
+    "--api": "api",
+    "--token-file": "token_file",
+    "--why": "why",
+    "--tracker": "tracker",
+}
 
 
 def main() -> None:
@@ -54,7 +61,7 @@ def _at_once(command: str, given: dict[str, str]) -> None:
     from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
 
     paths = {name: Path(given[name]) for name in ("config", "token_file") if name in given}
-    said = {"why": given["why"]} if "why" in given else {}
+    said = {name: given[name] for name in ("why", "tracker") if name in given}
     try:
         client = find(paths.get("config"), given.get("api"), paths.get("token_file"))
         reply = client.command(command, **said)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.options import OPERATION
+from daemon.commands.options import OPERATION, TrackerOption
 
 app = typer.Typer()
 
@@ -48,50 +48,74 @@ def status(
 
 @app.command(rich_help_panel=OPERATION)
 def stow(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Go to the stow position now and stay there until 'auto'."""
-    _command("stow", config, api, token_file, why)
+    _command("stow", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def hold(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Stay where the tracker is until 'auto'."""
-    _command("hold", config, api, token_file, why)
+    _command("hold", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def auto(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Track again: end what stop, maintenance, stow, snow, hold or goto asked for."""
-    _command("auto", config, api, token_file, why)
+    _command("auto", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def stop(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Stop the axes at once; nothing moves them until 'auto'."""
-    _command("stop", config, api, token_file, why)
+    _command("stop", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def snow(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Go to the steep position that sheds snow and hail and stay there until 'auto'."""
-    _command("snow", config, api, token_file, why)
+    _command("snow", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def maintenance(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Let nothing move and no alarm sound until 'auto'."""
-    _command("maintenance", config, api, token_file, why)
+    _command("maintenance", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
@@ -102,40 +126,60 @@ def goto(
     api: ApiOption = None,
     token_file: TokenOption = None,
     why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Go to a position inside the limits and stay there until 'auto'."""
-    _command("goto", config, api, token_file, why, a_deg=a_deg, b_deg=b_deg)
+    _command("goto", config, api, token_file, why, tracker, a_deg=a_deg, b_deg=b_deg)
 
 
 @app.command(rich_help_panel=OPERATION)
 def home(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Clear faults and start a reference run of both axes."""
-    _command("home", config, api, token_file, why)
+    _command("home", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def clear(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Clear the faults and doubts that are shown, without a reference run."""
-    _command("clear", config, api, token_file, why)
+    _command("clear", config, api, token_file, why, tracker)
 
 
 @app.command(rich_help_panel=OPERATION)
 def relearn(
-    config: ConfigOption = None, api: ApiOption = None, token_file: TokenOption = None, why: WhyOption = _AN_OPERATOR
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    token_file: TokenOption = None,
+    why: WhyOption = _AN_OPERATOR,
+    tracker: TrackerOption = None,
 ) -> None:
     """Forget what the law has learned of the site."""
-    _command("relearn", config, api, token_file, why)
+    _command("relearn", config, api, token_file, why, tracker)
 
 
 def _command(
-    name: str, config: Path | None, api: str | None, token_file: Path | None, why: str, **arguments: float
+    name: str,
+    config: Path | None,
+    api: str | None,
+    token_file: Path | None,
+    why: str,
+    tracker: str | None,
+    **arguments: float,
 ) -> None:
     from daemon.api.client import find
 
-    reply = find(config, api, token_file).command(name, why=why, **arguments)
+    which = {} if tracker is None else {"tracker": tracker}
+    reply = find(config, api, token_file).command(name, why=why, **which, **arguments)
     typer.echo(reply.text)
     raise typer.Exit(reply.exit_code)

@@ -17,6 +17,9 @@ BENCH = "Instruments and the bench"
 LawOption = Annotated[
     str | None, typer.Option(metavar="LAW", help="Pointing law by name, as law.driver; a wrong one lists them all.")
 ]
+TrackerOption = Annotated[
+    str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")
+]
 
 
 class RoleChoice(StrEnum):

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands.options import TrackerOption
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -34,6 +35,7 @@ WriteOption = Annotated[bool, typer.Option("--write", help="Also do what changes
 def positioner(
     port: Annotated[str | None, typer.Option(help="Its port, instead of the configuration's.")] = None,
     config: ConfigOption = None,
+    tracker: TrackerOption = None,
     seconds: Annotated[float, typer.Option(min=1, max=3600, help="How long to listen.")] = 10.0,
     move_deg: Annotated[
         float | None, typer.Option(min=1, max=20, help="MOVES both axes, one by one, by this much and back.")
@@ -44,7 +46,7 @@ def positioner(
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_positioner import probe_positioner
 
-    settings = _settings(config, "positioner", {"port": port})
+    settings = _settings(config, "positioner", {"port": port}, tracker)
     with _tap(record) as tap:
         _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, _say()))
 
@@ -92,6 +94,7 @@ def load(
     resource: Annotated[str | None, typer.Option(help="Its VISA name, instead of the configuration's.")] = None,
     driver: Annotated[LoadChoice | None, typer.Option(help="Its make, instead of the configuration's.")] = None,
     config: ConfigOption = None,
+    tracker: TrackerOption = None,
     write: Annotated[
         bool, typer.Option("--write", help="Also trace one curve; the module is in open circuit afterwards.")
     ] = False,
@@ -100,21 +103,25 @@ def load(
     """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
     from daemon.base.clock import SystemClock
     from daemon.config.file import load_settings, override
-    from daemon.config.settings import Settings
+    from daemon.config.settings import Settings, settings_of_one
     from daemon.rigs.probe_load import probe_load
 
-    settings = load_settings(config) if config is not None else Settings()
+    settings = settings_of_one(load_settings(config) if config is not None else Settings(), tracker)
     given = {"resource": resource, "driver": None if driver is None else driver.value}
     settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
     with _tap(record) as tap:
         _run(probe_load(settings, SystemClock().monotonic, tap, _say(), write=write))
 
 
-def _settings(config: Path | None, instrument: str, given: dict[str, str | None]) -> "Settings":
+def _settings(
+    config: Path | None, instrument: str, given: dict[str, str | None], tracker: str | None = None
+) -> "Settings":
     from daemon.config.file import load_settings, override
-    from daemon.config.settings import Settings
+    from daemon.config.settings import Settings, settings_of_one
 
     settings = load_settings(config) if config is not None else Settings()
+    if instrument == "positioner":
+        settings = settings_of_one(settings, tracker)
     changes = settings.instruments.model_dump()
     changes[instrument] |= {name: value for name, value in given.items() if value is not None}
     return override(settings, {"instruments": changes})

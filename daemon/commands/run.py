@@ -165,7 +165,8 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
         latitude_deg=site.latitude_deg,
         longitude_deg=site.longitude_deg,
         altitude_m=site.altitude_m,
-        tracker=service.settings.mqtt.name or role.value,
+        # In a run of several trackers each record bears the name of its own.
+        tracker="" if len(service.settings.trackers) > 1 else service.settings.mqtt.name or role.value,
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
     service.bus.subscribe(store.keep)

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from daemon.commands.options import LawOption
+from daemon.commands.options import LawOption, TrackerOption
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -36,9 +36,10 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
         errors.print(f"heliocube: warning: {summary.warning}", markup=False, highlight=False, soft_wrap=True)
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
+    laws = ", ".join(dict.fromkeys(own.law.driver for _, own in settings.trackers))
     lines = (
         (
-            f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {settings.law.driver}, "
+            f"SIMULATED {site.name} ({site.latitude_deg:g}, {site.longitude_deg:g}), law {laws}, "
             f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
         ),
         (
@@ -65,11 +66,13 @@ def replay(
     law: LawOption = None,
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
     config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
+    tracker: TrackerOption = None,
 ) -> None:
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
     from rich.console import Console
 
     from daemon.base.errors import UserError
+    from daemon.config.settings import settings_of_one
     from daemon.studies.inputs import settings_for, site_values
     from daemon.studies.replay import replay as run_replay
     from daemon.studies.replay import rows_of_store
@@ -80,6 +83,7 @@ def replay(
     if site is None and config is None:
         raise UserError("replay needs --site LAT,LON[,ALT], or --config FILE with a site")
     settings = settings_for(config, law=law, site=None if site is None else site_values(site))
+    settings = settings_of_one(settings, tracker)
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
     if faces is not None:

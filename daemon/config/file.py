@@ -14,7 +14,19 @@ from daemon.config import keys as config_keys
 from daemon.config import rules as config_rules
 from daemon.config.keys import Chosen
 from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
-from daemon.config.settings import Settings
+from daemon.config.sections import Sections
+from daemon.config.settings import NamedSettings, Settings
+from daemon.config.trackers import (
+    NAME_FORM,
+    NAME_IN_WORDS,
+    PARTS,
+    TrackerTable,
+    merged,
+    place_in_table,
+    resembling,
+    shared_ports,
+    without,
+)
 
 if TYPE_CHECKING:
     from daemon.config.section import Section
@@ -101,6 +113,9 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
             raw[section] = SECTIONS[section].changed(getattr(settings, section), values)
         else:
             raw[section] |= values
+        for table in raw["tracker"]:
+            # What is said on the command line holds for every tracker.
+            without(table, section, values)
     return _settings(raw, "the command line")
 
 
@@ -152,11 +167,54 @@ def _syntax_problem(message: str, text: str) -> str:
 def _settings(
     raw: dict[str, Any], source: str, unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
 ) -> Settings:
+    tables = raw.get("tracker", ())
+    raw = {name: value for name, value in raw.items() if name != "tracker"}
+    settings, problems = _checked(raw, unusable)
+    problems += _tracker_problems(raw, tables, problems)
+    if problems:
+        order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
+        problems.sort(key=lambda problem: order.get(problem.key.partition("[")[0], len(order)))
+        raise ConfigError(source, [problem.key + problem.reason for problem in problems])
+    return settings.model_copy(update={"tracker": tuple(TrackerTable.model_validate(table) for table in tables)})
+
+
+def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Problem]) -> Iterator[_Problem]:
+    """Yield what is wrong with the tables of trackers, and with the settings that they make."""
+    if not isinstance(tables, list | tuple) or not all(isinstance(table, dict) for table in tables):
+        yield _Problem("tracker", ": a tracker is a table of a list; write [[tracker]], once for each")
+        return
+    found: list[NamedSettings] = []
+    names: set[str] = set()
+    for number, table in enumerate(tables):
+        name = table.get("name")
+        if not isinstance(name, str) or not re.fullmatch(NAME_FORM, name):
+            shown = "" if name is None else f" = {_shown(name)}"
+            yield _Problem(f"tracker[{number}].name", f"{shown}: every tracker has a name, {NAME_IN_WORDS}")
+            continue
+        if name.lower() in names:
+            yield _Problem(f"tracker[{number}].name", f" = {_shown(name)}: is the name of another tracker already")
+        names.add(name.lower())
+        settings, problems = _checked(merged(raw, table))
+        found.append(NamedSettings(name, settings))
+        for key in table.keys() - {"name", *PARTS}:
+            yield _Problem(f"tracker[{name}].{key}", f": a tracker has no such section; {resembling(key)}")
+        for problem in problems:
+            if problem not in known:
+                yield _Problem(f"tracker[{name}].{place_in_table(problem.key)}", problem.reason)
+    for port in shared_ports(found):
+        reason = f" = {_shown(port.value)}: is that of the tracker {port.other} already; each needs one of its own"
+        yield _Problem(f"tracker[{port.tracker}].{port.key}", reason)
+
+
+def _checked(
+    raw: dict[str, Any], unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
+) -> tuple[Settings, list[_Problem]]:
+    """Return the settings of all that is right in the sections of a file, and everything that is wrong with them."""
     tables, chosen, wrong_in_drivers = settled(raw)
-    problems = [_unknown("", name, value, chosen) for name, value in raw.items() if name not in Settings.model_fields]
+    problems = [_unknown("", name, value, chosen) for name, value in raw.items() if name not in Sections.model_fields]
     problems += [_driver_problem(path, each, chosen) for path, each in wrong_in_drivers]
     sections: dict[str, Any] = {}
-    for name, field in Settings.model_fields.items():
+    for name, field in Sections.model_fields.items():
         given = tables.get(name, {})
         if isinstance(given, BaseModel):
             sections[name] = given
@@ -177,11 +235,7 @@ def _settings(
             shown = _shown(_value_of(settings, conflict.key))
             default = "" if _is_given(raw, conflict.key) else " (default)"
             problems.append(_Problem(conflict.key, f" = {shown}{default}: {conflict.reason}"))
-    if problems:
-        order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
-        problems.sort(key=lambda problem: order.get(problem.key.partition("[")[0], len(order)))
-        raise ConfigError(source, [problem.key + problem.reason for problem in problems])
-    return settings
+    return settings, problems
 
 
 def _problems(error: ValidationError, section: str, chosen: Chosen) -> Iterator[_Problem]:
@@ -255,6 +309,8 @@ def _joined(section: str, name: str) -> str:
 
 
 def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
+    if not section and name == "trackers":
+        return _Problem(name, ": there is no such key; did you mean [[tracker]], once for each?")
     what = "there is no such section" if isinstance(value, dict) else "there is no such key"
     meant = config_keys.resembling(section, name, chosen)
     if meant is None:

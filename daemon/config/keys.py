@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from daemon.config.plugged import DRIVER, SECTIONS, Plugged
-from daemon.config.settings import Settings
+from daemon.config.sections import Sections
 
 Chosen = tuple[tuple[str, str], ...]
 """Paths of sections that name a driver, and the names."""
@@ -173,7 +173,7 @@ def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
 
     Where drivers know different keys, those of the `chosen` one count, or of the default; then those of the others.
     """
-    return {table.path: table for table in _walk(Settings(), "", dict(chosen))}
+    return {table.path: table for table in _walk(Sections(), "", dict(chosen))}
 
 
 @cache

@@ -2,10 +2,12 @@
 
 from typing import NamedTuple, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
+from daemon.base.errors import UserError
 from daemon.config.rules import conflicts
 from daemon.config.sections import Sections
+from daemon.config.trackers import TrackerTable, merged, shared_ports, values_of
 
 
 class NamedSettings(NamedTuple):
@@ -16,11 +18,19 @@ class NamedSettings(NamedTuple):
 
 
 class Settings(Sections):
-    """The whole file."""
+    """The whole file: the sections, and a table for each tracker that has a name of its own."""
+
+    tracker: tuple[TrackerTable, ...] = Field((), strict=False)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         found = [f"{conflict.key} {conflict.reason}" for conflict in conflicts(self)]
+        names = [table.name.lower() for table in self.tracker]
+        found += [f"tracker[{name}] is there twice" for name in {name for name in names if names.count(name) > 1}]
+        found += [
+            f"tracker[{port.tracker}].{port.key} is that of {port.other} already"
+            for port in shared_ports(self.trackers)
+        ]
         if found:
             raise ValueError("; ".join(found))
         return self
@@ -32,5 +42,38 @@ class Settings(Sections):
 
     @property
     def trackers(self) -> tuple[NamedSettings, ...]:
-        """The trackers of this process, each with its own settings."""
-        return (NamedSettings(self.mqtt.name or "tracker", self),)
+        """The trackers of this process, each with its own settings; what it keeps is in a folder of its own.
+
+        Without tables there is one, named as in [mqtt], with the settings of the file as they are.
+        """
+        if not self.tracker:
+            return (NamedSettings(self.mqtt.name or "tracker", self),)
+        return tuple(NamedSettings(table.name, self._of(table)) for table in self.tracker)
+
+    def _of(self, table: TrackerTable) -> "Settings":
+        raw = merged(values_of(self), table.model_dump())
+        # Two connections with one name throw each other out.
+        client_id = None if self.mqtt.client_id is None else f"{self.mqtt.client_id}-{table.name}"
+        directory = None if self.store.directory is None else self.store.directory / table.name
+        own = {
+            "mqtt": self.mqtt.model_copy(update={"name": table.name, "client_id": client_id}),
+            "store": self.store.model_copy(update={"directory": directory}),
+        }
+        return Settings.model_validate(raw).model_copy(update=own)
+
+
+def settings_of_one(settings: Settings, tracker: str | None) -> Settings:
+    """Return the settings of one tracker, the only one where none is named, for what drives a single one.
+
+    Raises
+    ------
+    UserError
+        There is no tracker of that name, or there are several and none is named.
+    """
+    own = dict(settings.trackers)
+    names = ", ".join(own)
+    if tracker is None and len(own) > 1:
+        raise UserError(f"this is for one tracker and the configuration has {names}: choose one with --tracker NAME")
+    if tracker is not None and tracker not in own:
+        raise UserError(f"--tracker {ascii(tracker)[:40]}: there is no such tracker; the configuration has {names}")
+    return own[tracker] if tracker is not None else next(iter(own.values()))

@@ -37,6 +37,31 @@ _HEADINGS = {
     "cube": "the machine of the cube",
     "tracker": "the machine of the tracker",
 }
+_TRACKERS = """\
+## [[tracker]]
+
+Several trackers in one process. Without such a table there is one, with the sections above as they are; with them
+there is one for each table, in the table's name, and the sections above hold for each but for what its table says
+differently: `site`, `law`, `windows`, `limits`, `motion`, `safety`, `load`, and `positioner` for
+`instruments.positioner`. The same rules hold for the outcome, and no two real trackers share a port. What a tracker
+keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name.
+
+```toml
+[[tracker]]
+name = "east"                   # 1 to 32 letters, digits, dashes or underscores, a letter or digit first
+[tracker.limits]
+a_max_deg = 40.0
+[tracker.positioner]
+port = "/dev/heliocube-positioner-east"
+
+[[tracker]]
+name = "west"
+[tracker.law]
+driver = "chronometric"
+[tracker.positioner]
+port = "/dev/heliocube-positioner-west"
+```
+"""
 _INTRODUCTION = """\
 # Configuration
 
@@ -78,6 +103,7 @@ def reference() -> str:
             rows = [_row(key) for key in table.keys]
             head = ["| Key | Default | Takes | Meaning |", "|---|---|---|---|"]
             parts.append("\n".join([f"## [{table.path}]\n\n{table.about}\n", *head, *rows]) + "\n")
+    parts.append(_TRACKERS)
     rules = [f"- {' '.join(cleandoc(rule.__doc__ or '').split())}" for rule in config_rules.RULES]
     parts.append("\n".join(["## Rules between keys\n", *rules]) + "\n")
     return "\n".join(parts)

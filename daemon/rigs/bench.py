@@ -37,8 +37,11 @@ def serve_bench(settings: Settings, directory: Path) -> None:
     Raises
     ------
     UserError
-        A weather file or the directory cannot be used.
+        A weather file or the directory cannot be used, or the settings name trackers.
     """
+    if settings.tracker:
+        names = ", ".join(table.name for table in settings.tracker)
+        raise UserError(f"the bench has one tracker and the configuration names {names}: leave its [[tracker]] out")
     directory = directory.absolute()
     file = _claim(directory)
     logs.configure(sys.stderr, journal=False, level=logging.INFO)

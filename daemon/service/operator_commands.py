@@ -62,11 +62,12 @@ class Command:
     b_deg: float = math.nan
 
     def meant_for(self, tracker: str | None) -> "Command":
-        """Return the command for the tracker that its way names, if any; `BodyError` if its body names another."""
+        """Return the command for the tracker that a query names, if any; `BodyError` if its body names another."""
         if tracker is None or tracker == self.tracker:
             return self
         if self.tracker is not None:
-            raise BodyError(f"the body names the tracker {ascii(self.tracker)[:40]}, and the way it came another")
+            own, other = ascii(self.tracker)[:40], ascii(tracker)[:40]
+            raise BodyError(f"the body names the tracker {own}, and the query {other}")
         return replace(self, tracker=tracker)
 
     async def carry_out(self, operator: Operator) -> Answer:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql
 from daemon.store.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
 
@@ -90,7 +90,7 @@ class _Table:
     """One kind of record on its way from the store to a file."""
 
     def __init__(self, name: str) -> None:
-        own = next(columns for table, columns in COLUMNS.values() if table == name)
+        own = [column for column in dict(COLUMNS.values())[name] if column not in _TRACKER]
         self.name = name
         self._stored = [column.name for column in own]
         simulated = [] if "simulated" in self._stored else _SIMULATED
@@ -110,7 +110,7 @@ class _Table:
         if not there:
             return 0
         names = ", ".join(f"kept.{name}" if name in there else "NULL" for name in self._stored)
-        tracker = "runs.tracker" if "tracker" in columns_of(connection, "runs") else "''"
+        tracker = tracker_sql(connection, self.name, "kept")
         query = (
             f"SELECT {names}, kept.run, runs.simulated, {tracker}, runs.latitude_deg FROM {self.name} AS kept "  # noqa: S608 - our own names
             "JOIN runs USING (run) WHERE kept.time >= ? AND kept.time < ? ORDER BY kept.time, kept.run, kept.number"

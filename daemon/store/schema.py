@@ -13,7 +13,7 @@ from daemon.base.records import Record, Scan
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 5
+VERSION = 6
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -151,8 +151,9 @@ class Rows:
     def __init__(self, kind: type[Row]) -> None:
         name, columns = COLUMNS[kind]
         self._values: Callable[[Any], tuple[Any, ...]] = attrgetter(*[column.path for column in columns])
+        names = ", ".join(["run", "number", *[column.name for column in columns]])
         marks = ", ".join("?" * (len(columns) + 2))
-        self.insert = f"INSERT OR IGNORE INTO {name} VALUES ({marks})"  # noqa: S608 - our own names
+        self.insert = f"INSERT OR IGNORE INTO {name} ({names}) VALUES ({marks})"  # noqa: S608 - our own names
 
     def row(self, run: int, number: int, record: Record) -> tuple[Any, ...]:
         """Return the row of one record; what is not a number becomes NULL in SQLite's own hands."""
@@ -182,6 +183,16 @@ def _bring_up_to_date(connection: sqlite3.Connection) -> None:
 def columns_of(connection: sqlite3.Connection, table: str) -> set[str]:
     """Return the names of a table's columns, which in a store of an older version are fewer; none without the table."""
     return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
+
+
+def tracker_sql(connection: sqlite3.Connection, table: str, alias: str) -> str:
+    """Return SQL for the name of a record's tracker, in a query that joins a table under an alias with `runs`.
+
+    A run of one tracker bears its name; in a run of several each record does. Stores of older versions know neither.
+    """
+    known = [(alias_of, columns_of(connection, of)) for alias_of, of in (("runs", "runs"), (alias, table))]
+    names = [f"NULLIF({alias_of}.tracker, '')" for alias_of, columns in known if "tracker" in columns]
+    return f"COALESCE({', '.join([*names, *['NULL', repr('')]])})"
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:

@@ -40,6 +40,8 @@ def _same(holds: Literal["float", "text"], *names: str) -> list[Column]:
 
 _TIMES = [Column("time", "time_utc_s", "time"), *_same("float", "time_monotonic_s")]
 
+_TRACKER = Column("tracker", "tracker", "text")
+
 # The files' columns, in order. They are an interface to the users' own programs: add at the end, rename nothing.
 COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
     Scan: (
@@ -77,6 +79,7 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
             Column("dni_est", "estimate.dni_w_m2", "float"),
             Column("dhi_est", "estimate.dhi_w_m2", "float"),
             Column("albedo_est", "estimate.albedo", "float"),
+            _TRACKER,
         ],
     ),
     Move: (
@@ -86,11 +89,12 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
             *_same("float", "duration_s", "from_a_deg", "from_b_deg", "target_a_deg", "target_b_deg"),
             *_same("float", "end_a_deg", "end_b_deg"),
             *_same("text", "outcome", "why"),
+            _TRACKER,
         ],
     ),
-    Pose: ("poses", [*_TIMES, *_same("float", "a_deg", "b_deg"), Column("moving", "moving", "bool")]),
-    ModeChange: ("modes", [*_TIMES, *_same("text", "before", "after", "why")]),
-    Event: ("events", [*_TIMES, *_same("text", "subject", "text")]),
+    Pose: ("poses", [*_TIMES, *_same("float", "a_deg", "b_deg"), Column("moving", "moving", "bool"), _TRACKER]),
+    ModeChange: ("modes", [*_TIMES, *_same("text", "before", "after", "why"), _TRACKER]),
+    Event: ("events", [*_TIMES, *_same("text", "subject", "text"), _TRACKER]),
     IvCurve: (
         "curves",
         [
@@ -99,6 +103,7 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
             *_same("float", "zenith_start_w_m2", "zenith_end_w_m2"),
             Column("points", "points", "int"),
             *_same("text", "quality", "why", "curve"),
+            _TRACKER,
         ],
     ),
 }

@@ -23,7 +23,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.sections import CubeSettings
-from daemon.config.settings import Settings
+from daemon.config.settings import Settings, settings_of_one
 from daemon.motion.motion import Polling
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
@@ -68,9 +68,9 @@ def replay(settings: Settings, rows: Sequence[Row], out: Path, progress: Callabl
     Raises
     ------
     UserError
-        The rows are too few or too far apart, or `out` cannot be written.
+        The rows are too few or too far apart, `out` cannot be written, or the settings have several trackers.
     """
-    settings = _fitted(settings, rows)
+    settings = _fitted(settings_of_one(settings, None), rows)
     # A folder that cannot be written to is told before the work and not after it.
     part = out.with_name(f".{out.name}.part")
     try:

@@ -1,7 +1,7 @@
 """Days in seconds: the service itself, on the in-process rig, under virtual time."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,7 +38,7 @@ class Summary:
     travel_deg
         Sum over both axes of what the tracker turned between starts and ends of its moves.
     mode_s
-        Seconds in each mode.
+        Seconds in each mode, of all trackers.
     warning
         About the weather file, or None.
     """
@@ -80,7 +80,7 @@ def simulate(
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
-    tally = _Tally(start_utc_s)
+    tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
     with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
         clock = LoopClock(loop.time, start_utc_s)
@@ -134,10 +134,9 @@ def _require_daylight(settings: Settings, start_utc_s: float, end_utc_s: float) 
 
 
 class _Tally:
-    def __init__(self, start_utc_s: float) -> None:
+    def __init__(self, start_utc_s: float, trackers: Sequence[str]) -> None:
         self._summary = Summary()
-        self._mode = Mode.STARTING
-        self._since_utc_s = start_utc_s
+        self._modes = dict.fromkeys(trackers, (Mode.STARTING, start_utc_s))
 
     def count(self, record: Record) -> None:
         summary = self._summary
@@ -149,14 +148,15 @@ class _Tally:
             summary.moves += 1
             summary.travel_deg += abs(record.end_a_deg - record.from_a_deg) + abs(record.end_b_deg - record.from_b_deg)
         elif isinstance(record, ModeChange):
-            self._leave(record.time_utc_s)
-            self._mode = record.after
+            self._enter(record.after, record.time_utc_s, record.tracker)
 
-    def _leave(self, utc_s: float) -> None:
-        self._summary.mode_s[self._mode] += utc_s - self._since_utc_s
-        self._since_utc_s = utc_s
+    def _enter(self, mode: Mode, utc_s: float, tracker: str) -> None:
+        before, since_utc_s = self._modes[tracker]
+        self._summary.mode_s[before] += utc_s - since_utc_s
+        self._modes[tracker] = (mode, utc_s)
 
     def close(self, end_utc_s: float, warning: str | None) -> Summary:
-        self._leave(end_utc_s)
+        for tracker, (mode, _) in tuple(self._modes.items()):
+            self._enter(mode, end_utc_s, tracker)
         self._summary.warning = warning
         return self._summary

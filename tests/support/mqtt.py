@@ -127,7 +127,8 @@ class MqttBench(Bench):
 
     def __init__(self, loop, settings, speed, role=Role.BOTH, start="2022-10-12T10:00"):
         super().__init__(loop, settings, datetime.fromisoformat(start).replace(tzinfo=UTC), HandWeather(), role)
-        ((name, self.mqtt),) = links(settings, role, self.clock, Random(1), self.bus.publish, speed).items()
+        self.links = links(settings, role, self.clock, Random(1), self.bus.publish, speed)
+        self.mqtt = next(iter(self.links.values()))
         recent = Recent()
         self.bus.subscribe(recent.note)
         tracker, cube = role is not Role.CUBE, role is not Role.TRACKER
@@ -137,7 +138,7 @@ class MqttBench(Bench):
             Rig(
                 self.multiplexer if cube else None,
                 self.voltmeter if cube else None,
-                (TrackerInstruments(self.positioner),) if tracker else (),
+                tuple(TrackerInstruments(one) for one in (self.positioner, *self.others)) if tracker else (),
                 lambda: self.wind_m_s,
                 simulated=True,
             ),
@@ -147,13 +148,18 @@ class MqttBench(Bench):
             KEY,
             Notifier({}, 0),
             1.0,
-            stow_sources={name: self.mqtt.stow_sources()},
+            stow_sources={name: link.stow_sources() for name, link in self.links.items()},
             send_beyond=self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
         )
-        self.mqtt.attach(self.service, lambda: snapshot(self.service, recent, speed, None, {name: self.mqtt.status}))
+        for link in self.links.values():
+            link.attach(self.service, lambda: snapshot(self.service, recent, speed, None, self.statuses))
 
     async def run_until(self, stop):
-        await self.service.run(stop, self.mqtt.run())
+        await self.service.run(stop, *(link.run() for link in self.links.values()))
+
+    @property
+    def statuses(self):
+        return {name: link.status for name, link in self.links.items()}
 
 
 def settings_for(port, **sections):

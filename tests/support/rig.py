@@ -94,6 +94,11 @@ class Bench:
         self.multiplexer = NiMultiplexer(cables.multiplexer)
         self.voltmeter = build_voltmeter(settings, line=cables.voltmeter)
         self.positioner = self.drive(self.unit, settings)
+        own = [named.settings for named in settings.trackers[1:]]
+        cables.others = [InMemoryStream(build_unit(one, self.clock), now) for one in own]
+        self.others = [
+            build_positioner(one, self.clock, line=line) for one, line in zip(own, cables.others, strict=True)
+        ]
 
     def drive(self, unit, settings):
         """Return the driver of a unit, or of what stands between."""
@@ -108,7 +113,10 @@ class Bench:
             Rig(
                 self.multiplexer,
                 self.voltmeter,
-                (TrackerInstruments(self.positioner, None if settings.load.driver == "none" else self.load),),
+                (
+                    TrackerInstruments(self.positioner, None if settings.load.driver == "none" else self.load),
+                    *(TrackerInstruments(positioner) for positioner in self.others),
+                ),
                 lambda: self.wind_m_s,
                 simulated=True,
             ),

@@ -92,7 +92,9 @@ def side_by_side(
     -------
     In the order of time, the first tracker's measurement before the other's; only while there is light.
     """
-    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
+    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(
+        update={"store": StoreSettings(), "tracker": ()}
+    )
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, start_utc_s)
         pair = build(clock)

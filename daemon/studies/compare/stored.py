@@ -17,7 +17,7 @@ from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality, Record
 from daemon.config.settings import Settings
-from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql
 from daemon.store.store import Origin, Store
 from daemon.studies.compare.measurements import Measurement
 from solar.ephemeris import Site
@@ -29,10 +29,15 @@ _POSE_HOLDS_S = 900.0
 _SCAN_WITHIN_S = 15.0
 _MOST_WAITING = 20_000
 _LOOK_EVERY = 1000
-_CURVES = "SELECT time, pmpp_w FROM curves WHERE run = ? AND quality = 'ok' ORDER BY time"
-_POSES = "SELECT time, a_deg, b_deg FROM poses WHERE run = ? ORDER BY time"
+# The name of the tracker takes the place of {tracker}.
+_CURVES = (
+    "SELECT time, pmpp_w FROM curves JOIN runs USING (run)"
+    " WHERE run = ? AND {tracker} = ? AND quality = 'ok' ORDER BY time"
+)
+_POSES = "SELECT time, a_deg, b_deg FROM poses JOIN runs USING (run) WHERE run = ? AND {tracker} = ? ORDER BY time"
+_TRACKERS = "SELECT DISTINCT run, {tracker}, {of_run} FROM curves JOIN runs USING (run) ORDER BY run, 2"
 _BEST_CURVE = (
-    "SELECT time, pmpp_w, curve FROM curves JOIN runs USING (run) WHERE (? IS NOT NULL OR tracker = ?)"
+    "SELECT time, pmpp_w, curve FROM curves JOIN runs USING (run) WHERE (? OR {tracker} = ?)"
     " AND quality = 'ok' AND curve != '' ORDER BY pmpp_w DESC LIMIT 1"
 )
 _GOOD = " AND ".join(f"{face}_quality = '{Quality.OK}'" for face in FACES)
@@ -53,7 +58,8 @@ def read_stores(stores: Sequence[tuple[str | None, Path]]) -> tuple[pd.DataFrame
     Parameters
     ----------
     stores
-        Folders; a name is that of the tracker of all runs in it, None leaves each run its own.
+        Folders; a name is that of the tracker of all runs of one tracker in it, and of those of several it chooses the
+        one of that name. None leaves each its own.
 
     Raises
     ------
@@ -94,7 +100,9 @@ def kept_curve(stores: Sequence[tuple[str | None, Path]], tracker: str) -> KeptC
             # Neither is there in a store of an older version.
             if not (columns_of(connection, "curves") and "tracker" in columns_of(connection, "runs")):
                 continue
-            row = connection.execute(_BEST_CURVE, (name, tracker)).fetchone()
+            query = _BEST_CURVE.format(tracker=tracker_sql(connection, "curves", "curves"))
+            any_run = name is not None and not _has_several(connection)
+            row = connection.execute(query, (any_run, tracker)).fetchone()
         if row is not None and (best is None or row[1] > best[1]):
             best = row
     if best is None:
@@ -105,19 +113,19 @@ def kept_curve(stores: Sequence[tuple[str | None, Path]], tracker: str) -> KeptC
 
 
 def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) -> pd.DataFrame:
-    named = "tracker" in columns_of(connection, "runs")
-    runs = connection.execute("SELECT run, tracker FROM runs" if named else "SELECT run, '' FROM runs").fetchall()
     faces = ["time", *FACES]
     scans = pd.DataFrame(connection.execute(_SCANS).fetchall(), columns=faces).astype(float)
     scans["ghi_w_m2"] = scans["zenith"]
     scans["dhi_w_m2"] = scans["zenith"] * diffuse_fraction_of_faces(scans[list(FACES)].to_numpy())
     light = scans[["time", "ghi_w_m2", "dhi_w_m2"]]
     found = []
-    for run, own in runs if columns_of(connection, "curves") else []:
-        curves = _table(connection, _CURVES, run, ["time", "pmpp_w"])
+    for run, own, one_of_several in _trackers(connection):
+        if one_of_several and name not in (None, own):
+            continue
+        curves = _table(connection, "curves", _CURVES, (run, own), ["time", "pmpp_w"])
         if curves.empty:
             continue
-        poses = _table(connection, _POSES, run, ["time", "a_deg", "b_deg"])
+        poses = _table(connection, "poses", _POSES, (run, own), ["time", "a_deg", "b_deg"])
         both = _joined(curves, poses, "backward", _POSE_HOLDS_S)
         found.append(_joined(both, light, "nearest", _SCAN_WITHIN_S).assign(tracker=name or own or f"run {run}"))
     if not found:
@@ -127,8 +135,25 @@ def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) 
     return pd.concat(found, ignore_index=True).reindex(columns=list(Measurement._fields))
 
 
-def _table(connection: sqlite3.Connection, query: str, run: int, columns: list[str]) -> pd.DataFrame:
-    return pd.DataFrame(connection.execute(query, (run,)).fetchall(), columns=columns).astype(float)
+def _trackers(connection: sqlite3.Connection) -> Iterator[tuple[int, str, bool]]:
+    """Yield each run with curves and the name of each tracker in it, and whether the run has several."""
+    if not columns_of(connection, "curves"):
+        return
+    of_run = "runs.tracker" if "tracker" in columns_of(connection, "runs") else "''"
+    query = _TRACKERS.format(tracker=tracker_sql(connection, "curves", "curves"), of_run=of_run)
+    for run, tracker, of_run in connection.execute(query).fetchall():
+        yield run, tracker, not of_run and tracker != ""
+
+
+def _has_several(connection: sqlite3.Connection) -> bool:
+    return any(one_of_several for _, _, one_of_several in _trackers(connection))
+
+
+def _table(
+    connection: sqlite3.Connection, kind: str, query: str, of: tuple[int, str], columns: list[str]
+) -> pd.DataFrame:
+    rows = connection.execute(query.format(tracker=tracker_sql(connection, kind, kind)), of).fetchall()
+    return pd.DataFrame(rows, columns=columns).astype(float)
 
 
 def _joined(

@@ -406,6 +406,30 @@ def test_the_seventeenth_listener_is_sent_away(serve):
     serve(scenario)
 
 
+def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
+    async def scenario(bench, call):
+        east, west = bench.service.trackers
+        await bench.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        reply = await call.post("hold", b'{"tracker": "west"}')
+        assert (reply.status, west.control.mode, east.control.mode) == (200, Mode.HOLD, Mode.TRACKING)
+        assert (await call.post("hold?tracker=east")).status == 200
+        assert east.control.mode is Mode.HOLD
+        for name, body, sentence in [
+            ("auto", b"", "'auto' needs the name of a tracker, one of east, west"),
+            ("auto?tracker=north", b"", "there is no tracker 'north' here, but east, west"),
+        ]:
+            reply = await call.post(name, body)
+            assert (reply.status, reply.json["error"]) == (422, sentence)
+        reply = await call.post("auto?tracker=east", b'{"tracker": "west"}')
+        assert (reply.status, reply.json["error"]) == (400, "the body names the tracker 'west', and the query 'east'")
+        assert {"east", "west"} == set((await call.get("/api/state")).json["trackers"])
+        metrics = (await call.get("/metrics")).body.decode().splitlines()
+        assert 'heliocube_mode{mode="hold",tracker="west"} 1.0' in metrics
+        assert 'heliocube_mode{mode="hold",tracker="east"} 1.0' in metrics
+
+    serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
 def test_health_names_a_store_that_is_down(run_rig):
     async def scenario(bench):
         down = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")

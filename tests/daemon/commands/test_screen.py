@@ -6,7 +6,7 @@ import io
 from rich.console import Console
 
 from daemon.base.records import Mode
-from daemon.commands.screen import LiveView
+from daemon.commands.screen import LiveView, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 
@@ -74,3 +74,22 @@ def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
     assert len(lines) > 10
     assert all("SIMULATED" in line and "\x1b" not in line for line in lines)
     assert "tracking: the cube's readings are good" in lines[-1]
+
+
+def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig):
+    async def scenario(bench):
+        east, west = bench.service.trackers
+        await bench.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        await west.control.stop("repair", "ana")
+        bench.wind_m_s = 20.0
+        await asyncio.sleep(20)
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(state_json(bench.see())))
+        lines = [line.strip() for line in console.file.getvalue().splitlines()]
+        assert lines.index("east") < lines.index("west")
+        own = lines[lines.index("west") :]
+        assert next(line for line in own if line.startswith("mode")).split()[1] == "hold"
+        assert next(line for line in own if line.startswith("stop")).endswith("repair")
+        assert any(line.startswith("alarm") and "west: stow is wanted" in line for line in lines)
+
+    run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])

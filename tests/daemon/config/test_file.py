@@ -11,7 +11,7 @@ from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
 from daemon.config.links import BridgeSettings
-from daemon.config.sections import LimitSettings, SafetySettings
+from daemon.config.sections import LimitSettings, SafetySettings, Sections
 from daemon.config.settings import Settings
 from daemon.config.template import example, reference
 from tests.support import DOCS
@@ -341,7 +341,7 @@ def test_the_commented_file_has_every_key_and_section_with_a_comment():
     found = entries(example("both"))
     known = [path for table in tables().values() for path in (table.path, *(key.path for key in table.keys))]
     assert list(found) == [path for path in known if path]
-    assert {path for path, _ in walk(Settings())} <= set(found)
+    assert {path for path, _ in walk(Sections())} <= set(found)
     assert "law.thrift" in found, "nor are the keys of laws that are not chosen left out"
     assert all(len(comment) > 12 for comment in found.values()), found
 
@@ -370,7 +370,7 @@ def test_the_reference_document_is_current():
 
 
 words = st.sampled_from(
-    [*Settings.model_fields, *BridgeSettings.model_fields, "east", "channel", "mean_s", "x", "a.b", "", "é\n"]
+    [*Sections.model_fields, *BridgeSettings.model_fields, "east", "channel", "mean_s", "x", "a.b", "", "é\n"]
 )
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.dates() | st.datetimes()
 contents = st.dictionaries(
@@ -383,7 +383,7 @@ contents = st.dictionaries(
 
 
 @settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
-@given(changes=st.dictionaries(st.sampled_from(list(Settings.model_fields)), contents, max_size=4))
+@given(changes=st.dictionaries(st.sampled_from(list(Sections.model_fields)), contents, max_size=4))
 def test_whatever_the_values_are_the_answer_is_settings_or_a_list_of_lines(changes):
     try:
         found = override(Settings(), changes)

@@ -153,9 +153,30 @@ def test_the_file_of_this_version_is_what_it_was():
     assert text.count("CREATE TABLE") == 9
     assert (
         "CREATE TABLE poses ( run INTEGER NOT NULL, number INTEGER NOT NULL, time REAL, time_monotonic_s REAL,"
-        " a_deg REAL, b_deg REAL, moving INTEGER, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
+        " a_deg REAL, b_deg REAL, moving INTEGER, tracker TEXT, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
     )
-    assert sha256(text.encode()).hexdigest()[:12] == "8dad75601452"
+    assert sha256(text.encode()).hexdigest()[:12] == "8c671477b73f"
+
+
+def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_path):
+    east, west = replace(decision(), tracker="east"), replace(decision(), time_utc_s=T0 + 60, tracker="west")
+    folder = keep(east, west)
+    keep(replace(east, time_utc_s=T0 + 120), origin=replace(ORIGIN, tracker="roof"))
+    export(folder, tmp_path / "out", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "out" / "decisions.csv")] == ["east", "west", "roof"]
+
+
+def test_a_store_of_the_version_before_gets_the_names_from_now_on(keep, tmp_path):
+    folder = keep(decision())
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        for name in ("decisions", "moves", "poses", "modes", "events", "curves"):
+            connection.execute(f"ALTER TABLE {name} DROP COLUMN tracker")
+        connection.execute("PRAGMA user_version = 5")
+    export(folder, tmp_path / "old", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "old" / "decisions.csv")] == [""]
+    keep(replace(decision(), time_utc_s=T0 + 60, tracker="west"))
+    export(folder, tmp_path / "new", "csv", None, None, ())
+    assert [row["tracker"] for row in rows(tmp_path / "new" / "decisions.csv")] == ["", "west"]
 
 
 def test_a_store_of_version_1_is_read_as_it_is_and_brought_up_to_date_by_the_service(keep, tmp_path):

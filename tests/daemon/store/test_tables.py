@@ -106,7 +106,7 @@ def test_every_kind_has_a_table_of_its_own_even_when_it_stayed_empty(tmp_path):
     out = write(tmp_path / "out", records=[POSE])
     assert sorted(p.name for p in out.iterdir()) == [f"{kind}.csv" for kind in KINDS]
     assert rows(out, "moves") == []
-    assert (out / "modes.csv").read_text() == "time,time_monotonic_s,before,after,why\n"
+    assert (out / "modes.csv").read_text() == "time,time_monotonic_s,before,after,why,tracker\n"
 
 
 def test_a_scan_is_one_row_with_units_in_the_names_and_nothing_where_there_is_no_number(tmp_path):

@@ -1,0 +1,138 @@
+"""The trackers of one process: the sections of the file hold for each of them, but for what its own table says."""
+
+import difflib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from pydantic import Field
+
+from daemon.config.plugged import DRIVER, SECTIONS, said
+from daemon.config.section import Section
+
+if TYPE_CHECKING:
+    from daemon.config.sections import Sections
+
+NAME_FORM = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$"
+NAME_IN_WORDS = "1 to 32 letters, digits, dashes or underscores, a letter or digit first"
+
+
+class TrackerTable(Section):
+    """One tracker: its name, and what of these sections differs from the file's own."""
+
+    name: Annotated[str, Field(pattern=NAME_FORM)]
+    site: dict[str, Any] = Field(default_factory=dict)
+    law: dict[str, Any] = Field(default_factory=dict)
+    windows: dict[str, Any] = Field(default_factory=dict)
+    limits: dict[str, Any] = Field(default_factory=dict)
+    motion: dict[str, Any] = Field(default_factory=dict)
+    safety: dict[str, Any] = Field(default_factory=dict)
+    positioner: dict[str, Any] = Field(default_factory=dict)
+    load: dict[str, Any] = Field(default_factory=dict)
+
+
+PARTS = tuple(name for name in TrackerTable.model_fields if name != "name")
+# Where a section of a tracker's table is at home in the file.
+_AT_HOME = {"positioner": "instruments.positioner"}
+
+
+class SharedPort(NamedTuple):
+    """Two trackers at one port: the key of the later one, its value, and the name of the other."""
+
+    tracker: str
+    key: str
+    value: str
+    other: str
+
+
+def values_of(settings: "Sections") -> dict[str, Any]:
+    """Return what settings say by section, tables of trackers left out; of a driver's section without its defaults."""
+    raw = settings.model_dump(exclude={"tracker"})
+    for path in SECTIONS:
+        *outer, last = path.split(".")
+        table, section = raw, settings
+        for name in outer:
+            table, section = table[name], getattr(section, name)
+        table[last] = said(getattr(section, last))
+    return raw
+
+
+def without(table: dict[str, Any], path: str, values: Mapping[str, Any]) -> None:
+    """Take out of a tracker's table what `values` say of the section that has a path in the file."""
+    section = place_in_table(path)
+    own = table.get(section)
+    if isinstance(own, dict):
+        gone = _with_former(path, values)
+        table[section] = {name: value for name, value in own.items() if name not in gone}
+
+
+def merged(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a file as they hold for the tracker of a table."""
+    found = dict(raw)
+    for section in PARTS:
+        if section in table:
+            home = _AT_HOME.get(section, section)
+            _lay_over(found, home.split("."), table[section], _with_former(home, table[section]))
+    return found
+
+
+def _with_former(path: str, values: Any) -> frozenset[str]:
+    """Return the names of keys that values of a section decide: `driver` also decides what it was called before."""
+    names = frozenset(values) if isinstance(values, Mapping) else frozenset()
+    aliases = {DRIVER, SECTIONS[path].former} if path in SECTIONS else set()
+    return names | aliases if names & aliases else names
+
+
+def place_in_table(path: str) -> str:
+    """Return the path of a key in a tracker's table: ``positioner.port`` for ``instruments.positioner.port``."""
+    for section, home in _AT_HOME.items():
+        if path == home or path.startswith(f"{home}."):
+            return section + path[len(home) :]
+    return path
+
+
+def resembling(name: str) -> str:
+    """Return the remedy for a name that is none of a tracker's sections."""
+    found = difflib.get_close_matches(name.rpartition(".")[2].lower(), PARTS, 1)
+    return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(PARTS)}"
+
+
+def shared_ports(trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[SharedPort]:
+    """Yield every port of a real instrument that two trackers have in common."""
+    owners: dict[tuple[str, str], str] = {}
+    for name, settings in trackers:
+        ports = {
+            "positioner.port": settings.instruments.positioner.port if settings.instruments.kind == "real" else None,
+            "load.resource": settings.load.resource if settings.load.driver not in ("none", "simulated") else None,
+        }
+        for key, value in ports.items():
+            if value is not None:
+                other = owners.setdefault((key, value), name)
+                if other != name:
+                    yield SharedPort(name, key, value, other)
+
+
+def _lay_over(found: dict[str, Any], path: Sequence[str], values: Any, decided: Collection[str]) -> None:
+    """Put values into a table inside `found`, which is changed; tables inside it are copied first.
+
+    Parameters
+    ----------
+    decided
+        Keys of the table that do not stay as they are, whether there is a value for them or not.
+    """
+    first, *rest = path
+    before = found.get(first)
+    inner = dict(before) if isinstance(before, Mapping) else {}
+    if rest:
+        _lay_over(inner, rest, values, decided)
+        found[first] = inner
+    elif isinstance(values, Mapping):
+        kept = {name: value for name, value in inner.items() if name not in decided or isinstance(value, Mapping)}
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                _lay_over(kept, [name], value, frozenset(value))
+            else:
+                kept[name] = value
+        found[first] = kept
+    else:
+        # What is no table is told by the check of the section.
+        found[first] = values

@@ -1,0 +1,44 @@
+"""Two trackers of one process on a broker: topics, commands, availability and a device for each."""
+
+import asyncio
+import json
+
+from daemon.base.records import Mode
+from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
+
+
+def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
+    settings = settings_for(broker.port, tracker=[{"name": "east"}, {"name": "west"}])
+
+    async def scenario():
+        rig = MqttBench(asyncio.get_running_loop(), settings, SPEED)
+        east, west = rig.service.trackers
+        async with observer(broker.port) as lab:
+            async with serving(rig):
+                both = (east, west)
+                await until(lambda: all(t.control.mode is Mode.TRACKING for t in both), "tracking of both")
+                for name in ("east", "west"):
+                    assert await lab.until(f"heliocube/{name}/status") == "online"
+                    found = await lab.until(f"homeassistant/device/heliocube_{name}/config")
+                    assert (found["device"]["name"], found["state_topic"]) == (
+                        f"{name} (SIMULATED)",
+                        f"heliocube/{name}/state",
+                    )
+                await lab.say("heliocube/west/command/hold", {"why": "test"})
+                reply = await lab.until("heliocube/west/reply")
+                assert reply["accepted"]
+                await lab.until("heliocube/west/state", lambda state: state["mode"]["name"] == "hold")
+                assert (east.control.mode, west.control.mode) == (Mode.TRACKING, Mode.HOLD)
+                state = await lab.until("heliocube/east/state", lambda state: state["tracker"]["connected"])
+                assert (state["mode"]["name"], state["tracker"]["name"]) == ("tracking", "east")
+                await lab.say("heliocube/west/command/hold", {"tracker": "east"})
+                refused = await lab.until("heliocube/west/reply", lambda reply: not reply["accepted"])
+                assert refused["text"] == "there is no tracker 'east' here, but west"
+                for name in ("east", "west"):
+                    modes = [json.loads(message.payload) for message in lab.on(f"heliocube/{name}/mode")]
+                    assert {mode["tracker"] for mode in modes} == {name}
+                    await lab.until(f"heliocube/{name}/scan")
+            for name in ("east", "west"):
+                await lab.until(f"heliocube/{name}/status", lambda word: word == "offline")
+
+    scaled(scenario)
