@@ -74,9 +74,8 @@ def replay(
     from daemon.base.errors import UserError
     from daemon.config.settings import settings_of_one
     from daemon.studies.inputs import settings_for, site_values
+    from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
-    from daemon.studies.replay import rows_of_store
-    from daemon.studies.send_csv import read_csv
 
     if (faces is None) is (store is None):
         raise UserError("replay needs either FACES.csv or --store DIR")

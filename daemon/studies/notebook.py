@@ -12,8 +12,8 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.export import export
 from daemon.studies.inputs import settings_for
+from daemon.studies.recorded import RecordedScan, read_csv
 from daemon.studies.replay import replay as run_replay
-from daemon.studies.send_csv import Row, read_csv
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
 
@@ -150,7 +150,7 @@ def replay(
         return pd.read_csv(out, index_col="time", parse_dates=["time"])
 
 
-def _rows(faces: pd.DataFrame) -> Sequence[Row]:
+def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
     index = faces.index
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
@@ -161,7 +161,8 @@ def _rows(faces: pd.DataFrame) -> Sequence[Row]:
     seconds = np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
     values = faces[list(FACES)].to_numpy(dtype=np.float64)
     return [
-        Row(at, (row[0], row[1], row[2], row[3])) for at, row in zip(seconds.tolist(), values.tolist(), strict=True)
+        RecordedScan(at, (row[0], row[1], row[2], row[3]))
+        for at, row in zip(seconds.tolist(), values.tolist(), strict=True)
     ]
 
 

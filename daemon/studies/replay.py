@@ -5,10 +5,8 @@ import csv
 import gc
 import gzip
 import math
-import sqlite3
 from array import array
 from collections.abc import Callable, Coroutine, Sequence
-from contextlib import closing
 from pathlib import Path
 from random import Random
 from typing import Any, TextIO, cast
@@ -18,7 +16,7 @@ import numpy as np
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.base.records import FACES, Bus, FaceReading, Mode, Quality, Scan
+from daemon.base.records import Bus, FaceReading, Mode, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
@@ -28,8 +26,7 @@ from daemon.motion.motion import Polling
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
-from daemon.store.schema import FILE_NAME, open_for_reading
-from daemon.studies.send_csv import Row
+from daemon.studies.recorded import RecordedScan
 from daemon.tracker.pointing import Pointing
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
@@ -51,7 +48,7 @@ _PROGRESS_EVERY_ROWS = 1000
 _ROWS_AT_ONCE = 50_000
 
 
-def replay(settings: Settings, rows: Sequence[Row], out: Path, progress: Callable[[float], None]) -> None:
+def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> None:
     """Run the tracker's role on recorded readings and write one line per row to `out`.
 
     Parameters
@@ -84,30 +81,6 @@ def replay(settings: Settings, rows: Sequence[Row], out: Path, progress: Callabl
         part.unlink(missing_ok=True)
 
 
-def rows_of_store(directory: Path) -> list[Row]:
-    """Return the scans that the store in `directory` holds; only good readings count. Raises `UserError`."""
-    path = directory / FILE_NAME
-    columns = ", ".join(f"{face}_w_m2, {face}_quality" for face in FACES)
-    found: list[Row] = []
-    with closing(open_for_reading(path)) as connection:
-        try:
-            before_s = -math.inf
-            for time_s, *cells in connection.execute(f"SELECT time, {columns} FROM scans ORDER BY time"):  # noqa: S608 - our own names
-                if not (time_s > before_s):
-                    continue
-                before_s = time_s
-                east, south, west, zenith = (
-                    cells[place] if cells[place] is not None and cells[place + 1] == Quality.OK else math.nan
-                    for place in (0, 2, 4, 6)
-                )
-                found.append(Row(time_s, (east, south, west, zenith)))
-        except sqlite3.Error as error:
-            raise UserError(f"the store {path} cannot be read: {error}") from None
-    if not found:
-        raise UserError(f"the store {path} holds no scans: a tracker's store has those that came over the bridge")
-    return found
-
-
 class _Log:
     """What the tracker did, row by row, and what pointed it."""
 
@@ -118,7 +91,7 @@ class _Log:
         self.learned: list[tuple[int, Any]] = []
 
 
-def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
+def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
     """Return the settings with the rhythm of the rows, and without what a replay has no business with."""
     if len(rows) < 2:
         raise UserError("a replay needs two rows at least, to know how far apart they are")
@@ -138,7 +111,7 @@ def _fitted(settings: Settings, rows: Sequence[Row]) -> Settings:
     return on_a_port_of_its_own(settings, insecure=True).model_copy(update=changes)
 
 
-def _run(settings: Settings, rows: Sequence[Row], progress: Callable[[float], None]) -> _Log:
+def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> _Log:
     # The readings stay until the end: the collector need not look at them again and again.
     gc.freeze()
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
@@ -189,7 +162,7 @@ class _Feeder:
         self._seen_at_rest = False
         self._gap_s = max(_AWAKE_S, 2.0 * self._cube.scan_every_s)
 
-    async def run(self, rows: Sequence[Row], progress: Callable[[float], None]) -> None:
+    async def run(self, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> None:
         log, control, loop = self._log, self._control, self._loop
         start_s = _WARM_UP_S - rows[0].time_utc_s
         for number, row in enumerate(rows):
@@ -266,7 +239,7 @@ class _Feeder:
         return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))
 
 
-def _scan(cube: CubeSettings, number: int, row: Row, now_s: float) -> Scan:
+def _scan(cube: CubeSettings, number: int, row: RecordedScan, now_s: float) -> Scan:
     utc_s = row.time_utc_s
     low, high = cube.minimum_w_m2, cube.maximum_w_m2
     faces = []
@@ -294,7 +267,7 @@ def _opened(path: Path, suffix: str) -> TextIO:
     return path.open("w", encoding="utf-8", newline="")
 
 
-def _write(file: TextIO, settings: Settings, rows: Sequence[Row], log: _Log) -> None:
+def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: _Log) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
     laws = {Mode.TRACKING: log.pointing.chosen.name, Mode.FALLBACK: log.pointing.fallback.name}

@@ -13,6 +13,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
+from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 
 _MV, _W_M2 = "_mv", "_w_m2"
@@ -97,23 +98,20 @@ def read_store(directory: Path, start: datetime | None, end: datetime | None) ->
     low = -np.inf if start is None else start.timestamp()
     high = np.inf if end is None else end.timestamp()
     path = directory / FILE_NAME
-    values = ", ".join(f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in FACES)
     with closing(open_for_reading(path)) as connection:
         known = "COALESCE(calibration, '')" if "calibration" in columns_of(connection, "scans") else "''"
         span = "FROM scans WHERE time >= ? AND time < ?"
         try:
-            rows = connection.execute(f"SELECT time, {values} {span} ORDER BY time", (low, high)).fetchall()
+            utc_s, faces = stored_faces(connection, low, high)
             made_with = connection.execute(f"SELECT DISTINCT {known} {span}", (low, high)).fetchall()
         except sqlite3.Error as error:
             raise UserError(f"the store {path} cannot be read: {error}") from None
-    if not rows:
+    if not utc_s.size:
         raise UserError(f"the store {path} has no scans in that time; see --from and --to")
-    table = np.array(rows, dtype=np.float64)
-    _, first = np.unique(table[:, 0], return_index=True)
     return FaceReadings(
         source=f"the store {path}",
-        utc_s=table[first, 0],
-        faces=table[first, 1:],
+        utc_s=utc_s,
+        faces=faces,
         in_mv=False,
         calibrations=frozenset(row[0] for row in made_with),
     )

@@ -15,11 +15,12 @@ import pandas as pd
 
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
-from daemon.base.records import FACES, Quality, Record
+from daemon.base.records import FACES, Record
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql
 from daemon.store.store import Origin, Store
 from daemon.studies.compare.measurements import Measurement
+from daemon.studies.recorded import stored_faces
 from solar.ephemeris import Site
 from solar.frames import Array
 from solar.sky_periods import diffuse_fraction_of_faces
@@ -40,8 +41,6 @@ _BEST_CURVE = (
     "SELECT time, pmpp_w, curve FROM curves JOIN runs USING (run) WHERE (? OR {tracker} = ?)"
     " AND quality = 'ok' AND curve != '' ORDER BY pmpp_w DESC LIMIT 1"
 )
-_GOOD = " AND ".join(f"{face}_quality = '{Quality.OK}'" for face in FACES)
-_SCANS = f"SELECT time, {', '.join(f'{face}_w_m2' for face in FACES)} FROM scans WHERE {_GOOD} ORDER BY time"  # noqa: S608 - our own names
 
 
 def parse_store(text: str) -> tuple[str | None, Path]:
@@ -113,11 +112,7 @@ def kept_curve(stores: Sequence[tuple[str | None, Path]], tracker: str) -> KeptC
 
 
 def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) -> pd.DataFrame:
-    faces = ["time", *FACES]
-    scans = pd.DataFrame(connection.execute(_SCANS).fetchall(), columns=faces).astype(float)
-    scans["ghi_w_m2"] = scans["zenith"]
-    scans["dhi_w_m2"] = scans["zenith"] * diffuse_fraction_of_faces(scans[list(FACES)].to_numpy())
-    light = scans[["time", "ghi_w_m2", "dhi_w_m2"]]
+    light = _light(connection)
     found = []
     for run, own, one_of_several in _trackers(connection):
         if one_of_several and name not in (None, own):
@@ -154,6 +149,14 @@ def _table(
 ) -> pd.DataFrame:
     rows = connection.execute(query.format(tracker=tracker_sql(connection, kind, kind)), of).fetchall()
     return pd.DataFrame(rows, columns=columns).astype(float)
+
+
+def _light(connection: sqlite3.Connection) -> pd.DataFrame:
+    utc_s, faces = stored_faces(connection)
+    whole = np.isfinite(faces).all(axis=1)
+    utc_s, faces = utc_s[whole], faces[whole]
+    zenith = faces[:, FACES.index("zenith")]
+    return pd.DataFrame({"time": utc_s, "ghi_w_m2": zenith, "dhi_w_m2": zenith * diffuse_fraction_of_faces(faces)})
 
 
 def _joined(

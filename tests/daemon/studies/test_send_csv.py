@@ -8,12 +8,13 @@ from random import Random
 
 import pytest
 
-from daemon.base.addresses import BridgeError
 from daemon.base.clock import LoopClock
+from daemon.base.errors import UserError
 from daemon.base.records import Quality
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
-from daemon.studies.send_csv import read_csv, send_csv
+from daemon.studies.recorded import read_csv
+from daemon.studies.send_csv import send_csv
 
 KEY = bytes(range(1, 33))
 START = "2022-10-14T10:20:00Z"
@@ -137,29 +138,29 @@ def test_a_file_may_have_more_columns_in_any_order_blank_lines_and_a_byte_order_
 )
 def test_a_wrong_file_is_one_sentence_with_the_line_and_nothing_is_sent(tmp_path, text, words):
     path = written(tmp_path, text)
-    with pytest.raises(BridgeError) as caught:
+    with pytest.raises(UserError) as caught:
         sent(path)
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
 
 
 def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path):
-    with pytest.raises(BridgeError, match="does not exist: name a CSV file with the columns time,east"):
+    with pytest.raises(UserError, match="does not exist: name a CSV file with the columns time,east"):
         read_csv(tmp_path / "none.csv")
-    with pytest.raises(BridgeError, match="cannot be read: Is a directory"):
+    with pytest.raises(UserError, match="cannot be read: Is a directory"):
         read_csv(tmp_path)
     (tmp_path / "plain.csv.gz").write_text(FILE)
-    with pytest.raises(BridgeError, match="cannot be read: Not a gzipped file"):
+    with pytest.raises(UserError, match="cannot be read: Not a gzipped file"):
         read_csv(tmp_path / "plain.csv.gz")
     (tmp_path / "short.csv.gz").write_bytes(gzip.compress(FILE.encode())[:-12])
-    with pytest.raises(BridgeError, match="cannot be read"):
+    with pytest.raises(UserError, match="cannot be read"):
         read_csv(tmp_path / "short.csv.gz")
     (tmp_path / "latin.csv").write_bytes("time,é\n".encode("latin-1"))
-    with pytest.raises(BridgeError, match="is not text"):
+    with pytest.raises(UserError, match="is not text"):
         read_csv(tmp_path / "latin.csv")
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf])
 def test_a_speed_that_is_no_positive_number_is_refused(tmp_path, speed):
-    with pytest.raises(BridgeError, match="speed"):
+    with pytest.raises(UserError, match="speed"):
         sent(written(tmp_path, FILE), speed=speed)

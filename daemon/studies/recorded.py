@@ -1,0 +1,152 @@
+"""Recorded readings of a cube: from a CSV file, or from the store that the service keeps."""
+
+import csv
+import gzip
+import math
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TextIO, cast
+
+import numpy as np
+
+from daemon.base.errors import UserError
+from daemon.base.records import FACES, Quality
+from daemon.bridge.senml import LARGEST_W_M2
+from daemon.store.schema import FILE_NAME, open_for_reading
+from solar.frames import Array
+
+COLUMNS = ("time", *FACES)
+_ROWS_AT_ONCE = 50_000
+_GOOD = ", ".join(f"CASE {face}_quality WHEN '{Quality.OK}' THEN {face}_w_m2 END" for face in FACES)
+_SCANS = f"SELECT time, {_GOOD} FROM scans WHERE time >= ? AND time < ? ORDER BY time"  # noqa: S608 - our own names
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedScan:
+    """One line of the file: UTC [s since 1970] and east, south, west, zenith [W/m2], NaN where the cell is empty."""
+
+    time_utc_s: float
+    irradiances_w_m2: tuple[float, float, float, float]
+
+
+def read_csv(path: Path) -> list[RecordedScan]:
+    """Return the rows of a CSV file, plain or ``.gz``, with the columns time, east, south, west and zenith.
+
+    ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell or ``nan`` is a face
+    without a reading. Other columns are ignored.
+
+    Raises
+    ------
+    UserError
+        One sentence with the file, the line, the value and what is expected.
+    """
+    try:
+        with _opened(path) as file:
+            rows = list(_rows(path, file))
+    except FileNotFoundError:
+        raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise UserError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    except UnicodeDecodeError:
+        raise UserError(f"{path} is not text: a CSV file in UTF-8, plain or .gz, is expected") from None
+    if not rows:
+        raise UserError(f"{path} has no readings below its header")
+    return rows
+
+
+def rows_of_store(directory: Path) -> list[RecordedScan]:
+    """Return the scans that the store in `directory` holds; only good readings count. Raises `UserError`."""
+    path = directory / FILE_NAME
+    with closing(open_for_reading(path)) as connection:
+        try:
+            utc_s, faces = stored_faces(connection)
+        except sqlite3.Error as error:
+            raise UserError(f"the store {path} cannot be read: {error}") from None
+    if not utc_s.size:
+        raise UserError(f"the store {path} holds no scans: a tracker's store has those that came over the bridge")
+    return [
+        RecordedScan(time_s, (east, south, west, zenith))
+        for time_s, (east, south, west, zenith) in zip(utc_s.tolist(), faces.tolist(), strict=True)
+    ]
+
+
+def stored_faces(
+    connection: sqlite3.Connection, start_utc_s: float = -math.inf, end_utc_s: float = math.inf
+) -> tuple[Array, Array]:
+    """Return the scans of an open store from `start_utc_s` up to `end_utc_s`, the first of each instant.
+
+    The instants [s], shape (n,), are increasing; the readings [W/m2], shape (n, 4), are east, south, west and zenith,
+    NaN where one is not good. Raises `sqlite3.Error`.
+    """
+    cursor = connection.execute(_SCANS, (start_utc_s, end_utc_s))
+    tables = [np.empty((0, 1 + len(FACES)))]
+    while rows := cursor.fetchmany(_ROWS_AT_ONCE):
+        tables.append(np.array(rows, dtype=np.float64))
+    table = np.concatenate(tables)
+    utc_s, first = np.unique(table[:, 0], return_index=True)
+    return utc_s, table[first, 1:]
+
+
+def _opened(path: Path) -> TextIO:
+    if path.suffix == ".gz":
+        return cast("TextIO", gzip.open(path, "rt", encoding="utf-8-sig", newline=""))
+    return path.open(encoding="utf-8-sig", newline="")
+
+
+def _rows(path: Path, file: TextIO) -> Iterator[RecordedScan]:
+    reader = csv.reader(file)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        missing = [name for name in COLUMNS if name not in header]
+        if missing:
+            raise UserError(
+                f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}"
+            )
+        places = [header.index(name) for name in COLUMNS]
+        before_s = -math.inf
+        for cells in reader:
+            if not cells:
+                continue
+            row = _row(cells, len(header), places, before_s)
+            before_s = row.time_utc_s
+            yield row
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        raise UserError(f"{path}, line {reader.line_num}: {error}") from None
+    except csv.Error as error:
+        raise UserError(f"{path}, line {reader.line_num}: not CSV ({error})") from None
+
+
+def _row(cells: list[str], width: int, places: list[int], before_s: float) -> RecordedScan:
+    if len(cells) != width:
+        raise ValueError(f"there are {len(cells)} cells where the header has {width}")
+    stamp, *values = [cells[place].strip() for place in places]
+    time_utc_s = _utc(stamp)
+    if not (time_utc_s > before_s):
+        raise ValueError(f"the time {stamp} is not later than that of the line before")
+    east, south, west, zenith = map(_irradiance, FACES, values)
+    return RecordedScan(time_utc_s, (east, south, west, zenith))
+
+
+def _utc(text: str) -> float:
+    try:
+        instant = datetime.fromisoformat(text)
+        return (instant if instant.tzinfo else instant.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        raise ValueError(f"the time {text!r} is not ISO 8601, such as 2022-10-14T10:20:05Z") from None
+
+
+def _irradiance(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.inf if text else math.nan
+    if not (abs(value) <= LARGEST_W_M2) and not math.isnan(value):
+        raise ValueError(f"{name} is {text!r}, not a number of W/m2 from {-LARGEST_W_M2:g} to {LARGEST_W_M2:g}")
+    return value
