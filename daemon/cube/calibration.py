@@ -5,13 +5,13 @@ import json
 import logging
 import tomllib
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
+import tomli_w
 from pydantic import AwareDatetime, Field, ValidationError
 
-from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Event
 from daemon.config.section import NotNegative, Positive, Section
@@ -77,18 +77,11 @@ def new_calibration(values: dict[str, Any]) -> CubeCalibration:
 
 def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]) -> None:
     """Write a calibration to a file that must not be there yet, `notes` as comments above; raises `UserError`."""
-    lines = [*[f"# {line}".rstrip() for note in notes for line in note.split("\n")], ""]
-    tables: dict[str, dict[str, Any]] = {}
-    for name, value in calibration.model_dump(exclude_none=True).items():
-        if isinstance(value, dict):
-            tables[name] = value
-        else:
-            lines.append(f"{name} = {_toml(value)}")
-    for name, table in tables.items():
-        lines += ["", f"[{name}]", *[f"{key} = {_toml(value)}" for key, value in table.items()]]
+    comments = "".join(f"# {line}".rstrip() + "\n" for note in notes for line in note.split("\n"))
+    contents = tomli_w.dumps(calibration.model_dump(exclude_none=True))
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write("\n".join(lines) + "\n")
+            file.write(f"{comments}\n{contents}")
     except FileExistsError:
         raise UserError(f"{path} is there already; a calibration is not overwritten, name another file") from None
     except OSError as error:
@@ -178,12 +171,6 @@ def _identifier(calibration: CubeCalibration) -> str:
     contents = json.dumps(calibration.model_dump(mode="json", exclude={"identifier"}), sort_keys=True)
     day = f"{calibration.calibrated_utc.astimezone(UTC):%Y%m%d}"
     return f"{day}-{hashlib.sha256(contents.encode()).hexdigest()[:8]}"
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, datetime):
-        return f"{iso_utc(value.timestamp())[:19]}Z"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
 # The whole night of civil twilight and darker is dark to a sensor of 0.1 mV per W/m2.
