@@ -88,18 +88,8 @@ def curve(
     return result
 
 
-def voltage(
-    module: PvModule, effective_irradiance_w_m2: ArrayLike, cell_temperature_c: ArrayLike, current_a: ArrayLike
-) -> Array:
-    """Return the voltage [V] at which the module gives `current_a`, the inverse of `curve`; Voc for no current."""
-    light, dark, parameters = _parameters(module, effective_irradiance_w_m2, cell_temperature_c)
-    voltage_v = pvsystem.v_from_i(np.asarray(current_a, dtype=np.float64), *parameters)
-    result: Array = np.where(dark, 0.0, np.where(np.isnan(light), np.nan, voltage_v))
-    return result
-
-
 class SingleDiode(NamedTuple):
-    """A module in one light: the same model as `curve` and `voltage`, for one number at a time and 50 times as quick.
+    """A module in one light: the model of `curve`, for one number at a time and 50 times as quick.
 
     With V_d the voltage across the diode, I = I_L - I_o (exp(V_d / a) - 1) - V_d / R_sh and V = V_d - I R_s. Either is
     solved for V_d by Newton's method from above, where a convex function is approached without overshooting.
@@ -128,7 +118,7 @@ class SingleDiode(NamedTuple):
         return self._through(diode_v)[0]
 
     def voltage(self, current_a: float) -> float:
-        """Return the voltage [V] at a current; that of the open circuit for none."""
+        """Return the voltage [V] at a current, the inverse of `current`; that of the open circuit for none."""
         if self.dark:
             return 0.0
         diode_v = self.ideality_v * math.log1p(max(self.photocurrent_a - current_a, 0.0) / self.saturation_a)

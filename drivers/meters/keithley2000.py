@@ -134,11 +134,13 @@ class _Session(ScpiSession):
         """Return a fresh conversion [V]."""
         if self.in_doubt:
             await self._resynchronise()
-        with self.doubting():
-            reply = await self.ask(":READ?")
-            match = _READING.fullmatch(reply)
-            if match is None:
-                raise ProtocolError(_DEVICE, f"answered {reply!r} where a reading was expected")
+        # As `doubting` does, at a tenth of its cost: a simulated day has 70,000 readings.
+        self.in_doubt = True
+        reply = await self.ask(":READ?")
+        match = _READING.fullmatch(reply)
+        if match is None:
+            raise ProtocolError(_DEVICE, f"answered {reply!r} where a reading was expected")
+        self.in_doubt = False
         voltage_v, range_v = float(match[1]), self._settings.range_v
         if abs(voltage_v) >= _OVERFLOW or not abs(voltage_v) <= _BEYOND_RANGE * range_v:
             raise OverRangeError(_DEVICE, f"the voltage is beyond the {range_v:g} V range")

@@ -17,7 +17,7 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 from sim_drivers.pv_source import SourceLight
 from sim_drivers.voltmeter.core import VoltmeterCore
-from solar.pv_module import Q_PEAK_G4_1_305, curve, voltage
+from solar.pv_module import Q_PEAK_G4_1_305, single_diode
 from tests.support import ROOT
 
 TRANSCRIPTS = ROOT / "tests" / "drivers" / "transcripts"
@@ -75,10 +75,10 @@ class Module:
         return self.now
 
     def current(self, light, voltage_v):
-        return curve(Q_PEAK_G4_1_305, *light, voltage_v)
+        return single_diode(Q_PEAK_G4_1_305, *light).current(voltage_v)
 
     def voltage(self, light, current_a):
-        return voltage(Q_PEAK_G4_1_305, *light, current_a)
+        return single_diode(Q_PEAK_G4_1_305, *light).voltage(current_a)
 
 
 @pytest.fixture

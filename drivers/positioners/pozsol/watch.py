@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields
+from typing import Any
 
 from drivers.errors import LinkLostError, ProtocolError
 from drivers.interfaces import AxisName, Telemetry
@@ -57,7 +58,7 @@ class PositionerWatch:
         self._restarted_s: float | None = None
         self._jumped_s: float | None = None
         self._checks: tuple[SwitchCheck, ...] = ()
-        self._last: tuple[Heard, Telemetry] | None = None
+        self._last: _Standing | None = None
         self.start(None)
 
     def start(self, restarted_s: float | None) -> None:
@@ -80,15 +81,14 @@ class PositionerWatch:
         if heard.restarted_s != self._restarted_s:
             self.reference.note(f"restart {heard.restarted_s}", "the positioner has restarted")
             raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
-        if self._last is not None and self.run is None and heard == self._last[0]._replace(as_of_s=heard.as_of_s):
-            # A unit at rest says the same every time.
-            return replace(self._last[1], time_monotonic_s=heard.as_of_s, status_monotonic_s=heard.as_of_s)
+        if self._last is not None and self.run is None and self._last.says_the_same(heard):
+            return self._last.at(heard.as_of_s)
         try:
             telemetry = self._telemetry(heard)
         except (KeyError, ValueError) as error:
             raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
         at_rest = self.run is None and not any(check.suspects for check in self._checks)
-        self._last = (heard, telemetry) if heard.as_of_s > -math.inf and at_rest else None
+        self._last = _Standing(heard, telemetry) if heard.as_of_s > -math.inf and at_rest else None
         return telemetry
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
@@ -222,6 +222,26 @@ class PositionerWatch:
             misfit = check.look(look.position, look.status, look.status_s)
             if misfit and not homing:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
+
+
+class _Standing:
+    """A unit at rest says the same every time."""
+
+    def __init__(self, heard: Heard, telemetry: Telemetry) -> None:
+        self._heard = heard
+        self._telemetry = telemetry
+        self._fields: dict[str, Any] = {}
+
+    def says_the_same(self, heard: Heard) -> bool:
+        before = self._heard
+        return heard.values is before.values and heard.jumped_s == before.jumped_s
+
+    def at(self, time_s: float) -> Telemetry:
+        # A simulated day has 50,000 of these looks, and dataclasses.replace takes twice as long.
+        if not self._fields:
+            self._fields = {field.name: getattr(self._telemetry, field.name) for field in fields(Telemetry)}
+        self._fields["time_monotonic_s"] = self._fields["status_monotonic_s"] = time_s
+        return Telemetry(**self._fields)
 
 
 _NO_STATUS: StatusWord = parse_status("0")

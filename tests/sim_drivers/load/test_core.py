@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from sim_drivers.load.core import LoadCore
 from sim_drivers.pv_source import SourceLight
-from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, voltage
+from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power, single_diode
 
 
 class Module:
@@ -18,10 +18,10 @@ class Module:
         return self.now
 
     def current(self, light, voltage_v):
-        return curve(Q_PEAK_G4_1_305, *light, np.asarray(voltage_v) / self.scale)
+        return single_diode(Q_PEAK_G4_1_305, *light).current(voltage_v / self.scale)
 
     def voltage(self, light, current_a):
-        return voltage(Q_PEAK_G4_1_305, *light, current_a) * self.scale
+        return single_diode(Q_PEAK_G4_1_305, *light).voltage(current_a) * self.scale
 
 
 class Talk:
