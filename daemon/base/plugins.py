@@ -9,6 +9,7 @@ from typing import Any, cast
 from daemon.base.errors import UserError
 
 LAWS = "heliocube.law"
+POSITIONERS = "heliocube.positioner"
 
 
 class PluginError(UserError):

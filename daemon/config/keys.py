@@ -3,6 +3,7 @@
 import difflib
 import json
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import date, time
@@ -167,16 +168,20 @@ class SettingsTable:
     only_for: str = ""
 
 
-@cache
 def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
     """Return all sections by their path, in the order of the models.
 
     Where drivers know different keys, those of the `chosen` one count, or of the default; then those of the others.
     """
-    return {table.path: table for table in _walk(Sections(), "", dict(chosen))}
+    return _tables(chosen, tuple(sys.path))
 
 
 @cache
+def _tables(chosen: Chosen, _search_path: tuple[str, ...]) -> dict[str, SettingsTable]:
+    """Walk through all models, once for each search path: a package that is found there may bring drivers."""
+    return {table.path: table for table in _walk(Sections(), "", dict(chosen))}
+
+
 def keys(chosen: Chosen = ()) -> dict[str, Key]:
     """Return all keys by their path, in the order of the models."""
     return {key.path: key for table in tables(chosen).values() for key in table.keys}

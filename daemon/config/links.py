@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from daemon.base.addresses import DEFAULT_LISTEN, parse_address
-from daemon.config.section import Duration, FilePath, Section, text_of
+from daemon.config.section import Duration, FilePath, Section
+from drivers.settings import text_of
 
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 

@@ -160,7 +160,16 @@ LAW = Plugged(
     former="name",
 )
 
-SECTIONS = {each.path: each for each in (LAW,)}
+POSITIONER = Plugged(
+    path="instruments.positioner",
+    group=plugins.POSITIONERS,
+    default="pozsol",
+    title="The positioner: how it is connected, and what the service may expect of its motion.",
+    about="Which positioner it is.",
+    built_in={},
+)
+
+SECTIONS = {each.path: each for each in (LAW, POSITIONER)}
 """All of them, by their path."""
 
 

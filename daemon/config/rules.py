@@ -93,21 +93,12 @@ def the_enable_line_is_free(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("instruments.multiplexer.enable_line", f"is used by {other} as well", (other,))
 
 
-def the_triangle_holds(settings: Sections) -> Iterator[Conflict]:
+def the_positioner_reaches_its_limits(settings: Sections) -> Iterator[Conflict]:
     """With positions in mm, each axis' triangle stays between 0 and 180 deg from its low end to its limits."""
-    positioner = settings.instruments.positioner
-    if positioner.position_unit != "mm":
-        return
-    for axis in "ab":
-        geometry, limits = getattr(positioner, f"{axis}_axis"), settings.limits
-        angles = geometry.low_deg, getattr(limits, f"{axis}_min_deg"), getattr(limits, f"{axis}_max_deg")
-        low, high = min(angles), max(angles)
-        narrow, wide = (low, high) if geometry.sense == "raises" else (-high, -low)
-        if not (geometry.apex_deg + narrow > 0 and geometry.apex_deg + wide < 180):
-            path = f"instruments.positioner.{axis}_axis"
-            others = (f"{path}.low_deg", f"limits.{axis}_min_deg", f"limits.{axis}_max_deg")
-            reason = f"makes no triangle at some angle from {low:g} to {high:g} deg"
-            yield Conflict(f"{path}.apex_deg", reason, others)
+    section = "instruments.positioner"
+    for key, reason, others in settings.instruments.positioner.conflicts(settings.limits.limits()):
+        where = tuple(other[1:] if other.startswith("/") else f"{section}.{other}" for other in others)
+        yield Conflict(f"{section}.{key}", reason, where)
 
 
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
@@ -269,7 +260,7 @@ RULES = (
     thresholds_have_hysteresis,
     the_bridge_is_signed_or_not,
     an_interface_has_a_group,
-    the_triangle_holds,
+    the_positioner_reaches_its_limits,
     what_needs_a_broker_has_one,
     the_broker_is_known_as_asked,
     the_two_words_differ,

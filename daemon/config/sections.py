@@ -10,8 +10,9 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, fie
 from daemon.config.instruments import Instruments, Load
 from daemon.config.links import ApiSettings, BridgeSettings, MqttSettings, StoreSettings
 from daemon.config.plugged import LAW
-from daemon.config.section import Duration, FilePath, NotNegative, Positive, Section, with_defaults
+from daemon.config.section import Duration, FilePath, NotNegative, Section
 from daemon.config.simulation import SimulationSettings
+from drivers.settings import Positive, with_defaults
 from solar.ephemeris import Site
 from solar.frames import Limits
 from solar.laws.law import LawSettings
@@ -193,7 +194,7 @@ class Sections(Section):
 
     site: SiteSettings = SiteSettings()
     cube: CubeSettings = CubeSettings()
-    instruments: Instruments = Instruments()
+    instruments: Instruments = Field(default_factory=Instruments)
     load: Load = Load()
     law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.settle)] = Field(default_factory=LAW.defaults)
     windows: WindowSettings = WindowSettings()

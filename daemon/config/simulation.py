@@ -6,7 +6,8 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, AwareDatetime, Field
 
-from daemon.config.section import FilePath, NotNegative, Positive, Section
+from daemon.config.section import FilePath, NotNegative, Section
+from drivers.settings import Positive
 
 WeatherName = Literal["clear", "overcast", "variable", "broken"]
 

@@ -14,8 +14,9 @@ from pydantic import AwareDatetime, Field, ValidationError
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Event
-from daemon.config.section import NotNegative, Positive, Section
+from daemon.config.section import NotNegative, Section
 from daemon.config.sections import CubeSettings, FaceSettings
+from drivers.settings import Positive
 
 log = logging.getLogger("heliocube.calibration")
 

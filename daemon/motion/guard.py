@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record
-from daemon.config.instruments import PositionerSettings
 from daemon.motion.alarms import Currents, show
 from daemon.motion.reference import Doubts
 from daemon.motion.watch import Stray, Watch, aims_home
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Telemetry
+from drivers.settings import PositionerSettings
 
 log = logging.getLogger("heliocube.motion")
 

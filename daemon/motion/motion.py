@@ -19,7 +19,6 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
-from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.reference import Doubts
@@ -29,6 +28,7 @@ from daemon.motion.runs import Runs
 from daemon.motion.state import MotionState
 from drivers.errors import DeviceError, DriverHungError, RefusedError
 from drivers.interfaces import Positioner
+from drivers.settings import PositionerSettings
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")

@@ -3,10 +3,10 @@
 from enum import StrEnum
 
 from daemon.base.records import Pose, Target
-from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
 from daemon.motion.watch import jitter
 from drivers.interfaces import Telemetry
+from drivers.settings import PositionerSettings
 from solar.frames import Limits
 
 # Longer than the pause between the two axes and the start-up ramp together.

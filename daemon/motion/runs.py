@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
-from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.move_watch import MoveWatch, Progress
@@ -18,6 +17,7 @@ from daemon.motion.reference import NOT_FINISHED
 from daemon.motion.retry import Retries
 from drivers.errors import DeviceError, RefusedError
 from drivers.interfaces import AxisName, Positioner
+from drivers.settings import PositionerSettings
 from solar.frames import Limits
 
 log = logging.getLogger("heliocube.motion")

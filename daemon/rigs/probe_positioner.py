@@ -6,14 +6,17 @@ from collections import Counter
 from collections.abc import Callable
 
 from daemon.base.clock import Clock
+from daemon.base.errors import UserError
 from daemon.config.settings import Settings
-from daemon.rigs.real import axis_setups, build_positioner, positioner_port
+from daemon.rigs.real import positioner_surroundings, pozsol_settings
 from drivers.errors import RefusedError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
+from drivers.positioners.pozsol import driver
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.unit_setup import unheard
 from drivers.positioners.pozsol.wire import Field, TokenStream, own_moves
+from drivers.settings import SettingsError
 from drivers.transcript import Direction, Tap
 
 Say = Callable[[str], object]
@@ -37,15 +40,23 @@ async def probe_positioner(
 
     Raises
     ------
+    UserError
+        It is of another make, or the settings do not say where it is.
     DeviceError
         It cannot be reached, is another board, or does not do as it should.
     """
     heard = _Heard(tap)
-    say(f"port: {positioner_port(settings)}, {_usb_device(positioner_port(settings))}")
-    positioner = build_positioner(settings, clock, heard)
+    own = pozsol_settings(settings, "heliocube probe positioner speaks to")
+    surroundings = positioner_surroundings(settings, clock, heard)
+    setups = driver.axis_setups(own, surroundings.limits)
+    try:
+        positioner = driver.build(own, surroundings)
+    except SettingsError as error:
+        raise UserError(str(error)) from None
+    say(f"port: {own.port}, {_usb_device(own.port or '')}")
     try:
         identity = await positioner.open()
-        say(_modem_lines(settings, positioner))
+        say(_modem_lines(own, positioner))
         say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
         start_s = clock.monotonic()
         heard.counts.clear()
@@ -54,13 +65,13 @@ async def probe_positioner(
         telemetry = await positioner.read_telemetry()
         fields = positioner.fields()
         _report_state(telemetry, fields, say)
-        _report_geometry(telemetry, axis_setups(settings), say)
+        _report_geometry(telemetry, setups, say)
         _report_setup(identity, fields, say)
         say("configuration sheet: " + ", ".join(f"{code}={fields[code]}" for code in _SHEET if code in fields))
         if move_deg is not None:
             if identity.setup_conflicts:
                 raise RefusedError("positioner", "is not moved while it contradicts the configuration, as said above")
-            await _time_moves(positioner, axis_setups(settings), move_deg, clock, say)
+            await _time_moves(positioner, setups, move_deg, clock, say)
         for line in _BY_HAND:
             say(line)
     finally:
@@ -92,10 +103,9 @@ def _usb_device(path: str) -> str:
     return "no USB device that this machine knows of"
 
 
-def _modem_lines(settings: Settings, positioner: PozsolPositioner) -> str:
+def _modem_lines(wanted: driver.PozsolSettings, positioner: PozsolPositioner) -> str:
     if not positioner.has_lines():
         return "modem lines: the port has none, so instruments.positioner.dtr and rts have no effect"
-    wanted = settings.instruments.positioner
     return f"modem lines: DTR {'on' if wanted.dtr else 'off'}, RTS {'on' if wanted.rts else 'off'}"
 
 

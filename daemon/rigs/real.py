@@ -1,23 +1,25 @@
 """The drivers, built from the settings: on the ports that these name, or on a line that is given."""
 
 from functools import partial
+from typing import cast
 
+from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.config.instruments import AxisGeometry, PositionerSettings
 from daemon.config.settings import Settings
-from drivers.interfaces import ElectronicLoad
+from drivers.interfaces import ElectronicLoad, Positioner
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.agilent6063b import Agilent6063B
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.sweep import SweepSettings
 from drivers.meters.keithley2000 import Keithley2000
-from drivers.positioners.pozsol import wire as pozsol_wire
-from drivers.positioners.pozsol.geometry import AxisSetup, Geometry, Proportional, Triangle
-from drivers.positioners.pozsol.link import PositionerLine, SerialLine, open_port
+from drivers.positioners.pozsol import driver as pozsol
+from drivers.positioners.pozsol.driver import PozsolSettings
+from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.scpi import ScpiLine
+from drivers.settings import PositionerSurroundings, SettingsError
 from drivers.switches.digital_port import DigitalPort
 from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
@@ -25,9 +27,6 @@ from drivers.transcript import Tap, no_tap
 
 MARGIN_OF_LEAST_V = 0.9
 """The lowest voltage of a sweep may be read this much lower without ending it."""
-_STEP = {"mm": 0.02, "deg": 0.02, "impulse": 1.5}
-"""A Hall count and a little, where the unit does not tell how many there are to a unit."""
-B_OUT_BIT = {"unknown": None, "stm": pozsol_wire.B_OUT_BIT_STM, "lpc": pozsol_wire.B_OUT_BIT_LPC}
 
 
 def build_multiplexer(settings: Settings, tap: Tap = no_tap, port: DigitalPort | None = None) -> NiMultiplexer:
@@ -72,26 +71,33 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap, line: ScpiLine | None
     )
 
 
-def build_positioner(
-    settings: Settings, clock: Clock, tap: Tap = no_tap, line: PositionerLine | None = None
-) -> PozsolPositioner:
-    """Return the positioner, not yet connected; `UserError` if no line is given and the settings do not name one."""
-    positioner = settings.instruments.positioner
-    return PozsolPositioner(
-        line or positioner_line(settings, clock, tap),
-        clock.monotonic,
-        *axis_setups(settings),
-        boards=positioner.boards,
-        stale_s=positioner.telemetry_stale_s,
-        b_out_bit=B_OUT_BIT[positioner.status_layout],
-    )
+def build_positioner(settings: Settings, clock: Clock) -> Positioner:
+    """Return the positioner, not yet connected; `UserError` if the settings do not say how to reach it."""
+    own = settings.instruments.positioner
+    try:
+        built = plugins.load(plugins.POSITIONERS, own.driver).build(own, positioner_surroundings(settings, clock))
+    except SettingsError as error:
+        raise UserError(str(error)) from None
+    return cast("Positioner", built)
 
 
-def positioner_line(settings: Settings, clock: Clock, tap: Tap = no_tap) -> SerialLine:
-    """Return the positioner's line, not yet open; `UserError` if the settings do not say where it is."""
-    positioner = settings.instruments.positioner
-    port = partial(open_port, positioner_port(settings), tap, dtr=positioner.dtr, rts=positioner.rts)
-    return SerialLine(port, clock.monotonic, boot_s=positioner.boot_s, banner=positioner.boot_banner)
+def build_pozsol(settings: Settings, clock: Clock, line: PositionerLine) -> PozsolPositioner:
+    """Return the driver of a POZSOL unit on a line that is given, not yet connected; `UserError` for another make."""
+    own = pozsol_settings(settings, "simulated is")
+    return pozsol.build(own, positioner_surroundings(settings, clock), line)
+
+
+def pozsol_settings(settings: Settings, who: str) -> PozsolSettings:
+    """Return the settings of a POZSOL unit; `UserError`, beginning with `who`, where it is of another make."""
+    own = settings.instruments.positioner
+    if not isinstance(own, PozsolSettings):
+        raise UserError(f'{who} a unit of the driver "pozsol", and instruments.positioner.driver is "{own.driver}"')
+    return own
+
+
+def positioner_surroundings(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PositionerSurroundings:
+    """Return what a positioner's driver is handed besides its settings."""
+    return PositionerSurroundings(settings.limits.limits(), clock.monotonic, tap)
 
 
 def load_line(settings: Settings, tap: Tap = no_tap) -> ScpiLine:
@@ -117,50 +123,3 @@ def sweep_settings(settings: Settings) -> SweepSettings:
     """Return how the electronic load sweeps."""
     load = settings.load
     return SweepSettings(load.settle_s, MARGIN_OF_LEAST_V * load.minimum_voltage_v, load.deadline_s)
-
-
-def axis_setups(settings: Settings) -> tuple[AxisSetup, AxisSetup]:
-    """Return geometry and limits of the axes A and B."""
-    positioner, limits = settings.instruments.positioner, settings.limits
-    a, b, step = positioner.a_axis, positioner.b_axis, _STEP[positioner.position_unit]
-    return (
-        AxisSetup(
-            geometry=_geometry(positioner, a),
-            minimum_deg=limits.a_min_deg,
-            maximum_deg=limits.a_max_deg,
-            zero_offset=a.zero_offset,
-            step=step,
-        ),
-        AxisSetup(
-            geometry=_geometry(positioner, b),
-            minimum_deg=limits.b_min_deg,
-            maximum_deg=limits.b_max_deg,
-            zero_offset=b.zero_offset,
-            step=step,
-        ),
-    )
-
-
-def positioner_port(settings: Settings) -> str:
-    """Return the positioner's port; `UserError` if the settings do not have it."""
-    port = settings.instruments.positioner.port
-    if port is None:
-        raise UserError(
-            "instruments.positioner.port is missing: real instruments need the positioner's port, such as"
-            ' "/dev/serial/by-id/usb-..." or the link that deploy/udev makes, "/dev/heliocube-positioner"'
-        )
-    return port
-
-
-def _geometry(positioner: PositionerSettings, axis: AxisGeometry) -> Geometry:
-    if positioner.position_unit == "mm":
-        return Triangle(
-            arm_1_mm=axis.arm_1_mm,
-            arm_2_mm=axis.arm_2_mm,
-            apex_deg=axis.apex_deg,
-            low_deg=axis.low_deg,
-            holder_mm=axis.holder_mm,
-            sense=axis.sense,
-        )
-    units_per_deg = axis.impulses_per_deg if positioner.position_unit == "impulse" else 1.0
-    return Proportional(units_per_deg, axis.low_deg)

@@ -11,13 +11,22 @@ from typing import Any
 
 import numpy as np
 
+from daemon.base import plugins
 from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
-from daemon.rigs.real import build_load, build_multiplexer, build_positioner, build_voltmeter, sweep_settings
+from daemon.rigs.real import (
+    build_load,
+    build_multiplexer,
+    build_positioner,
+    build_pozsol,
+    build_voltmeter,
+    positioner_surroundings,
+    sweep_settings,
+)
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
@@ -231,9 +240,17 @@ def _build_scene(settings: Settings, weather: Weather) -> Scene:
 
 
 def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callable[[float], Angles], Positioner]:
-    """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link."""
+    """Build the simulated positioner; return where its axes truly stand at a time, and the instrument on its link.
+
+    A driver that can simulate its own unit does; `UserError` for one that cannot.
+    """
+    own = settings.instruments.positioner
+    simulate = getattr(plugins.load(plugins.POSITIONERS, own.driver), "simulate", None)
+    if simulate is not None:
+        truth, positioner = simulate(own, positioner_surroundings(settings, clock))
+        return truth, positioner
     core = build_unit(settings, clock)
-    return core.truth, build_positioner(settings, clock, line=InMemoryStream(core, clock.monotonic))
+    return core.truth, build_pozsol(settings, clock, InMemoryStream(core, clock.monotonic))
 
 
 def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[Multiplexer, Voltmeter]:

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.config.instruments import AxisGeometry
 from daemon.config.settings import Settings
-from daemon.rigs.real import B_OUT_BIT
+from daemon.rigs.real import pozsol_settings
+from drivers.positioners.pozsol.driver import B_OUT_BIT, AxisGeometry
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Actuator, AxisDrive, Mechanics, Setup, SlewDrive
 
@@ -18,7 +18,7 @@ _BEYOND_DEG = 2.0
 
 def build_unit(settings: Settings, clock: Clock) -> PositionerCore:
     """Return the simulated unit; `UserError` for a geometry that cannot be built."""
-    positioner, limits = settings.instruments.positioner, settings.limits
+    positioner, limits = pozsol_settings(settings, "simulated is"), settings.limits
     layout = B_OUT_BIT[positioner.status_layout]
     try:
         a = _mechanics(settings, positioner.a_axis, A_ACTUATOR, (limits.a_min_deg, limits.a_max_deg))

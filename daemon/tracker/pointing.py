@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple, cast
 
 from daemon.base import plugins
+from daemon.base.errors import UserError
 from daemon.base.records import FACES, Irradiances, Quality, Scan
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
@@ -91,10 +92,19 @@ def build_pointing(settings: Settings, utc_s: float) -> Pointing:
     )
     fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
     return Pointing(
-        NamedLaw(settings.law.driver, _build(settings, tracker, file)),
+        NamedLaw(settings.law.driver, _checked(_build(settings, tracker, file), settings.law.driver)),
         NamedLaw(FALLBACK_LAW, cast("Law", fallback.build(fallback.SETTINGS(), replace(tracker, kept=None)))),
         file,
     )
+
+
+def _checked(law: Law, name: str) -> Law:
+    """Return the law; `UserError` for one that asks for what there is not."""
+    if not 1 <= law.faces_needed <= len(FACES):
+        raise UserError(f"law.driver: the law {name} asks for {law.faces_needed} good faces, not for 1 to {len(FACES)}")
+    if not 0.0 < law.decide_every_s < math.inf:
+        raise UserError(f"law.driver: the law {name} asks for a decision every {law.decide_every_s:g} s")
+    return law
 
 
 def _build(settings: Settings, tracker: TrackerFacts, file: LawFile) -> Law:

@@ -14,7 +14,7 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
-from daemon.rigs.real import build_positioner, build_voltmeter, sweep_settings
+from daemon.rigs.real import build_pozsol, build_voltmeter, sweep_settings
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
@@ -96,14 +96,12 @@ class Bench:
         self.positioner = self.drive(self.unit, settings)
         own = [named.settings for named in settings.trackers[1:]]
         cables.others = [InMemoryStream(build_unit(one, self.clock), now) for one in own]
-        self.others = [
-            build_positioner(one, self.clock, line=line) for one, line in zip(own, cables.others, strict=True)
-        ]
+        self.others = [build_pozsol(one, self.clock, line) for one, line in zip(own, cables.others, strict=True)]
 
     def drive(self, unit, settings):
         """Return the driver of a unit, or of what stands between."""
         self.cables.positioner = InMemoryStream(unit, self.clock.monotonic)
-        return build_positioner(settings, self.clock, line=self.cables.positioner)
+        return build_pozsol(settings, self.clock, self.cables.positioner)
 
     def serve(self, settings, role):
         """Return a service on these instruments, as a newly started process would be."""

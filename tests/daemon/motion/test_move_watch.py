@@ -3,10 +3,10 @@
 import math
 
 from daemon.base.records import Pose, Target
-from daemon.config.instruments import PositionerSettings
 from daemon.config.sections import MotionSettings
 from daemon.motion.move_watch import MoveWatch, Progress
 from drivers.interfaces import Telemetry
+from drivers.settings import PositionerSettings
 from solar.frames import Limits
 
 
@@ -30,7 +30,7 @@ def follow(a=20.0, b=60.0, start=(0.0, 90.0)):
         Pose(0.0, 0.0, *start, moving=False),
         Limits(),
         MotionSettings(tolerance_deg=0.8),
-        PositionerSettings(slowest_deg_per_s=0.5),
+        PositionerSettings(slowest_deg_per_s=0.5, position_unit="mm"),
         now_s=0.0,
     )
 

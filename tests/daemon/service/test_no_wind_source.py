@@ -11,7 +11,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
-from daemon.rigs.real import build_positioner
+from daemon.rigs.real import build_pozsol
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
@@ -26,7 +26,7 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
         loop = runner.get_loop()
         clock = LoopClock(loop.time, 1.7e9)
         line = InMemoryStream(PositionerCore(loop.time()), loop.time)
-        positioner = build_positioner(settings, clock, line=line)
+        positioner = build_pozsol(settings, clock, line)
         rig = Rig(None, None, (TrackerInstruments(positioner),), wind, simulated=simulated)
         service = Service(
             settings,

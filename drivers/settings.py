@@ -1,0 +1,141 @@
+"""What the settings of all drivers have in common, and what a driver is handed besides its settings.
+
+A driver is a module with two names, found through the entry points of its kind, such as `heliocube.positioner`:
+
+`SETTINGS`
+    Its keys in the configuration, a child of :class:`PositionerSettings` for a positioner. Descriptions, units in names
+    and ranges make the commented file, the reference and the error messages.
+`build(settings, surroundings)`
+    Returns the instrument, not yet connected; for a positioner a :class:`drivers.interfaces.Positioner`. Raises
+    :class:`SettingsError` where the settings do not say enough to reach it.
+
+A positioner's module may have a third, `simulate(settings, surroundings)`, for simulated rigs: it returns a function
+that tells where the axes truly stand at a monotonic time, and the instrument.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema
+
+from drivers.transcript import Tap, no_tap
+
+# Linux numbers these anew at every plug: after a replug the name may belong to another instrument.
+_UNSTABLE_PORT = re.compile(r"/dev/(tty(ACM|USB|AMA)|pts/)\d+")
+_STABLE_PORT = re.compile(r"/\S+|COM\d+")
+_VISA_RESOURCE = re.compile(r"ASRL(?P<port>/\S+|COM\d+|\d+)::INSTR|GPIB\d*::\d+(::\d+)?::INSTR", re.IGNORECASE)
+
+
+class SettingsError(Exception):
+    """The settings lack what the driver needs to reach its instrument: one sentence with the key and the remedy."""
+
+
+def text_of(form: str) -> WithJsonSchema:
+    """Return the schema of a text of one of the forms that `daemon.config.keys` has words for."""
+    return WithJsonSchema({"type": "string", "format": form})
+
+
+def with_defaults(section: type[BaseModel], value: Any, info: ValidationInfo) -> Any:
+    """Give an inner table of which the file names some keys the outer table's defaults for the others."""
+    if not isinstance(value, dict) or info.field_name is None:
+        return value
+    return {**section.model_fields[info.field_name].default.model_dump(), **value}
+
+
+def _port(text: str) -> str:
+    if not _STABLE_PORT.fullmatch(text) or _UNSTABLE_PORT.fullmatch(text):
+        raise ValueError("not a name that stays the same")
+    return text
+
+
+def _visa(text: str) -> str:
+    found = _VISA_RESOURCE.fullmatch(text)
+    if found is None or (found["port"] and _UNSTABLE_PORT.fullmatch(found["port"])):
+        raise ValueError("not a resource that stays the same")
+    return text
+
+
+Positive = Annotated[float, Field(gt=0)]
+PortPath = Annotated[str, AfterValidator(_port), text_of("port")]
+VisaResource = Annotated[str, AfterValidator(_visa), text_of("visa")]
+
+
+class DriverSettings(BaseModel):
+    """Frozen, closed to keys it does not know, and with no guessing of types."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
+
+
+class AngleRange(Protocol):
+    """The permitted range of each angle [deg], ends included."""
+
+    @property
+    def a_min_deg(self) -> float:
+        """Lowest angle A."""
+
+    @property
+    def a_max_deg(self) -> float:
+        """Highest angle A."""
+
+    @property
+    def b_min_deg(self) -> float:
+        """Lowest angle B."""
+
+    @property
+    def b_max_deg(self) -> float:
+        """Highest angle B."""
+
+
+class SettingsConflict(NamedTuple):
+    """A key that does not go with others: its name and theirs, from the driver's section on, and what is wrong.
+
+    Keys of other sections begin with a slash: ``/limits.a_min_deg``.
+    """
+
+    key: str
+    reason: str
+    others: tuple[str, ...] = ()
+
+
+class PositionerSettings(DriverSettings):
+    """How a positioner is connected, and what the service may expect of its motion."""
+
+    driver: str = Field("", description="Name of the driver.")
+    slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
+    telemetry_stale_s: Positive = Field(2.0, le=60, description="Silence after which the positioner counts as lost.")
+    current_alarm_a: Positive = Field(
+        1.6,
+        le=20,
+        description="Motor current [A] that is told when it lasts; the unit's own limit is 2 A as delivered.",
+    )
+
+    position_unit: Literal["mm", "deg", "impulse"] = Field("deg", description="What the unit counts positions in.")
+
+    def exclusive(self) -> Mapping[str, str | None]:
+        """Return the values that no two positioners can have in common, such as a port, by their keys."""
+        return {}
+
+    def conflicts(self, limits: AngleRange) -> Iterator[SettingsConflict]:  # noqa: ARG002
+        """Yield the keys that cannot be as they are with these limits of the angles."""
+        yield from ()
+
+
+@dataclass(frozen=True, slots=True)
+class PositionerSurroundings:
+    """What a positioner's driver is handed besides its settings.
+
+    Attributes
+    ----------
+    limits
+        That it must hold its moves to, whatever it is asked for.
+    monotonic
+        The service's monotonic time [s].
+    tap
+        To be told what goes over the line.
+    """
+
+    limits: AngleRange
+    monotonic: Callable[[], float]
+    tap: Tap = no_tap

@@ -1,0 +1,210 @@
+"""A stranger's package in a folder of its own: a positioner and a law, installed by its entry points alone."""
+
+import subprocess
+import sys
+from datetime import UTC, datetime
+
+import pandas as pd
+import pytest
+
+from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
+from daemon.commands.config import check_file
+from daemon.config.file import ConfigError
+from daemon.rigs.real import build_positioner
+from daemon.studies.simulate import simulate
+from daemon.tracker.pointing import build_pointing
+
+LAW = '''
+from pydantic import Field
+
+from solar.frames import direction_from_azimuth
+from solar.laws.law import DirectionLaw, LawSettings
+
+
+class BearingSettings(LawSettings):
+    """bearing: towards one point of the compass."""
+
+    bearing_deg: float = Field(180.0, ge=90, le=270, description="Where to, from north clockwise.")
+
+
+class BearingLaw(DirectionLaw):
+    def __init__(self, settings, tracker):
+        super().__init__(tracker)
+        self._direction = direction_from_azimuth(settings.bearing_deg, 45.0, tracker.site.latitude_deg)
+
+    def direction(self, now, to_sun):
+        return self._direction
+
+
+SETTINGS = BearingSettings
+build = BearingLaw
+'''
+
+POSITIONER = '''
+from pydantic import Field
+
+from drivers.interfaces import PositionerIdentity, Telemetry
+from drivers.settings import PositionerSettings, SettingsError
+
+
+class TurntableSettings(PositionerSettings):
+    """turntable: moves at once."""
+
+    serial_number: str | None = Field(None, examples=["T-1"], description="Which one.")
+
+
+class Turntable:
+    def __init__(self, surroundings):
+        self._now = surroundings.monotonic
+        self._limits = surroundings.limits
+        self.angles = (0.0, 90.0)
+
+    async def open(self):
+        return PositionerIdentity("turntable", "1", "T-1", simulated=True)
+
+    async def close(self):
+        pass
+
+    async def read_telemetry(self):
+        a, b = self.angles
+        return Telemetry(self._now(), a, b, a, b, a, b, 24.0, status_monotonic_s=self._now())
+
+    async def disable_autonomy(self):
+        pass
+
+    async def move_to(self, a_deg, b_deg, *, first="a"):
+        if not self._limits.contain(a_deg, b_deg):
+            raise ValueError("outside")
+        self.angles = (a_deg, b_deg)
+
+    async def stop(self):
+        pass
+
+    async def halt(self):
+        pass
+
+    async def home(self, axis):
+        pass
+
+    async def clear_faults(self, *, forgive=True):
+        return await self.read_telemetry()
+
+
+SETTINGS = TurntableSettings
+
+
+def build(settings, surroundings):
+    if settings.serial_number is None:
+        raise SettingsError("instruments.positioner.serial_number is missing: give that of the turntable")
+    return Turntable(surroundings)
+
+
+def simulate(settings, surroundings):
+    table = Turntable(surroundings)
+    return lambda now_s: table.angles, table
+'''
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    folder = tmp_path / "site"
+    about = folder / "acme-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[heliocube.law]\nbearing = acme_law\n\n[heliocube.positioner]\nturntable = acme_turntable\n"
+    )
+    (folder / "acme_law.py").write_text(LAW)
+    (folder / "acme_turntable.py").write_text(POSITIONER)
+    monkeypatch.syspath_prepend(folder)
+    yield
+    for name in ("acme_law", "acme_turntable"):
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text(
+        "[law]\ndriver = 'bearing'\nbearing_deg = 150.0\n[instruments.positioner]\ndriver = 'turntable'\n"
+        "[simulation]\nweather = 'clear'\n"
+    )
+    return path
+
+
+def test_its_law_points_its_positioner_on_the_simulated_rig(package, file, tmp_path):
+    settings = check_file(file)
+    out = tmp_path / "out"
+    start = datetime(2022, 10, 12, 10, 0, tzinfo=UTC)
+    summary = simulate(settings, start, 0.02, out, "csv", lambda _share: None)
+    decisions = pd.read_csv(out / "decisions.csv")
+    assert set(decisions["law"]) == {"bearing"}
+    assert decisions["direction_azimuth_deg"].to_numpy() == pytest.approx(150.0, abs=0.1)
+    poses = pd.read_csv(out / "poses.csv")
+    last = poses.iloc[-1]
+    assert (last["a_deg"], last["b_deg"]) == pytest.approx(
+        (decisions["target_a_deg"].iloc[-1], decisions["target_b_deg"].iloc[-1]), abs=0.1
+    )
+    assert summary.moves == 1
+
+
+@pytest.mark.parametrize("wrong", ["faces_needed = 0", "decide_every_s = float('nan')"])
+def test_a_law_that_asks_for_what_there_is_not_is_refused_at_the_start(package, file, tmp_path, wrong):
+    law = tmp_path / "site" / "acme_law.py"
+    law.write_text(LAW.replace("        self._direction =", f"        self.{wrong}\n        self._direction ="))
+    with pytest.raises(UserError, match=r"law\.driver: the law bearing asks for"):
+        build_pointing(check_file(file), 0.0)
+
+
+def test_its_driver_says_what_it_misses(package, file):
+    settings = check_file(file)
+    with pytest.raises(UserError, match="serial_number is missing"):
+        build_positioner(settings, SystemClock())
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            "[law]\ndriver = 'q'",
+            'law.driver = "q": must be "bearing", "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"',
+        ),
+        (
+            "[instruments.positioner]\ndriver = 'lathe'",
+            'instruments.positioner.driver = "lathe": must be "pozsol" or "turntable"',
+        ),
+        (
+            "[law]\ndriver = 'bearing'\nbearing_deg = 300",
+            "law.bearing_deg = 300: must be a number from 90 to 270 deg",
+        ),
+        (
+            "[instruments.positioner]\ndriver = 'turntable'\nserial_numbr = 'T-1'",
+            (
+                'instruments.positioner.serial_numbr = "T-1": there is no such key;'
+                " did you mean instruments.positioner.serial_number?"
+            ),
+        ),
+        (
+            "[instruments.positioner]\ndriver = 'turntable'\nserial_number = 1",
+            "instruments.positioner.serial_number = 1: must be text in quotes",
+        ),
+    ],
+)
+def test_mistakes_in_its_sections_are_told_as_in_ours(package, tmp_path, text, line):
+    (tmp_path / "wrong.toml").write_text(text + "\n")
+    with pytest.raises(ConfigError) as caught:
+        check_file(tmp_path / "wrong.toml")
+    assert caught.value.problems == (line,)
+
+
+def test_with_another_positioner_ours_is_not_imported(package, file, tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
+        "from daemon.config.file import load_settings; load_settings(Path(sys.argv[2]));"
+        "print(*(name for name in sys.modules if name.startswith(('acme', 'drivers.positioners'))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "site", file], capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == {"acme_law", "acme_turntable"}
