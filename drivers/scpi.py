@@ -81,7 +81,7 @@ class ScpiSession:
         yield
         self.in_doubt = False
 
-    async def tell(self, command: str) -> None:
+    async def write(self, command: str) -> None:
         """Send what is not answered."""
         await self._line.send(command)
 

@@ -75,11 +75,11 @@ class Alarms:
             if before is not None:
                 del self._on[name]
                 log.info("alarm %s is over", name)
-                self._tell(f"over: {before.text}")
+                self._report(f"over: {before.text}")
         elif before is None:
             self._on[name] = Alarm(name, text, self._clock.utc())
             log.warning("%s", text, extra={"fields": {"alarm": name}})
-            self._tell(text)
+            self._report(text)
         elif before.text != text:
             self._on[name] = Alarm(name, text, before.since_utc_s)
 
@@ -96,5 +96,5 @@ class Alarms:
                 self.set(name, text)
         self._changed()
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))

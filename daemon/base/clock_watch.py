@@ -61,7 +61,7 @@ class ClockWatch:
                 f"the clock was set by {step_s:+.0f} s: the sun's position is not used before it has kept time for"
                 f" {_SETTLE_S / 60:.0f} minutes; check the time"
             )
-        self._tell(now_s)
+        self._report(now_s)
         return step_s if stepped else None
 
     @property
@@ -69,7 +69,7 @@ class ClockWatch:
         """Whether the time of day may be used to find the sun."""
         return self._clock.monotonic() >= self._distrust_until_s
 
-    def _tell(self, now_s: float) -> None:
+    def _report(self, now_s: float) -> None:
         if now_s >= self._ask_s:
             self._never = self._synchronised() is False
             # Once synchronised, a clock of this machine keeps time well enough for the sun.

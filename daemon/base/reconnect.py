@@ -10,7 +10,7 @@ import math
 from collections.abc import Awaitable, Callable
 from random import Random
 
-from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Said
+from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Wording
 
 # Persons plug in and out some times in a row.
 _FEW = 6
@@ -35,7 +35,7 @@ class Outage:
         self._remind_s = 0.0
         self._reminders = 0
         self._recurrence = Recurrence(_FEW)
-        self._told_plainly = False
+        self._reported_plainly = False
         self._up_s = -math.inf
         self.since: float | None = None
         self.reason = ""
@@ -79,25 +79,25 @@ class Outage:
         if self.since is None:
             return self._steady(now_s)
         back = f"{self._subject} is back{': ' if how else ''}{how}"
-        level = logging.INFO if self._told_plainly else logging.DEBUG
+        level = logging.INFO if self._reported_plainly else logging.DEBUG
         self._logger.log(level, "%s", back, extra=self._fields(now_s))
         self.since = None
         self.reason = ""
         self._up_s = now_s
-        return back if self._told_plainly else ""
+        return back if self._reported_plainly else ""
 
     def _begin(self, now_s: float) -> str:
         self.since = now_s
         self.repeats = 0
         said = self._recurrence.note(now_s)
-        self._told_plainly = said is Said.PLAINLY
+        self._reported_plainly = said is Wording.PLAINLY
         # The second reminder of an outage comes after as long as a true one has to last in the middle of others.
-        self._reminders = 0 if self._told_plainly else REMIND_AFTER_S.index(_LONG_S)
+        self._reminders = 0 if self._reported_plainly else REMIND_AFTER_S.index(_LONG_S)
         self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
-        if said is Said.PLAINLY:
+        if said is Wording.PLAINLY:
             return self._warn(f"{self._subject} is down: {self.reason}", now_s)
         often = f"{self._subject} comes and goes: {self._recurrence.how_often(now_s)}: {self.reason}"
-        if said is Said.OFTEN:
+        if said is Wording.OFTEN:
             return self._warn(often, now_s)
         self._logger.debug("%s", often)
         return ""

@@ -12,7 +12,7 @@ _MOST = 10_000
 _FIRST_CALM_S, _LONGEST_CALM_S = 1800.0, 21600.0
 
 
-class Said(Enum):
+class Wording(Enum):
     """How to tell of one more time: by itself, as one of many, or not at all."""
 
     PLAINLY = "plainly"
@@ -40,10 +40,10 @@ class Recurrence:
         self._reminds = reminds
         self._times: deque[float] = deque(maxlen=_MOST)
         self._often = self._new_chance = False
-        self._spells = self._reminders = self._told = self._count = 0
+        self._spells = self._reminders = self._reported = self._count = 0
         self._due_s = -math.inf
 
-    def note(self, now_s: float) -> Said:
+    def note(self, now_s: float) -> Wording:
         """Take note of one more time, at a monotonic time [s]; return how to tell it."""
         self._forget_old(now_s)
         self._times.append(now_s)
@@ -51,19 +51,19 @@ class Recurrence:
         if len(self._times) <= (self._few // 2 if self._often else self._few):
             self._begin()
             self._count = len(self._times)
-            return Said.PLAINLY
+            return Wording.PLAINLY
         if not self._often:
             if self._new_chance:
                 self._new_chance = False
-                return Said.PLAINLY
-            self._often, self._told = True, 0
+                return Wording.PLAINLY
+            self._often, self._reported = True, 0
             self._spells += 1
-        if now_s < self._due_s or (self._told and not self._reminds):
-            return Said.QUIETLY
+        if now_s < self._due_s or (self._reported and not self._reminds):
+            return Wording.QUIETLY
         self._due_s = now_s + self._pause_s()
         self._reminders += 1
-        self._told += 1
-        return Said.OFTEN
+        self._reported += 1
+        return Wording.OFTEN
 
     def over(self, now_s: float, calm_since_s: float) -> int:
         """Return how often it had happened, once it has been calm for long enough and if that was told, else 0.
@@ -74,7 +74,7 @@ class Recurrence:
             return 0
         self._often, self._new_chance = False, True
         count, self._count = self._count, 0
-        return count if self._told else 0
+        return count if self._reported else 0
 
     def how_often(self, now_s: float) -> str:
         """Return the number of times lately, in words."""
@@ -86,7 +86,7 @@ class Recurrence:
 
     def _begin(self) -> None:
         self._often = self._new_chance = False
-        self._spells = self._reminders = self._told = self._count = 0
+        self._spells = self._reminders = self._reported = self._count = 0
         self._due_s = -math.inf
 
     def _forget_old(self, now_s: float) -> None:

@@ -149,16 +149,16 @@ class ExpiryWatch:
     def __init__(self, calibration: CubeCalibration | None, publish: Callable[[Event], None]) -> None:
         self._calibration = calibration
         self._publish = publish
-        self._told: Validity = "valid"
+        self._reported: Validity = "valid"
 
-    def look(self, utc_s: float, monotonic_s: float) -> None:
+    def check(self, utc_s: float, monotonic_s: float) -> None:
         """Compare the calibration with the time."""
         if self._calibration is None:
             return
         now = self._calibration.validity(utc_s)
-        if now == self._told:
+        if now == self._reported:
             return
-        self._told = now
+        self._reported = now
         if now == "valid":
             return
         day = f"{self._calibration.expires_utc.astimezone(UTC):%Y-%m-%d}"

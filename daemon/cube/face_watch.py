@@ -106,7 +106,7 @@ class FaceWatch:
         light = bool(lit(faces, sun)[0])
         for face, doubt in enumerate(found.tolist()):
             self._count(face, Doubt(doubt), sound=light and not np.isnan(faces[face]))
-        self._tell()
+        self._report()
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
         if doubt is not Doubt.NONE:
@@ -120,7 +120,7 @@ class FaceWatch:
             if self._good[face] >= _GOOD_LOOKS:
                 self._whys[face] = Doubt.NONE
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         parts = []
         for doubt in dict.fromkeys(why for why in self._whys if why is not Doubt.NONE):
             names = [name for name, why in zip(FACES, self._whys, strict=True) if why is doubt]

@@ -27,7 +27,7 @@ class Currents:
         self._last_s = 0.0
         self.text: str | None = None
 
-    def look(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
+    def update(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
         """Take in the newest telemetry; `text` says what is wrong, until an hour without it or `forget`."""
         now_s = telemetry.time_monotonic_s
         text = self._judge(telemetry, stands_since_s)

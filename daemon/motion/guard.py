@@ -51,8 +51,8 @@ class Guard:
         What a person has to look at, kept.
     clock, publish, alarms
         The service's time; where poses and events go; where alarms are raised.
-    looked
-        Called after every look.
+    polled
+        Called after every poll.
 
     Attributes
     ----------
@@ -80,20 +80,20 @@ class Guard:
         clock: Clock,
         publish: Callable[[Record], None],
         alarms: Alarms,
-        looked: Callable[[], None],
+        polled: Callable[[], None],
     ) -> None:
         self._positioner = positioner
         self.doubts = doubts
         self._clock = clock
         self._publish = publish
         self._alarms = alarms
-        self._looked = looked
+        self._polled = polled
         self.watch = Watch(expected.position_unit)
         self._currents = Currents(expected.current_alarm_a)
         self._own_moves: tuple[str, ...] = ()
-        self._told_pose: Pose | None = None
+        self._reported_pose: Pose | None = None
         self._pressed_s = float("-inf")
-        self._told_buttons_s = float("-inf")
+        self._reported_buttons_s = float("-inf")
         self._judged_s = float("-inf")
         self._strayed_at: Telemetry | None = None
         self._reset_before = False
@@ -138,7 +138,7 @@ class Guard:
         """Forget what was told: a person has looked."""
         self._currents.forget()
 
-    async def look(self, *, moving: bool) -> Telemetry:
+    async def poll(self, *, moving: bool) -> Telemetry:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self.telemetry = telemetry
@@ -148,10 +148,10 @@ class Guard:
             self._pressed_s = telemetry.status_monotonic_s
         self.doubts.see(telemetry, clearing=self.clearing)
         self._judge(before, telemetry)
-        self._currents.look(telemetry, None if moving else self.watch.stands_since_s)
+        self._currents.update(telemetry, None if moving else self.watch.stands_since_s)
         show(self._alarms, self.doubts, self.identity, telemetry, self._currents)
         self._note_pose(telemetry, moving=moving)
-        self._looked()
+        self._polled()
         return telemetry
 
     async def expect_move(self) -> None:
@@ -164,16 +164,16 @@ class Guard:
         start_s, pause_s = self._clock.monotonic(), _FIRST_PAUSE_S
         while True:
             try:
-                await self._beside(self._positioner.halt(), lambda: self._look_at_halt(start_s))
+                await self._beside(self._positioner.halt(), lambda: self._poll_halt(start_s))
                 break
             except StillMovingError:
-                await self._look_at_halt(start_s)
+                await self._poll_halt(start_s)
                 await asyncio.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         self.halt_wanted = False
         # What this look shows may have been before the stop.
         self._judged_s = self._clock.monotonic()
-        telemetry = await self.look(moving=False)
+        telemetry = await self.poll(moving=False)
         self.watch.rest(telemetry)
         self._halted_for = telemetry.faults
 
@@ -198,11 +198,11 @@ class Guard:
             self._under_inquiry = None
             if not explained:
                 self.doubts.note("motion", text)
-        await self.look(moving=False)
+        await self.poll(moving=False)
         return explained
 
-    async def _look_at_halt(self, start_s: float) -> None:
-        before, telemetry = self.telemetry, await self.look(moving=True)
+    async def _poll_halt(self, start_s: float) -> None:
+        before, telemetry = self.telemetry, await self.poll(moving=True)
         # Whoever presses a button moves the axis against any stop.
         from_s = max(start_s, self._pressed_s) + _DEAF_AFTER_S
         late = before is not None and before.time_monotonic_s > from_s and not telemetry.button_pressed
@@ -216,20 +216,20 @@ class Guard:
     async def attended(self, call: Coroutine[Any, Any, T]) -> T:
         """Return what a call of the driver returns; look while it takes its time, and stop what strays."""
 
-        async def look() -> None:
-            await self.look(moving=self.homing)
+        async def poll_and_quell() -> None:
+            await self.poll(moving=self.homing)
             await self.quell()
 
-        return await self._beside(call, look)
+        return await self._beside(call, poll_and_quell)
 
-    async def _beside(self, call: Coroutine[Any, Any, T], look: Callable[[], Coroutine[Any, Any, None]]) -> T:
+    async def _beside(self, call: Coroutine[Any, Any, T], poll: Callable[[], Coroutine[Any, Any, None]]) -> T:
         task = asyncio.ensure_future(call)
         try:
             while True:
                 await asyncio.wait((task,), timeout=LOOK_MOVING_S)
                 if task.done():
                     return task.result()
-                await look()
+                await poll()
         finally:
             if not task.done():
                 task.cancel()
@@ -237,7 +237,7 @@ class Guard:
                     await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
-        stray = self.watch.look(telemetry)
+        stray = self.watch.update(telemetry)
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
         own_run = told and not self.watch.on_its_way
@@ -258,12 +258,12 @@ class Guard:
         """Wait for a status that is younger than the motion; tell whether a person or a restart explains it."""
         deadline_s = self._clock.monotonic() + _STATUS_WITHIN_S
         while True:
-            telemetry = await self.look(moving=False)
+            telemetry = await self.poll(moving=False)
             if self.stray is not None:
                 await self.halt()
                 self.stray = None
             if self._pressed_s > stray.seen_s - _STATUS_WITHIN_S:
-                self._tell_of_buttons(stray)
+                self._report_buttons(stray)
                 return True
             restarted = telemetry.was_reset and not (self._reset_before or telemetry.autonomous)
             if restarted and self.watch.same_place(seen, telemetry):
@@ -283,7 +283,7 @@ class Guard:
             self._publish(self._event(text))
 
     def _note_pose(self, telemetry: Telemetry, *, moving: bool) -> None:
-        now_s, told = self._clock.monotonic(), self._told_pose
+        now_s, told = self._clock.monotonic(), self._reported_pose
         pose = Pose(
             time_utc_s=self._clock.utc(),
             time_monotonic_s=now_s,
@@ -302,12 +302,12 @@ class Guard:
             or not (abs(pose.a_deg - told.a_deg) <= _POSE_CHANGED_DEG)
             or not (abs(pose.b_deg - told.b_deg) <= _POSE_CHANGED_DEG)
         ):
-            self._told_pose = pose
+            self._reported_pose = pose
             self._publish(pose)
 
-    def _tell_of_buttons(self, stray: Stray) -> None:
-        if stray.seen_s - self._told_buttons_s > _TELL_BUTTONS_EVERY_S:
-            self._told_buttons_s = stray.seen_s
+    def _report_buttons(self, stray: Stray) -> None:
+        if stray.seen_s - self._reported_buttons_s > _TELL_BUTTONS_EVERY_S:
+            self._reported_buttons_s = stray.seen_s
             text = f"{stray.text}: a button is pressed at the unit"
             log.info(text)
             self._publish(self._event(text))

@@ -276,7 +276,7 @@ class Motion(MotionState):
     async def _serve(self) -> None:
         await self._connect()
         while True:
-            await self._guard.look(moving=False)
+            await self._guard.poll(moving=False)
             self._note_link()
             if await self._do_what_is_asked():
                 continue

@@ -49,7 +49,7 @@ class Runs:
         As for `Motion`.
     wake
         Set by whoever wants a look at once.
-    look_every_s
+    poll_every_s
         Interval between looks at what moves.
     """
 
@@ -65,7 +65,7 @@ class Runs:
         publish: Callable[[Record], None],
         changed: Callable[[], None],
         wake: asyncio.Event,
-        look_every_s: float,
+        poll_every_s: float,
     ) -> None:
         self._positioner = positioner
         self._guard = guard
@@ -77,7 +77,7 @@ class Runs:
         self._publish = publish
         self._changed = changed
         self._wake = wake
-        self._look_every_s = look_every_s
+        self._poll_every_s = poll_every_s
         self._interrupted = False
         self._stow = False
         self.target: Target | None = None
@@ -174,7 +174,7 @@ class Runs:
         await guard.expect_move()
         watch = MoveWatch(target, start, self._limits, self._settings, self._expected, self._clock.monotonic())
         while True:
-            telemetry = await guard.look(moving=True)
+            telemetry = await guard.poll(moving=True)
             if self._interrupted or telemetry.button_pressed:
                 await guard.halt()
                 return MoveOutcome.INTERRUPTED, target.why
@@ -191,7 +191,7 @@ class Runs:
             if progress is not Progress.GOING:
                 await guard.halt()
                 return MoveOutcome(progress.value), why
-            await wait_at_most(self._wake, self._look_every_s)
+            await wait_at_most(self._wake, self._poll_every_s)
 
     async def free(self) -> None:
         """Switch the unit's own tracking off; that alone does not stop a motor."""
@@ -209,14 +209,14 @@ class Runs:
             before = await guard.attended(self._positioner.clear_faults())
             guard.doubts.forgive(shown, before)
         except RefusedError as error:
-            self._tell(f"nothing was cleared: {error.message}")
+            self._report(f"nothing was cleared: {error.message}")
             return
         finally:
             guard.clearing = False
         if self._retries.text in shown:
             self._retries.forget()
         guard.forget()
-        await guard.look(moving=False)
+        await guard.poll(moving=False)
         self._changed()
 
     async def home(self) -> None:
@@ -229,21 +229,21 @@ class Runs:
         guard.homing, guard.rested = True, None
         doubts.homing_begins()
         left: str | None = NOT_FINISHED
-        self._tell("homing")
+        self._report("homing")
         self._changed()
         try:
             left = await self._home_both(doubted=doubted)
         except _HomingFailedError as error:
             await guard.halt()
             left = f"homing failed ({error}), the reference is in doubt: home it"
-            self._tell(f"homing failed: {error}")
+            self._report(f"homing failed: {error}")
         except RefusedError as error:
             await guard.halt()
             if self._interrupted:
                 left = NOT_FINISHED if doubted else None
-                self._tell("homing was stopped before its end")
+                self._report("homing was stopped before its end")
             else:
-                self._tell(f"homing refused: {error.message}")
+                self._report(f"homing refused: {error.message}")
         finally:
             guard.homing = False
             doubts.homing_ends(left)
@@ -264,25 +264,25 @@ class Runs:
             await self._home_one(axis)
             if self._interrupted:
                 await guard.halt()
-                self._tell("homing was stopped before its end")
+                self._report("homing was stopped before its end")
                 return NOT_FINISHED if doubted else None
         await guard.halt()
-        telemetry = await guard.look(moving=False)
+        telemetry = await guard.poll(moving=False)
         if telemetry.reference_doubt:
             raise _HomingFailedError(telemetry.reference_doubt)
         guard.doubts.referenced()
         self._retries.forget()
-        self._tell("homing finished")
+        self._report("homing finished")
         return None
 
     async def _home_one(self, axis: AxisName) -> None:
         guard = self._guard
-        before = await guard.look(moving=True)
+        before = await guard.poll(moving=True)
         guard.watch.expect_homing(axis, before)
         await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
         deadline_s = self._clock.monotonic() + _HOMING_WITHIN_S
         while True:
-            telemetry = await guard.look(moving=True)
+            telemetry = await guard.poll(moving=True)
             self._interrupted = self._interrupted or telemetry.button_pressed
             if self._interrupted:
                 return
@@ -294,7 +294,7 @@ class Runs:
                 break
             if self._clock.monotonic() > deadline_s:
                 raise _HomingFailedError(f"axis {axis.upper()} has not come to its end switch")
-            await wait_at_most(self._wake, self._look_every_s)
+            await wait_at_most(self._wake, self._poll_every_s)
         # A doubt about both axes stays until the other one has been homed as well.
         known = before.reference_doubt.split("; ")
         fresh = "; ".join(text for text in telemetry.reference_doubt.split("; ") if text not in known)
@@ -308,6 +308,6 @@ class Runs:
             raise RefusedError("positioner", "a stop came in between")
         return await call()
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         log.info(text)
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "positioner", text))

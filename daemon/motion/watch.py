@@ -125,7 +125,7 @@ class Watch:
         self.rest(telemetry)
         self._homing, self._shown = frozenset((axis,)), False
 
-    def look(self, telemetry: Telemetry) -> Stray | None:
+    def update(self, telemetry: Telemetry) -> Stray | None:
         """Take in the newest telemetry; return what it shows that no order explains."""
         self._note_standstill(telemetry)
         before, self._last = self._last, telemetry

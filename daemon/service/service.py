@@ -212,7 +212,7 @@ class Service:
         await self.sender.open()
 
     def _send(self, scan: Scan) -> None:
-        self._expiry.look(scan.time_utc_s, scan.time_monotonic_s)
+        self._expiry.check(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
         if self._send_beyond is not None:

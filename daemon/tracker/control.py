@@ -11,7 +11,7 @@ from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
-from daemon.base.recurrence import Recurrence, Said
+from daemon.base.recurrence import Recurrence, Wording
 from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
@@ -264,8 +264,8 @@ class Control(Doors):
         """Log a change of mode; two modes that alternate are told as that, for every change is recorded anyway."""
         changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES, reminds=False))
         said = changes.note(now_s)
-        often = f" ({changes.how_often(now_s)} between these two)" if said is Said.OFTEN else ""
-        level = logging.DEBUG if said is Said.QUIETLY else logging.INFO
+        often = f" ({changes.how_often(now_s)} between these two)" if said is Wording.OFTEN else ""
+        level = logging.DEBUG if said is Wording.QUIETLY else logging.INFO
         log.log(level, "%s -> %s: %s%s", self.mode, mode, why, often, extra={"fields": {"mode": mode}})
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:

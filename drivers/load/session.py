@@ -122,11 +122,11 @@ class LoadSession(ScpiSession):
         with self.doubting():
             dialect = self._dialect
             await self._select()
-            await self.tell(dialect.off)
+            await self.write(dialect.off)
             if await self._protection():
-                await self.tell(dialect.clear_protection)
+                await self.write(dialect.clear_protection)
             for command in (dialect.mode, *dialect.settings):
-                await self.tell(command)
+                await self.write(command)
             query, expected = dialect.mode_proof
             mode = (await self.ask(query)).strip('"').upper()
             if mode != expected:
@@ -139,9 +139,9 @@ class LoadSession(ScpiSession):
     async def hold(self, voltage_v: float, *, switch_on: bool) -> None:
         """Hold the module at a voltage; nothing is answered."""
         with self.doubting():
-            await self.tell(self._dialect.level.format(voltage_v))
+            await self.write(self._dialect.level.format(voltage_v))
             if switch_on:
-                await self.tell(self._dialect.on)
+                await self.write(self._dialect.on)
 
     async def measure(self) -> Measured:
         """Return voltage [V] and current [A], one straight after the other."""
@@ -151,7 +151,7 @@ class LoadSession(ScpiSession):
     async def switch_off(self) -> None:
         """Switch the input off and ask whether it is."""
         with self.doubting():
-            await self.tell(self._dialect.off)
+            await self.write(self._dialect.off)
             state = (await self.ask(self._dialect.is_on)).upper()
             if state not in _OFF:
                 raise ProtocolError(
@@ -164,32 +164,32 @@ class LoadSession(ScpiSession):
             with contextlib.suppress(DeviceError):
                 if self.in_doubt:
                     await self._line.interrupt()
-                await self.tell(self._dialect.off)
+                await self.write(self._dialect.off)
                 # A line that is closed too soon may not have sent it yet.
                 await self.ask(self._dialect.is_on)
         await self._line.close()
 
     async def _configure(self) -> str:
         """Return what the channel adds to the identity."""
-        await self.tell("*CLS")
+        await self.write("*CLS")
         await self._select()
         module = ""
         if self._dialect.identify_channel:
             module = f" with {await self.ask(self._dialect.identify_channel)}"
         await self.switch_off()
-        await self.tell(self._dialect.clear_protection)
+        await self.write(self._dialect.clear_protection)
         await self._prove_no_errors("its first commands")
         numbers = self._numbers(await self.ask(self._dialect.measure))
         self._in_one_line = len(numbers) == len(self._dialect.measure_one_by_one)
         if not self._in_one_line:
-            await self.tell("*CLS")
+            await self.write("*CLS")
         return module
 
     async def _select(self) -> None:
         proof = self._dialect.select_proof
         if proof is None:
             return
-        await self.tell(self._dialect.select)
+        await self.write(self._dialect.select)
         answer = await self.ask(proof[0])
         if answer != proof[1]:
             raise ConnectError(

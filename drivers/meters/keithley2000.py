@@ -170,4 +170,4 @@ class _Session(ScpiSession):
             raise LinkLostError(_DEVICE, f"has gone silent: {error.message}") from error
         if why:
             raise LinkLostError(_DEVICE, why)
-        await self.tell("*CLS")
+        await self.write("*CLS")

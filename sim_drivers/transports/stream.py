@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from drivers.positioners.pozsol.link import Heard
+from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.wire import TokenStream, require_allowed
 from sim_drivers.pozsol.core import PositionerCore
@@ -27,7 +27,7 @@ class InMemoryStream(Cabled):
         super().__init__("positioner")
         self._core = core
         self._now = now
-        self._heard = Heard({})
+        self._state = LinkState({})
         self._table = FieldTable()
         self._screens = b""
         core.enumerate_usb(now())
@@ -50,7 +50,7 @@ class InMemoryStream(Cabled):
         require_allowed(packet)
         self._core.feed(packet, self._now())
 
-    def heard(self) -> Heard:
+    def state(self) -> LinkState:
         """Return what the unit would have said by now."""
         self._require_open()
         now_s = self._now()
@@ -58,8 +58,8 @@ class InMemoryStream(Cabled):
         if screens != self._screens:
             self._screens = screens
             self._take(screens, now_s)
-        self._heard = self._heard._replace(as_of_s=now_s)
-        return self._heard
+        self._state = self._state._replace(as_of_s=now_s)
+        return self._state
 
     @property
     def link_up(self) -> bool:
@@ -79,4 +79,4 @@ class InMemoryStream(Cabled):
 
     def _take(self, screens: bytes, now_s: float) -> None:
         self._table.take(TokenStream().feed(screens + b"$"), now_s)
-        self._heard = Heard(self._table.snapshot())
+        self._state = LinkState(self._table.snapshot())

@@ -22,7 +22,7 @@ class BLayout:
     _time_s: float = 0.0
     _way: int = 0
 
-    def look(self, position: float, time_s: float, word: int, status_s: float) -> None:
+    def update(self, position: float, time_s: float, word: int, status_s: float) -> None:
         """Take in one look: B's position with its time, and the status word with its own."""
         if self._position is None or time_s > self._time_s:
             way = 0
@@ -56,7 +56,7 @@ class SwitchCheck:
         """Whether the next status decides."""
         return self._before
 
-    def look(self, position: float, status: StatusWord, status_s: float) -> str:
+    def update(self, position: float, status: StatusWord, status_s: float) -> str:
         """Return what does not fit, seen in two statuses one after the other; empty if all fits."""
         if status_s <= self._status_s:
             return ""

@@ -71,7 +71,7 @@ class HomingRun:
     _last: float | None = field(default=None, repr=False)
     _changed_s: float = field(default=0.0, repr=False)
 
-    def look(self, seen: AxisObservation) -> None:
+    def update(self, seen: AxisObservation) -> None:
         """Take note of the newest telemetry."""
         if self.over or seen.time_s <= self.sent_s:
             return

@@ -17,7 +17,7 @@ _WRITE_S = 1.0
 _CLOSE_S = 1.0
 
 
-class Heard(NamedTuple):
+class LinkState(NamedTuple):
     """What has come over a line.
 
     Attributes
@@ -54,7 +54,7 @@ class PositionerLine(Protocol):
     async def send(self, packet: bytes) -> None:
         """Send one command as one packet."""
 
-    def heard(self) -> Heard:
+    def state(self) -> LinkState:
         """Return what has come since `open`; `LinkLostError` when the link is lost or not open."""
 
     def has_lines(self) -> bool:
@@ -113,10 +113,10 @@ class SerialLine:
         assert port is not None  # noqa: S101 - narrowing; there is a port where there is a reader
         await self._thread.call(lambda: port.write(packet), _WRITE_S)
 
-    def heard(self) -> Heard:
+    def state(self) -> LinkState:
         """Return the newest values."""
         reader = self._require_reader()
-        return Heard(reader.table.snapshot(), jumped_s=reader.table.jumped_s, restarted_s=reader.restarted_s)
+        return LinkState(reader.table.snapshot(), jumped_s=reader.table.jumped_s, restarted_s=reader.restarted_s)
 
     def has_lines(self) -> bool:
         """Tell whether the port has modem lines."""

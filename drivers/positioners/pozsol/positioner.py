@@ -102,7 +102,7 @@ class PozsolPositioner:
         except BaseException:
             await self.close()
             raise
-        self._watch.start(self._line.heard().restarted_s)
+        self._watch.start(self._line.state().restarted_s)
         fields = self.fields()
         self._jitter = (self._jitter_of("a", fields), self._jitter_of("b", fields))
         return replace(identity, setup_conflicts=conflicts(fields, self._axes["a"], self._axes["b"]))
@@ -116,11 +116,11 @@ class PozsolPositioner:
 
     async def read_telemetry(self) -> Telemetry:
         """Return the newest telemetry; `LinkLostError` when it is old."""
-        return self._look()
+        return self._read()
 
     def fields(self) -> dict[int, str]:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
-        return {code: _text(value) for code, value in sorted(self._line.heard().values.items())}
+        return {code: _text(value) for code, value in sorted(self._line.state().values.items())}
 
     def has_lines(self) -> bool:
         """Tell whether the line has modem lines, which are then as they were asked for."""
@@ -128,7 +128,7 @@ class PozsolPositioner:
 
     async def disable_autonomy(self) -> None:
         """Switch the unit's own tracking off if it is on, and halt: that alone stops no motor that runs."""
-        if not self._look().autonomous:
+        if not self._read().autonomous:
             return
         stops = self._stops
         sent_s = await self._send(Field.MODE, wire.TRACKING_OFF, stops)
@@ -198,7 +198,7 @@ class PozsolPositioner:
         """
         stops = self._stops
         await self._stand(stops)
-        before = self._look()
+        before = self._read()
         self._watch.begin_run(axis, before, self._now() + _UNDER_WAY_S)
         try:
             run = self._watch.begin_run(axis, before, await self._send(Field.ACTION, _HOME[axis], stops))
@@ -267,16 +267,16 @@ class PozsolPositioner:
 
     def _listen(self) -> tuple[dict[int, Value], float | None]:
         try:
-            heard = self._line.heard()
+            state = self._line.state()
         except LinkLostError as error:
             raise ConnectError(_DEVICE, error.message) from error
-        return dict(heard.values), heard.restarted_s
+        return dict(state.values), state.restarted_s
 
-    def _look(self) -> Telemetry:
-        return self._watch.look(self._line.heard())
+    def _read(self) -> Telemetry:
+        return self._watch.read(self._line.state())
 
     def _require_fit(self, what: str) -> None:
-        seen = self._look()
+        seen = self._read()
         if seen.faults or seen.homing:
             raise RefusedError(_DEVICE, f"is not given {what}: {_likely_cause(seen)}")
         shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
@@ -300,17 +300,17 @@ class PozsolPositioner:
         packet, sent = encode_command(Field.ACTION, wire.STOP), 0
         while sent < 2 or not standstill.reached:
             if heeding:
-                self._heed(stops)
+                self._raise_if_stopped(stops)
             if self._now() - begin_s > _STAND_WITHIN_S:
-                raise StillMovingError(_DEVICE, _why_not_standing(self._look(), standstill))
+                raise StillMovingError(_DEVICE, _why_not_standing(self._read(), standstill))
             if self._now() >= again_s:
                 await self._transmit(packet)
                 # The very first packet of a connection is lost.
                 pause_s = wire.COMMAND_SPACING_S if sent == 0 else _STOP_EVERY_S
                 sent, again_s = sent + 1, self._now() + pause_s
             await asyncio.sleep(_LOOK_EVERY_S)
-            seen = self._look()
-            standstill.look(
+            seen = self._read()
+            standstill.update(
                 (seen.position_a, seen.position_b), (seen.destination_a, seen.destination_b), seen.time_monotonic_s
             )
 
@@ -319,20 +319,20 @@ class PozsolPositioner:
         packet = encode_command(field, value)
         async with self._sending:
             if self._nothing_sent:
-                self._heed(stops)
+                self._raise_if_stopped(stops)
                 await self._transmit(encode_command(Field.ACTION, wire.STOP))
             wait_s = self._sent_s + wire.COMMAND_SPACING_S - self._now()
             while wait_s > 0:
                 await asyncio.sleep(wait_s)
                 # A stop goes out at once, so the last command may be a newer one by now.
                 wait_s = self._sent_s + wire.COMMAND_SPACING_S - self._now()
-            self._heed(stops)
+            self._raise_if_stopped(stops)
             await self._transmit(packet)
             return self._now() + _UNDER_WAY_S
 
     async def _transmit(self, packet: bytes) -> None:
         if not self._identified:
-            self._line.heard()
+            self._line.state()
             raise LinkLostError(_DEVICE, "has not been identified, so nothing is sent to it")
         self._sent_s = self._now()
         try:
@@ -341,7 +341,7 @@ class PozsolPositioner:
             self._sent_s = self._now()
         self._nothing_sent = False
 
-    def _heed(self, stops: int) -> None:
+    def _raise_if_stopped(self, stops: int) -> None:
         if self._stops != stops:
             raise RefusedError(_DEVICE, "a stop came in between")
 
@@ -350,8 +350,8 @@ class PozsolPositioner:
         deadline_s = self._now() + within_s
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
-            self._heed(stops)
-            seen = self._look()
+            self._raise_if_stopped(stops)
+            seen = self._read()
             if done(seen):
                 return seen
             if self._now() >= deadline_s:

@@ -41,7 +41,7 @@ class Standstill:
         """Whether the axes stand and will go on standing."""
         return self.still and self.aimless
 
-    def look(self, positions: tuple[float, float], destinations: tuple[float, float], time_s: float) -> None:
+    def update(self, positions: tuple[float, float], destinations: tuple[float, float], time_s: float) -> None:
         """Take in one look at positions and destinations of A and B, received at `time_s` or later."""
         if time_s <= self.begin_s:
             return

@@ -10,7 +10,7 @@ from drivers.interfaces import AxisName, Telemetry
 from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
-from drivers.positioners.pozsol.link import Heard
+from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.reference import Reference
 from drivers.positioners.pozsol.wire import OWN_MOVES, Field, StatusWord, own_moves, parse_status
 
@@ -24,7 +24,7 @@ _JUMP_SHOWS_S = 1.0
 
 
 class PositionerWatch:
-    """Makes one `Telemetry` after another of what a line has heard.
+    """Makes one `Telemetry` after another of what a line has received.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class PositionerWatch:
         if restarted_s is not None:
             self.reference.note(f"restart {restarted_s}", "the positioner has restarted")
 
-    def look(self, heard: Heard) -> Telemetry:
+    def read(self, state: LinkState) -> Telemetry:
         """Return what shows now.
 
         Raises
@@ -78,17 +78,17 @@ class PositionerWatch:
         ProtocolError
             It sends what cannot be read.
         """
-        if heard.restarted_s != self._restarted_s:
-            self.reference.note(f"restart {heard.restarted_s}", "the positioner has restarted")
+        if state.restarted_s != self._restarted_s:
+            self.reference.note(f"restart {state.restarted_s}", "the positioner has restarted")
             raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
-        if self._last is not None and self.run is None and self._last.says_the_same(heard):
-            return self._last.at(heard.as_of_s)
+        if self._last is not None and self.run is None and self._last.says_the_same(state):
+            return self._last.at(state.as_of_s)
         try:
-            telemetry = self._telemetry(heard)
+            telemetry = self._telemetry(state)
         except (KeyError, ValueError) as error:
             raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
         at_rest = self.run is None and not any(check.suspects for check in self._checks)
-        self._last = _Standing(heard, telemetry) if heard.as_of_s > -math.inf and at_rest else None
+        self._last = _Standing(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
         return telemetry
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
@@ -127,14 +127,14 @@ class PositionerWatch:
         self.reference.forgive(kinds)
         self._last = None
 
-    def _telemetry(self, heard: Heard) -> Telemetry:
-        known = heard.values
-        time_s = max(min(known[field].time_s for field in FAST), heard.as_of_s)
-        status_s = max(known[Field.STATUS].time_s, heard.as_of_s)
-        self._require_fresh(time_s, max(min(known[field].time_s for field in SLOW), heard.as_of_s))
+    def _telemetry(self, state: LinkState) -> Telemetry:
+        known = state.values
+        time_s = max(min(known[field].time_s for field in FAST), state.as_of_s)
+        status_s = max(known[Field.STATUS].time_s, state.as_of_s)
+        self._require_fresh(time_s, max(min(known[field].time_s for field in SLOW), state.as_of_s))
         text = known[Field.STATUS].text.decode("latin-1")
         position_b = known[Field.B_POSITION].number
-        self._layout.look(position_b, time_s, parse_status(text).word, status_s)
+        self._layout.update(position_b, time_s, parse_status(text).word, status_s)
         status = parse_status(text, self._layout.bit)
         a, b, a_at, a_to, b_at, b_to = (
             known[field].number
@@ -157,7 +157,7 @@ class PositionerWatch:
             ),
         }
         homing = self._follow_run(seen) or status.homing
-        self._note_doubts(heard, seen, homing)
+        self._note_doubts(state, seen, homing)
         return Telemetry(
             time_monotonic_s=time_s,
             a_deg=a,
@@ -195,7 +195,7 @@ class PositionerWatch:
         run = self.run
         if run is None:
             return False
-        run.look(seen[run.axis])
+        run.update(seen[run.axis])
         if not run.over:
             return run.begun
         self.run, self._settled_s = None, self._now()
@@ -208,18 +208,18 @@ class PositionerWatch:
             self.reference.note(f"{run.axis} mismatch {run.sent_s}", run.mismatch, run.axis, needs_travel=stuck)
         return False
 
-    def _note_doubts(self, heard: Heard, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
+    def _note_doubts(self, state: LinkState, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
         status = seen["a"].status
         if status.was_reset:
             self.reference.note("reset", "the positioner has restarted")
-        if heard.jumped_s is not None and heard.jumped_s != self._jumped_s:
-            self._jumped_s = heard.jumped_s
+        if state.jumped_s is not None and state.jumped_s != self._jumped_s:
+            self._jumped_s = state.jumped_s
             # At the end of a reference run the count is meant to jump.
-            if not homing and heard.jumped_s > self._settled_s + _JUMP_SHOWS_S:
-                self.reference.note(f"jump {heard.jumped_s}", "the positioner's count has jumped")
+            if not homing and state.jumped_s > self._settled_s + _JUMP_SHOWS_S:
+                self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
         for check in self._checks:
             look = seen[check.axis]
-            misfit = check.look(look.position, look.status, look.status_s)
+            misfit = check.update(look.position, look.status, look.status_s)
             if misfit and not homing:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
 
@@ -227,14 +227,14 @@ class PositionerWatch:
 class _Standing:
     """A unit at rest says the same every time."""
 
-    def __init__(self, heard: Heard, telemetry: Telemetry) -> None:
-        self._heard = heard
+    def __init__(self, state: LinkState, telemetry: Telemetry) -> None:
+        self._state = state
         self._telemetry = telemetry
         self._fields: dict[str, Any] = {}
 
-    def says_the_same(self, heard: Heard) -> bool:
-        before = self._heard
-        return heard.values is before.values and heard.jumped_s == before.jumped_s
+    def says_the_same(self, state: LinkState) -> bool:
+        before = self._state
+        return state.values is before.values and state.jumped_s == before.jumped_s
 
     def at(self, time_s: float) -> Telemetry:
         # A simulated day has 50,000 of these looks, and dataclasses.replace takes twice as long.

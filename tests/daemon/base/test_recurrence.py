@@ -2,10 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.base.recurrence import Recurrence, Said
+from daemon.base.recurrence import Recurrence, Wording
 
 HOUR_S = 3600.0
-PLAINLY, OFTEN, QUIETLY = Said.PLAINLY, Said.OFTEN, Said.QUIETLY
+PLAINLY, OFTEN, QUIETLY = Wording.PLAINLY, Wording.OFTEN, Wording.QUIETLY
 
 
 def test_the_first_few_are_told_plainly_and_the_next_by_its_number():

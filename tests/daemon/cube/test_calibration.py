@@ -111,7 +111,7 @@ def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
     watch = ExpiryWatch(calibration(), told.append)
     with caplog.at_level(logging.WARNING, "heliocube.calibration"):
         for days in (-400, -31, -29, -1, 1, 2):
-            watch.look((EXPIRES + timedelta(days=days)).timestamp(), 0.0)
+            watch.check((EXPIRES + timedelta(days=days)).timestamp(), 0.0)
     texts = [event.text for event in told]
     assert [text.split(" ", 3)[3] for text in texts] == [
         "expires on 2024-03-20; calibrate the cube anew",

@@ -17,7 +17,7 @@ def standing(places, destination=None, begin_s=0.0):
     still = Standstill(begin_s, (0.016, 0.016))
     for index, place in enumerate(places):
         aim = place if destination is None else destination
-        still.look((place, 5.0), (aim, 5.0), 0.12 * (index + 1))
+        still.update((place, 5.0), (aim, 5.0), 0.12 * (index + 1))
     return still
 
 
@@ -35,7 +35,7 @@ def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
 def run(*looks, before=100.0, trusted=True):
     homing = HomingRun("a", A, AxisObservation(before, before, 0.0, 0.0, QUIET, 0.0), 1.0, trusted)
     for time_s, position, destination, remain, status in looks:
-        homing.look(AxisObservation(position, destination, remain, time_s, status, time_s))
+        homing.update(AxisObservation(position, destination, remain, time_s, status, time_s))
     return homing
 
 
@@ -80,19 +80,19 @@ def test_a_switch_that_contradicts_a_trusted_count_is_told():
 def test_where_bs_bits_are_shows_when_b_moves(start, way, bits):
     layout, word = BLayout(None), sum(1 << start + bit for bit in bits)
     for index in range(6):
-        layout.look(100.0, 0.12 * index, word, 0.12 * index)
+        layout.update(100.0, 0.12 * index, word, 0.12 * index)
     assert layout.bit is None, "nothing is guessed of an axis that stands"
     for index in range(6, 12):
-        layout.look(100.0 + way * index, 0.12 * index, word, 0.12 * index)
+        layout.update(100.0 + way * index, 0.12 * index, word, 0.12 * index)
     assert layout.bit == start
 
 
 def test_a_low_end_switch_that_shows_closed_far_from_it_is_told_at_the_second_status():
     check = SwitchCheck("a", A)
-    assert check.look(200.0, LOW, 1.0) == ""
-    assert check.look(200.0, LOW, 1.0) == ""
-    assert "shows its low end switch closed although its count is 200" in check.look(200.0, LOW, 4.0)
-    assert check.look(-0.3, LOW, 7.0) == ""
+    assert check.update(200.0, LOW, 1.0) == ""
+    assert check.update(200.0, LOW, 1.0) == ""
+    assert "shows its low end switch closed although its count is 200" in check.update(200.0, LOW, 4.0)
+    assert check.update(-0.3, LOW, 7.0) == ""
 
 
 def test_a_doubt_lasts_until_both_axes_are_proven_or_a_person_forgives_exactly_it():
