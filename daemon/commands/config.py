@@ -1,4 +1,4 @@
-"""`heliocube config`: check a configuration file, write a commented one."""
+"""`heliocube config`: check a configuration file, write a commented one, bring an older one into today's form."""
 
 import contextlib
 from pathlib import Path
@@ -20,7 +20,9 @@ KEY_NAME = "bridge.key"
 TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
-    help="Check a configuration file, or write a commented one.", no_args_is_help=True, rich_markup_mode="rich"
+    help="Check a configuration file, write a commented one, or bring an older one into today's form.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
 )
 
 
@@ -52,6 +54,14 @@ def init(
     names = Text(", ").join(Text(str(path), "bold") for path in first)
     console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
     console.print(_NEXT[role], markup=False)
+
+
+@app.command()
+def migrate(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
+    """Bring FILE into today's form; the old one is kept beside it."""
+    from daemon.config.migrate import migrate as bring_up_to_date
+
+    typer.echo(bring_up_to_date(file))
 
 
 def check_file(path: Path) -> "Settings":
@@ -177,6 +187,7 @@ def _summary(settings: "Settings") -> dict[str, str]:
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
         "interface": f"on {settings.api.listen}, " + token if settings.api.enabled else "off",
         "mqtt": _broker(settings.mqtt) if settings.mqtt.enabled else "off",
+        **({"trackers": ", ".join(table.name for table in settings.tracker)} if settings.tracker else {}),
         "store": "none" if settings.store.directory is None else str(settings.store.directory),
     }
 

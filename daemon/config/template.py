@@ -44,7 +44,9 @@ Several trackers in one process. Without such a table there is one, with the sec
 there is one for each table, in the table's name, and the sections above hold for each but for what its table says
 differently: `site`, `law`, `windows`, `limits`, `motion`, `safety`, `load`, and `positioner` for
 `instruments.positioner`. The same rules hold for the outcome, and no two real trackers share a port. What a tracker
-keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name.
+keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name. What a
+tracker without a table has kept there holds for those that get one, until a person releases it: nothing that was
+stopped is let go by a new line in a file.
 
 ```toml
 [[tracker]]
@@ -70,6 +72,9 @@ bridge key and a new token of the local interface beside it; `heliocube config c
 wrong with a file at once. So does `heliocube run`, and does not start; only wrong topics and JSON paths do not keep it
 from starting ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
 keeps the tracker stowed.
+
+`heliocube config migrate FILE` brings a file into today's form: its tracker gets a table of its own, keys get their
+present names. The old file is kept beside it. A file of an earlier version works without that.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry

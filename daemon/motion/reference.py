@@ -14,7 +14,7 @@ from drivers.interfaces import Telemetry
 
 log = logging.getLogger("heliocube.motion")
 
-_FILE_NAME = "motion.json"
+FILE_NAME = "motion.json"
 NOT_FINISHED = "homing was not finished, the reference is in doubt: home it"
 RESET = "the positioner has restarted and may have lost its reference: home it, or clear the mark"
 
@@ -52,7 +52,7 @@ class Doubts:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, _FILE_NAME, _Kept, log, "what is in doubt")
+        self._file = StateFile(directory, FILE_NAME, _Kept, log, "what is in doubt")
         kept = self._load()
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)

@@ -20,6 +20,7 @@ from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cub
 from daemon.cube.face_watch import FaceWatch
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import Watchdog
+from daemon.service.inheritance import hand_on
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.stow import StowSource
@@ -122,6 +123,8 @@ class Service:
         self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
     ) -> Iterator[Tracker]:
         wanted = self.settings.trackers
+        if self.settings.tracker and self.settings.store.directory is not None:
+            hand_on(self.settings.store.directory, [name for name, _ in wanted])
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
         for (name, settings), instruments in zip(wanted, self.rig.trackers, strict=True):

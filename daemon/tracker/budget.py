@@ -12,7 +12,7 @@ from solar.ephemeris import DAY_S
 
 log = logging.getLogger("heliocube.control")
 
-_FILE_NAME = "day.json"
+FILE_NAME = "day.json"
 _ALARM = "day-budget"
 
 
@@ -48,7 +48,7 @@ class DayBudget:
     ) -> None:
         self._settings = settings
         self._longitude_deg = longitude_deg
-        self._file = StateFile(directory, _FILE_NAME, Used, log, "the moves of the day")
+        self._file = StateFile(directory, FILE_NAME, Used, log, "the moves of the day")
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=self._day_of(utc_s))

@@ -11,7 +11,7 @@ from daemon.base.files import StateFile, UnreadableStateError
 
 log = logging.getLogger("heliocube.law")
 
-_FILE_NAME = "learned.json"
+FILE_NAME = "learned.json"
 
 
 class _Kept(RootModel[dict[str, Any]]):
@@ -28,7 +28,7 @@ class LawFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, _FILE_NAME, _Kept, log, "what was learned")
+        self._file = StateFile(directory, FILE_NAME, _Kept, log, "what was learned")
 
     def load(self) -> dict[str, Any] | None:
         """Return what was kept, or None; a file that cannot be read is reported and learning begins anew."""

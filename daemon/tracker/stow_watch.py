@@ -18,7 +18,7 @@ from daemon.tracker.stow import StowSource, StowStatus
 
 log = logging.getLogger("heliocube.stow")
 
-_FILE_NAME = "safety.json"
+FILE_NAME = "safety.json"
 # Shorter than a gust.
 _LOOK_EVERY_S = 1.0
 _SAVE_AGAIN_S = 60.0
@@ -43,7 +43,7 @@ class SafetyFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, _FILE_NAME, KeptSafety, log, "the storm")
+        self._file = StateFile(directory, FILE_NAME, KeptSafety, log, "the storm")
 
     def load(self) -> str | None:
         """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""

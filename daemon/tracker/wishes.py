@@ -15,7 +15,7 @@ from daemon.base.files import StateFile, UnreadableStateError
 
 log = logging.getLogger("heliocube.control")
 
-_FILE_NAME = "operator.json"
+FILE_NAME = "operator.json"
 # What each wish makes of the tracker, as a sentence begins.
 _DONE_TO_IT = {
     "maintenance": "in maintenance",
@@ -101,7 +101,7 @@ class WishFile:
     """
 
     def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, _FILE_NAME, Wishes, log, "what was asked")
+        self._file = StateFile(directory, FILE_NAME, Wishes, log, "what was asked")
 
     def load(self) -> Wishes:
         """Return what was wished before the restart; a file that cannot be read counts as a stop."""

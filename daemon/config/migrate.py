@@ -1,0 +1,112 @@
+"""A configuration file in today's form: its tracker named in a table, and no key under a former name."""
+
+import re
+import shutil
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from daemon.base.errors import UserError
+from daemon.config.file import load_settings
+from daemon.config.plugged import DRIVER, SECTIONS
+from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
+
+RENAMED = {f"{path}.{each.former}": DRIVER for path, each in SECTIONS.items() if each.former}
+"""Keys by their path that have another name in the same section now."""
+
+_HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]")
+_KEY = re.compile(r"(\s*)([A-Za-z0-9_-]+)(\s*=.*)", re.DOTALL)
+
+
+def migrate(path: Path) -> str:
+    """Bring a file into today's form, keep the old one beside it, and return in a sentence what was done.
+
+    Comments and order stay, but where the text is laid out in a way that its lines do not show, such as inline tables.
+
+    Raises
+    ------
+    UserError
+        The file has mistakes of its own, the name of its tracker cannot be one, or it cannot be written.
+    """
+    settings = load_settings(path)
+    text = path.read_bytes().decode("utf-8-sig")
+    before = tomllib.loads(text)
+    renamed = [key for key in RENAMED if _has(before, key)]
+    names = [] if settings.tracker else [settings.trackers[0].name]
+    if names and re.fullmatch(NAME_FORM, names[0]) is None:
+        raise UserError(f"mqtt.name = {names[0]!a}: a tracker's name is {NAME_IN_WORDS}; change it and try again")
+    if not renamed and not names:
+        return f"{path} needs nothing: it is in today's form"
+    wanted = _renamed(before, "") | ({"tracker": [{"name": name} for name in names]} if names else {})
+    found = "".join(_lines(text))
+    for name in names:
+        found = f"{found.rstrip()}\n\n[[tracker]]\n{tomli_w.dumps({'name': name})}"
+    kept = _parses_to(found, wanted)
+    kept_text = "" if kept else "; its comments are in the old one only"
+    old = _replace(path, found if kept else tomli_w.dumps(wanted))
+    done = [f"its tracker is named {name}" for name in names]
+    done += [f"{key} is {key.rpartition('.')[0]}.{RENAMED[key]} now" for key in renamed]
+    return f"{path} is in today's form: {', '.join(done)}; the old one is {old}{kept_text}"
+
+
+def _replace(path: Path, text: str) -> Path:
+    """Write the file and keep the old one; the owner and the mode of the file stay as they are."""
+    old = path.with_name(f"{path.name}.before")
+    if old.exists():
+        raise UserError(f"{old} is there already and is not overwritten; move it away and try again")
+    try:
+        shutil.copy2(path, old)
+        with path.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except OSError as error:
+        raise UserError(f"{path} cannot be migrated: {error.strerror}") from None
+    return old
+
+
+def _parses_to(text: str, wanted: Mapping[str, Any]) -> bool:
+    try:
+        return tomllib.loads(text) == wanted
+    except tomllib.TOMLDecodeError:
+        return False
+
+
+def _has(values: Mapping[str, Any], path: str) -> bool:
+    """Whether the file or a tracker's table in it says something for a key."""
+    *sections, key = path.split(".")
+    found: Any = values
+    for name in sections:
+        found = found.get(name, {}) if isinstance(found, Mapping) else {}
+    tables = values.get("tracker", ())
+    return key in found or any(_has(table, path) for table in tables if isinstance(table, Mapping))
+
+
+def _renamed(values: Any, section: str) -> Any:
+    if isinstance(values, list):
+        return [_renamed(value, section) for value in values]
+    if not isinstance(values, Mapping):
+        return values
+    return {
+        RENAMED.get(_place(section, name), name): _renamed(value, _place(section, name))
+        for name, value in values.items()
+    }
+
+
+def _place(section: str, name: str) -> str:
+    """Return the path of a key; inside a tracker's table it is that of the file."""
+    path = f"{section}.{name}" if section else name
+    return path.removeprefix("tracker.")
+
+
+def _lines(text: str) -> Iterator[str]:
+    section = ""
+    for line in text.splitlines(keepends=True):
+        header, key = _HEADER.match(line), _KEY.fullmatch(line)
+        if header:
+            section = header[1].removeprefix("tracker.")
+        elif key and f"{section}.{key[2]}" in RENAMED:
+            yield f"{key[1]}{RENAMED[f'{section}.{key[2]}']}{key[3]}"
+            continue
+        yield line
