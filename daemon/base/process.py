@@ -6,6 +6,7 @@ import re
 import signal
 import socket
 from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from typing import TextIO
 
 from daemon.base.clock import iso_utc
@@ -15,6 +16,10 @@ _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), 
 _DEBUG_PRIORITY = 7
 _PLAIN_VALUE = re.compile(r'[^\s="\\]+')
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
+
+TRACKER: ContextVar[str] = ContextVar("tracker", default="")
+"""Which of several trackers the present task works for: every line that it logs says so."""
 
 
 def configure(stream: TextIO, journal: bool, level: int = logging.INFO) -> None:
@@ -69,7 +74,8 @@ class LineFormatter(logging.Formatter):
 
 
 def _fields(record: logging.LogRecord) -> list[str]:
-    fields: dict[str, object] = getattr(record, "fields", {})
+    name = TRACKER.get()
+    fields: dict[str, object] = ({"tracker": name} if name else {}) | getattr(record, "fields", {})
     return [f"{key}={_value(value)}" for key, value in fields.items()]
 
 

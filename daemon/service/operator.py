@@ -232,7 +232,8 @@ class Operator:
 
     def _note(self, command: str, why: str, by: str) -> None:
         text = f"{command}: {why}{f' ({by})' if by else ''}"
-        log.info("%s", text)
+        which = {} if self._tracker.alone else {"tracker": self._tracker.name}
+        log.info("%s", text, extra={"fields": which})
         self._tracker.publish(Event(self._clock.utc(), self._clock.monotonic(), "operator", text))
 
     def _require_telemetry(self, what: str) -> None:

@@ -8,6 +8,7 @@ from random import Random
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
+from daemon.base.process import TRACKER
 from daemon.base.records import Event, Pose, Record, Scan, stamped
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
@@ -84,7 +85,7 @@ class Tracker:
         self.publish = stamped(publish, name)
         self.alarms = Alarms(clock, self.publish, muted)
         self._rig = rig
-        self._alone = alone
+        self.alone = alone
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
@@ -146,15 +147,23 @@ class Tracker:
 
     def work(self) -> Iterator[tuple[str, Awaitable[None]]]:
         """Yield what has to run, each with its name."""
-        yield "motion", self._move()
-        yield "control", self.control.run()
+        yield "motion", self._named(self._move())
+        yield "control", self._named(self.control.run())
         if self._rig.wind_speed_m_s is not None:
-            yield "stow", self.stow_watch.run()
+            yield "stow", self._named(self.stow_watch.run())
         if self.curves is not None:
-            yield "load", self.curves.run()
+            yield "load", self._named(self.curves.run())
 
     async def stop_motion(self) -> None:
         """Stop the axes for good, and say whether telemetry shows them standing."""
+        await self._named(self._stop_motion())
+
+    async def _named(self, work: Awaitable[None]) -> None:
+        """Do work, in a task of its own, whose lines in the log bear the tracker's name where there are several."""
+        TRACKER.set("" if self.alone else self.name)
+        await work
+
+    async def _stop_motion(self) -> None:
         left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
         if left is None:
             log.info("motion stopped: telemetry shows both axes standing")
@@ -165,7 +174,7 @@ class Tracker:
         try:
             await self.motion.run()
         except DriverHungError as error:
-            if self._alone:
+            if self.alone:
                 raise
             self._give_up(error)
             await asyncio.Event().wait()

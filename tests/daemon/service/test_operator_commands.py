@@ -90,7 +90,9 @@ def answering(reply):
     return listener, heard
 
 
-@pytest.mark.parametrize("command", [["stop"], ["stop", "--why", "a hand"], ["goto", "10", "60"]])
+@pytest.mark.parametrize(
+    "command", [["stop"], ["stop", "--why", "a hand"], ["stop", "--tracker", "west"], ["goto", "10", "60"]]
+)
 @pytest.mark.parametrize(
     ("status", "body", "code", "out", "err"),
     [
@@ -118,6 +120,7 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
         )
     assert (done.returncode, done.stdout, done.stderr) == (code, out, err)
     assert heard[0]["by"] == f"ana@{socket.gethostname()}"
+    assert heard[0].get("tracker") == ("west" if "west" in command else None)
 
 
 def _config(folder, port):

@@ -2,9 +2,11 @@
 
 import asyncio
 import json
+import logging
 
 import pytest
 
+from daemon.base.process import LineFormatter
 from daemon.base.records import Event, Mode, ModeChange, Move, Pose, Scan
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
@@ -42,6 +44,29 @@ def test_one_that_is_unplugged_is_in_fault_and_the_other_tracks_on(run_rig):
         await bench.until(lambda: modes(bench) == [Mode.TRACKING] * 2, 120, "the way back")
 
     run_rig(scenario, tracker=TWO)
+
+
+def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
+    lines = []
+    handler = logging.Handler()
+    handler.emit = lambda record: lines.append(LineFormatter(journal=True).format(record))
+    logging.getLogger("heliocube").addHandler(handler)
+    caplog.set_level(logging.INFO, "heliocube")
+
+    async def scenario(bench):
+        await both_track(bench)
+        bench.cables.others[0].link_up = False
+        await bench.until(lambda: modes(bench)[1] is Mode.FAULT, 120, "the fault of one")
+        await give(bench, "hold", tracker="east", why="test")
+
+    try:
+        run_rig(scenario, tracker=TWO)
+    finally:
+        logging.getLogger("heliocube").removeHandler(handler)
+    assert next(line for line in lines if "is down" in line).count("tracker=west") == 1
+    assert next(line for line in lines if "hold: test" in line).count("tracker=east") == 1
+    for name in ("east", "west"):
+        assert any("starting -> tracking" in line and f"tracker={name}" in line for line in lines)
 
 
 def test_a_stop_of_one_leaves_the_other_moving_and_each_wish_survives_a_restart_by_itself(run_rig, tmp_path):
