@@ -15,7 +15,7 @@ from rich.console import Console
 from daemon.api.app import Api
 from daemon.api.server import ApiServer
 from daemon.api.token import generate_token, load_token
-from daemon.base import process as logs
+from daemon.base import process
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
@@ -49,7 +49,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     key = bridge_key(settings, role)
     calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
-    logs.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
+    process.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
     # Real instruments have real time; what the simulation's table says is not for them.
     speed = 1.0 if settings.real else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 from pydantic import BaseModel, ValidationError
 
 from daemon.base.errors import UserError
-from daemon.config import keys as config_keys
-from daemon.config import rules as config_rules
+from daemon.config import keys, rules
 from daemon.config.keys import Chosen
 from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
 from daemon.config.sections import Sections
@@ -230,7 +229,7 @@ def _checked(
     settings = Settings.model_construct(**sections)
     problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
     wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
-    for conflict in config_rules.conflicts(settings):
+    for conflict in rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
             shown = _shown(_value_of(settings, conflict.key))
             default = "" if _is_given(raw, conflict.key) else " (default)"
@@ -270,7 +269,7 @@ def _problem(loc: tuple[int | str, ...], value: Any, kind: Literal["unknown", "v
 
 def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
     """Return the key's path; what pydantic adds behind it to name the part of a union is dropped."""
-    path, known = str(loc[0]), config_keys.keys(chosen)
+    path, known = str(loc[0]), keys.keys(chosen)
     for part in loc[1:]:
         if path in known:
             return f"{path}[{part}]" if isinstance(part, int) else path
@@ -279,7 +278,7 @@ def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
 
 
 def _wrong(path: str, value: Any, chosen: Chosen) -> str:
-    key = config_keys.keys(chosen).get(path.partition("[")[0])
+    key = keys.keys(chosen).get(path.partition("[")[0])
     if key is None:
         return f" = {_shown(value)}: must be a section of its own, [{path}]"
     if "[" in path:
@@ -287,24 +286,24 @@ def _wrong(path: str, value: Any, chosen: Chosen) -> str:
     return f" = {_shown(value)}: must be {key.expected}{_hint(key, value)}"
 
 
-def _hint(key: config_keys.Key, value: Any) -> str:
+def _hint(key: keys.Key, value: Any) -> str:
     if not isinstance(value, str):
         return ""
     names = difflib.get_close_matches(value.lower(), key.names, 1)
     if names:
         return f'; did you mean "{names[0]}"?'
     if key.takes & {"number", "integer"}:
-        number = config_keys.number_with_unit(value, key)
+        number = keys.number_with_unit(value, key)
         return "" if number is None else f"; did you mean {number:g}, without quotes?"
     if key.takes == {"boolean"} and value.lower() in ("true", "false"):
         return f"; did you mean {value.lower()}, without quotes?"
     if key.takes == {"array"}:
-        return f"; did you mean {config_keys.toml_value([value])}?"
+        return f"; did you mean {keys.toml_value([value])}?"
     return ""
 
 
 def _joined(section: str, name: str) -> str:
-    written = config_keys.toml_name(name)
+    written = keys.toml_name(name)
     return f"{section}.{written}" if section else written
 
 
@@ -312,15 +311,15 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     if not section and name == "trackers":
         return _Problem(name, ": there is no such key; did you mean [[tracker]], once for each?")
     what = "there is no such section" if isinstance(value, dict) else "there is no such key"
-    meant = config_keys.resembling(section, name, chosen)
+    meant = keys.resembling(section, name, chosen)
     if meant is None:
         kind = "sections" if isinstance(value, dict) or not section else "keys"
-        known = config_keys.inside(section, chosen)[kind]
+        known = keys.inside(section, chosen)[kind]
         where = f"the {kind} of [{section}] are" if section else f"the {kind} are"
         remedy = f"{where} {', '.join(known)}" if known else f"[{section}] has no {kind}"
     else:
-        wanted, unit = config_keys.split_unit(meant)[1], config_keys.split_unit(name)[1]
-        number = config_keys.converted(value, unit, wanted) if unit != wanted else None
+        wanted, unit = keys.split_unit(meant)[1], keys.split_unit(name)[1]
+        number = keys.converted(value, unit, wanted) if unit != wanted else None
         remedy = f"did you mean {meant}{'' if number is None else f' = {number:g}'}?"
     shown = "" if isinstance(value, dict) else f" = {_shown(value)}"
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
@@ -333,7 +332,7 @@ def _without(given: Any, section: str, wrong: Collection[str], chosen: Chosen) -
     kept = {}
     for name, value in given.items():
         path = _joined(section, name)
-        if isinstance(value, dict) and path in config_keys.tables(chosen):
+        if isinstance(value, dict) and path in keys.tables(chosen):
             kept[name] = _without(value, path, wrong, chosen)
         elif not any(_covers(path, key) for key in wrong):
             kept[name] = value
@@ -378,7 +377,7 @@ def _resolved(settings: Settings, folder: Path) -> Settings:
 
 
 def _shown(value: Any) -> str:
-    return _shortened(config_keys.toml_value(value))
+    return _shortened(keys.toml_value(value))
 
 
 def _printable(text: str) -> str:

@@ -6,8 +6,7 @@ from inspect import cleandoc
 from pathlib import Path
 from typing import Any, Literal
 
-from daemon.config import keys as config_keys
-from daemon.config import rules as config_rules
+from daemon.config import keys, rules
 from daemon.config.keys import Key, SettingsTable
 
 Role = Literal["both", "cube", "tracker"]
@@ -94,7 +93,7 @@ def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
     values
         Values in place of defaults, by the key's path.
     """
-    known = config_keys.tables().values()
+    known = keys.tables().values()
     tables = [table for table in known if table.path and table.path not in _NOT_READ[role] and not table.only_for]
     blocks = [_heading(role), *[_block(table, values or {}) for table in tables]]
     return "\n\n".join(blocks) + "\n"
@@ -103,14 +102,14 @@ def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
 def reference() -> str:
     """Return docs/configuration.md."""
     parts = [_INTRODUCTION]
-    for table in config_keys.tables().values():
+    for table in keys.tables().values():
         if table.path:
             rows = [_row(key) for key in table.keys]
             head = ["| Key | Default | Takes | Meaning |", "|---|---|---|---|"]
             parts.append("\n".join([f"## [{table.path}]\n\n{table.about}\n", *head, *rows]) + "\n")
     parts.append(_TRACKERS)
-    rules = [f"- {' '.join(cleandoc(rule.__doc__ or '').split())}" for rule in config_rules.RULES]
-    parts.append("\n".join(["## Rules between keys\n", *rules]) + "\n")
+    sentences = [f"- {' '.join(cleandoc(rule.__doc__ or '').split())}" for rule in rules.RULES]
+    parts.append("\n".join(["## Rules between keys\n", *sentences]) + "\n")
     return "\n".join(parts)
 
 
@@ -140,7 +139,7 @@ def _entry(key: Key, values: Mapping[str, Any]) -> Iterator[str]:
     value = values.get(key.path, key.default)
     yield _comment(f"{key.description} Takes {key.expected}.")
     unused = "#" if key.only_for and key.path not in values else ""
-    yield f"#{key.name} = {key.example}" if value is None else f"{unused}{key.name} = {config_keys.toml_value(value)}"
+    yield f"#{key.name} = {key.example}" if value is None else f"{unused}{key.name} = {keys.toml_value(value)}"
 
 
 def _comment(text: str) -> str:
@@ -149,7 +148,7 @@ def _comment(text: str) -> str:
 
 
 def _row(key: Key) -> str:
-    default = "none" if key.default is None else f"`{config_keys.toml_value(key.default)}`"
+    default = "none" if key.default is None else f"`{keys.toml_value(key.default)}`"
     return f"| `{key.name}` | {default} | {key.expected} | {key.description} |"
 
 

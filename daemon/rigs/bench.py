@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.base import process as logs
+from daemon.base import process
 from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.process import on_signals
@@ -44,7 +44,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
         raise UserError(f"the bench has one tracker and the configuration names {names}: leave its [[tracker]] out")
     directory = directory.absolute()
     file = _claim(directory)
-    logs.configure(sys.stderr, journal=False, level=logging.INFO)
+    process.configure(sys.stderr, journal=False, level=logging.INFO)
     with asyncio.Runner() as runner:
         loop = runner.get_loop()
         anchor = datetime.fromtimestamp(SystemClock().utc(), UTC)

@@ -9,7 +9,7 @@ from daemon.studies.gain.choices import Device
 from daemon.studies.gain.request import DeviceTilts, Request
 from solar import gain
 from solar.frames import Array
-from solar.gain import printed as paper
+from solar.gain import printed
 from solar.gain.ratios import Energies
 
 if TYPE_CHECKING:
@@ -118,13 +118,13 @@ def _printed_days(
 ) -> Columns:
     columns: Columns = {}
     if Device.STATIC in against:
-        columns["K_DS_eq11"] = paper.k_ds_eq11(phi, tilts.static, n, deviation)
+        columns["K_DS_eq11"] = printed.k_ds_eq11(phi, tilts.static, n, deviation)
     if Device.VERTICAL in against:
-        columns["K_DV_eq25"] = paper.k_dv_eq25(phi, tilts.vertical, n)
-        columns["K_DV_script2"] = paper.script2(phi, tilts.vertical, n)
+        columns["K_DV_eq25"] = printed.k_dv_eq25(phi, tilts.vertical, n)
+        columns["K_DV_script2"] = printed.script2(phi, tilts.vertical, n)
     if Device.HORIZONTAL in against:
-        columns["K_DH_eq49"] = paper.k_dh_eq49(phi, tilts.horizontal, n, deviation)
-        columns["K_DH_script3"] = paper.script3(phi, tilts.horizontal, n, deviation)
+        columns["K_DH_eq49"] = printed.k_dh_eq49(phi, tilts.horizontal, n, deviation)
+        columns["K_DH_script3"] = printed.script3(phi, tilts.horizontal, n, deviation)
     return columns
 
 
@@ -132,9 +132,9 @@ def _printed_year(latitude: float, tilts: DeviceTilts, deviation: Array, against
     """Return what the scripts print for a year: the smallest eta over its days."""
     ratios: Columns = {}
     if Device.STATIC in against:
-        ratios["eta_DS_script1_min"] = paper.script1(latitude, tilts.static, gain.DAYS, deviation).k_ds
+        ratios["eta_DS_script1_min"] = printed.script1(latitude, tilts.static, gain.DAYS, deviation).k_ds
     if Device.VERTICAL in against:
-        ratios["eta_DV_script2_min"] = paper.script2(latitude, tilts.vertical, gain.DAYS)
+        ratios["eta_DV_script2_min"] = printed.script2(latitude, tilts.vertical, gain.DAYS)
     if Device.HORIZONTAL in against:
-        ratios["eta_DH_script3_min"] = paper.script3(latitude, tilts.horizontal, gain.DAYS, deviation)
-    return {name: paper.least_eta(ratio)[..., None] for name, ratio in ratios.items()}
+        ratios["eta_DH_script3_min"] = printed.script3(latitude, tilts.horizontal, gain.DAYS, deviation)
+    return {name: printed.least_eta(ratio)[..., None] for name, ratio in ratios.items()}

@@ -15,7 +15,7 @@ from daemon.studies.gain.request import DeviceTilts, Request
 from daemon.studies.gain.weather import SkySource
 from solar import gain
 from solar.frames import Array
-from solar.gain import printed as paper
+from solar.gain import printed
 from solar.gain.ratios import Energies
 from solar.gain.real_sky import best_tilt_vertical_sky
 
@@ -177,9 +177,9 @@ def printed_against_exact(request: Request) -> Figure:
     energies, days = exact_energies(latitude, tilts, gain.DAYS, request.azimuths_deg[:1]), gain.DAYS
     static, vertical, horizontal = (_tilt(tilts, device) for device in Device)
     static_paper = (
-        {"limit (13), azimuth to 0": paper.k_ds_eq13(latitude, static, days)}
+        {"limit (13), azimuth to 0": printed.k_ds_eq13(latitude, static, days)}
         if azimuth == 0.0
-        else {"equation (11), script 1": paper.k_ds_eq11(latitude, static, days, azimuth)}
+        else {"equation (11), script 1": printed.k_ds_eq11(latitude, static, days, azimuth)}
     )
     panels: dict[Device, dict[str, Array]] = {
         Device.STATIC: {
@@ -189,13 +189,13 @@ def printed_against_exact(request: Request) -> Figure:
         },
         Device.VERTICAL: {
             "exact": energies.k_dv,
-            "equation (25)": paper.k_dv_eq25(latitude, vertical, days),
-            "script 2": paper.script2(latitude, vertical, days),
+            "equation (25)": printed.k_dv_eq25(latitude, vertical, days),
+            "script 2": printed.script2(latitude, vertical, days),
         },
         Device.HORIZONTAL: {
             "exact, full day": energies.k_dh,
-            "equation (49)": paper.k_dh_eq49(latitude, horizontal, days, azimuth),
-            "script 3": paper.script3(latitude, horizontal, days, azimuth),
+            "equation (49)": printed.k_dh_eq49(latitude, horizontal, days, azimuth),
+            "script 3": printed.script3(latitude, horizontal, days, azimuth),
         },
     }
     figure = Figure(figsize=(9.5, 1.0 + 2.9 * len(request.against)), layout="constrained")
