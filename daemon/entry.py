@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.base.errors import UserError
-from daemon.base.installation import damage
 
 _URGENT = ("stop", "stow")
 _OPTIONS = {
@@ -34,6 +33,8 @@ def main() -> None:
 
 def _refuse_a_damaged_installation() -> None:
     """Leave with code 2 where another distribution has taken a package of ours; a stop is given as far as it can be."""
+    from daemon.base.installation import damage  # noqa: PLC0415 - a stop does not wait for it
+
     found = damage()
     if found is not None:
         sys.stderr.write(f"heliocube: {found}\n")

@@ -5,13 +5,15 @@ import logging
 import os
 import stat
 from pathlib import Path
-from typing import Generic, TypeVar
-
-from pydantic import BaseModel
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from daemon.base.errors import UserError
 
-State = TypeVar("State", bound=BaseModel)
+if TYPE_CHECKING:
+    # A stop reads its token by this module, and waits for no large library.
+    from pydantic import BaseModel
+
+State = TypeVar("State", bound="BaseModel")
 
 
 class UnreadableStateError(Exception):

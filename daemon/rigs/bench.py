@@ -1,9 +1,11 @@
 """Running the bench: simulated instruments in a process of their own, for the real drivers of another one."""
 
 import asyncio
+import contextlib
 import logging
 import sys
 from datetime import UTC, datetime
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +93,9 @@ def _served(settings: Settings, directory: Path, port: int, start: datetime, anc
 
 
 def _values(settings: Settings) -> dict[str, Any]:
-    """Return every value by its key's path."""
+    """Return every value by its key's path; the keys of drivers and laws that are not chosen have none."""
     values = {}
     for path in every_key():
-        value: Any = settings
-        for name in path.split("."):
-            value = getattr(value, name)
-        values[path] = value
+        with contextlib.suppress(AttributeError):
+            values[path] = attrgetter(path)(settings)
     return values
