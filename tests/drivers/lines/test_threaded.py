@@ -1,0 +1,82 @@
+"""A line of blocking calls: each exchange is a call in the instrument's thread, and a hung one is left behind."""
+
+import asyncio
+import threading
+
+import pytest
+
+from drivers.errors import DeadlineError, LinkLostError
+from drivers.lines.threaded import ThreadedLine
+
+
+class EchoingLine:
+    """Answers each line with itself in capitals; hangs where a test says so."""
+
+    transfer_s = 0.0
+
+    def __init__(self, gate, log):
+        self._gate, self._log = gate, log
+        self._said = []
+        log.append("open")
+
+    def send(self, text):
+        self._said.append(text.upper())
+
+    def receive(self, within_s):
+        if self._said and self._said[0] == "HANG":
+            self._gate.wait()
+        if not self._said:
+            raise DeadlineError("voltmeter", f"nothing in {within_s:g} s")
+        return self._said.pop(0)
+
+    def interrupt(self):
+        self._said.clear()
+
+    def drain(self, quiet_s):
+        self._log.append(f"drained {quiet_s:g}")
+
+    def close(self):
+        self._log.append("close")
+
+
+@pytest.fixture
+def gate():
+    """An event that lets every hung call of a test go at its end."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def test_exchanges_pass_in_order_and_the_lines_own_errors_come_back(gate):
+    log = []
+
+    async def scene():
+        line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, log))
+        with pytest.raises(LinkLostError, match="opened first"):
+            await line.send("too early")
+        await line.open()
+        assert await asyncio.gather(*(line.ask(text, 1.0) for text in ("one", "two"))) == ["ONE", "TWO"]
+        await line.send("three")
+        await line.interrupt()
+        await line.drain(0.1)
+        with pytest.raises(DeadlineError, match=r"nothing in 0\.5 s"):
+            await line.receive(0.5)
+        await line.close()
+        await line.close()
+
+    asyncio.run(scene())
+    assert log == ["open", "drained 0.1", "close"]
+
+
+def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_has_a_thread_of_its_own(gate):
+    async def scene():
+        line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, []))
+        await line.open()
+        with pytest.raises(LinkLostError, match="did not return within"):
+            await line.ask("hang", 0.01)
+        await line.close()
+        await line.open()
+        assert await line.ask("alive", 1.0) == "ALIVE"
+        await line.close()
+
+    asyncio.run(scene())
