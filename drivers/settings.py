@@ -3,11 +3,12 @@
 A driver is a module with two names, found through the entry points of its kind, such as `heliocube.positioner`:
 
 `SETTINGS`
-    Its keys in the configuration, a child of :class:`PositionerSettings` for a positioner. Descriptions, units in names
-    and ranges make the commented file, the reference and the error messages.
+    Its keys in the configuration, a child of :class:`PositionerSettings` or :class:`LoadSettings`. Descriptions,
+    units in names and ranges make the commented file, the reference and the error messages.
 `build(settings, surroundings)`
     Returns the instrument, not yet connected; for a positioner a :class:`drivers.interfaces.Positioner`. Raises
-    :class:`SettingsError` where the settings do not say enough to reach it.
+    :class:`SettingsError` where the settings do not say enough to reach it. An electronic load is handed only the
+    `drivers.transcript.Tap` besides its settings, and is a :class:`drivers.interfaces.ElectronicLoad`.
 
 A positioner's module may have a third, `simulate(settings, surroundings)`, for simulated rigs: it returns a function
 that tells where the axes truly stand at a monotonic time, and the instrument.
@@ -120,6 +121,29 @@ class PositionerSettings(DriverSettings):
     def conflicts(self, limits: AngleRange) -> Iterator[SettingsConflict]:  # noqa: ARG002
         """Yield the keys that cannot be as they are with these limits of the angles."""
         yield from ()
+
+
+class LoadSettings(DriverSettings):
+    """When and how an electronic load traces curves, whatever make it is."""
+
+    driver: str = Field("", description="Name of the driver.")
+    period_s: float = Field(5.0, ge=1, le=3600, description="Time from the start of one curve to the next.")
+    points: int = Field(30, ge=8, le=200, description="Points of a curve, half of them around its knee.")
+    settle_s: float = Field(0.03, ge=0.002, le=1, description="Time from a new voltage to its measurement.")
+    minimum_voltage_v: Positive = Field(
+        3.0, le=100, description="Lowest voltage of a curve; the load must be able to hold it."
+    )
+    abort_change: float = Field(
+        0.1, gt=0, le=10, description="A curve ends where the zenith irradiance has changed by more than this share."
+    )
+    deadline_s: Positive = Field(1.0, le=30, description="Longest wait for one answer of the load.")
+    keep_curves: bool = Field(
+        default=False, description="Keep the points of every curve in the store, and not only what they say."
+    )
+
+    def exclusive(self) -> Mapping[str, str | None]:
+        """Return the values that no two loads can have in common, such as a port, by their keys."""
+        return {}
 
 
 @dataclass(frozen=True, slots=True)

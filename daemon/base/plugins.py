@@ -10,6 +10,7 @@ from daemon.base.errors import UserError
 
 LAWS = "heliocube.law"
 POSITIONERS = "heliocube.positioner"
+LOADS = "heliocube.load"
 
 
 class PluginError(UserError):

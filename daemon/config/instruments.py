@@ -84,41 +84,6 @@ class VoltmeterSettings(Section):
     flow_control: Literal["none", "xon-xoff"] = Field("none", description="RS-232: flow control, as at the meter.")
 
 
-class Load(Section):
-    """The electronic load that traces the I-V curve of the module on the tracker, in open circuit otherwise."""
-
-    driver: Literal["none", "simulated", "chroma63600", "agilent6063b"] = Field(
-        "none",
-        description="Whether there is one, and which; simulated goes with simulated instruments, a real one with"
-        " real instruments.",
-    )
-    resource: VisaResource | None = Field(
-        None, examples=["GPIB0::5::INSTR"], description="VISA name of a real load: GPIB address, or serial port."
-    )
-    visa: Literal["py", "ni"] = Field("py", description="VISA library: PyVISA-py, or NI-VISA if it is installed.")
-    prologix_port: PortPath | None = Field(
-        None,
-        examples=["/dev/serial/by-id/usb-Prologix_Prologix_GPIB-USB_Controller_PX8ABCDF-if00-port0"],
-        description="Port of a Prologix GPIB-USB adapter that the GPIB address is behind; with PyVISA-py only.",
-    )
-    channel: int = Field(
-        1, ge=1, le=10, description="chroma63600: channel of the mainframe; modules with one input are 1, 3, 5, 7, 9."
-    )
-    period_s: float = Field(5.0, ge=1, le=3600, description="Time from the start of one curve to the next.")
-    points: int = Field(30, ge=8, le=200, description="Points of a curve, half of them around its knee.")
-    settle_s: float = Field(0.03, ge=0.002, le=1, description="Time from a new voltage to its measurement.")
-    minimum_voltage_v: Positive = Field(
-        3.0, le=100, description="Lowest voltage of a curve; the load must be able to hold it."
-    )
-    abort_change: float = Field(
-        0.1, gt=0, le=10, description="A curve ends where the zenith irradiance has changed by more than this share."
-    )
-    deadline_s: Positive = Field(1.0, le=30, description="Longest wait for one answer of the load.")
-    keep_curves: bool = Field(
-        default=False, description="Keep the points of every curve in the store, and not only what they say."
-    )
-
-
 class Instruments(Section):
     """How the instruments are reached. There is no silent fallback from one kind to another."""
 

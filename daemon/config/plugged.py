@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple, cast
 from pydantic import BaseModel, ValidationError, create_model
 
 from daemon.base import plugins
+from drivers.settings import LoadSettings
 
 DEFAULT_LAW = "mu-prime"
 FALLBACK_LAW = "chronometric"
@@ -150,6 +151,14 @@ class Plugged:
                 yield from _wrong(kind, {key: value})
 
 
+class NoLoadSettings(LoadSettings):
+    """none: the module is in open circuit."""
+
+
+class SimulatedLoadSettings(LoadSettings):
+    """simulated: goes with simulated instruments."""
+
+
 LAW = Plugged(
     path="law",
     group=plugins.LAWS,
@@ -169,7 +178,16 @@ POSITIONER = Plugged(
     built_in={},
 )
 
-SECTIONS = {each.path: each for each in (LAW, POSITIONER)}
+LOAD = Plugged(
+    path="load",
+    group=plugins.LOADS,
+    default="none",
+    title="The electronic load that traces the I-V curve of the module on the tracker, in open circuit otherwise.",
+    about="Whether there is one, and which; a real one goes with real instruments.",
+    built_in={"none": NoLoadSettings, "simulated": SimulatedLoadSettings},
+)
+
+SECTIONS = {each.path: each for each in (LAW, POSITIONER, LOAD)}
 """All of them, by their path."""
 
 

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
-from daemon.config.instruments import Instruments, Load
+from daemon.config.instruments import Instruments
 from daemon.config.links import ApiSettings, BridgeSettings, MqttSettings, StoreSettings
-from daemon.config.plugged import LAW
+from daemon.config.plugged import LAW, LOAD
 from daemon.config.section import Duration, FilePath, NotNegative, Section
 from daemon.config.simulation import SimulationSettings
-from drivers.settings import Positive, with_defaults
+from drivers.settings import LoadSettings, Positive, with_defaults
 from solar.ephemeris import Site
 from solar.frames import Limits
 from solar.laws.law import LawSettings
@@ -195,7 +195,7 @@ class Sections(Section):
     site: SiteSettings = SiteSettings()
     cube: CubeSettings = CubeSettings()
     instruments: Instruments = Field(default_factory=Instruments)
-    load: Load = Load()
+    load: Annotated[SerializeAsAny[LoadSettings], BeforeValidator(LOAD.settle)] = Field(default_factory=LOAD.defaults)
     law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.settle)] = Field(default_factory=LAW.defaults)
     windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()

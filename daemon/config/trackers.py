@@ -100,7 +100,7 @@ def shared_ports(trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[SharedP
     """Yield every port of a real instrument that two trackers have in common."""
     owners: dict[tuple[str, str], str] = {}
     for name, settings in trackers:
-        ports = {"load.resource": settings.load.resource if settings.load.driver not in ("none", "simulated") else None}
+        ports = {f"load.{key}": value for key, value in settings.load.exclusive().items()}
         if settings.instruments.kind == "real":
             ports |= {f"positioner.{key}": value for key, value in settings.instruments.positioner.exclusive().items()}
         for key, value in ports.items():

@@ -4,11 +4,13 @@ from collections.abc import Callable, Sequence
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
-from daemon.rigs.real import build_load, load_line
+from daemon.rigs.real import build_load
 from drivers.errors import ConnectError, DeadlineError
 from drivers.load import agilent6063b, chroma63600
+from drivers.load.connection import load_line
 from drivers.load.session import Dialect
 from drivers.scpi import ScpiLine
+from drivers.settings import SettingsError
 from drivers.transcript import Tap
 from solar.iv import measured_maximum, sweep_voltages
 
@@ -36,18 +38,23 @@ async def probe_load(
     DeviceError
         It cannot be reached, or does not do as it should.
     """
-    if settings.load.driver not in ("chroma63600", "agilent6063b"):
-        raise UserError('load.driver names no real load; give --driver, "chroma63600" or "agilent6063b"')
-    line = load_line(settings, tap)
-    dialect = agilent6063b.DIALECT
-    if settings.load.driver == "chroma63600":
-        dialect = chroma63600.dialect(settings.load.channel)
+    own = settings.load
+    if isinstance(own, chroma63600.ChromaSettings):
+        dialect = chroma63600.dialect(own.channel)
+    elif isinstance(own, agilent6063b.AgilentSettings):
+        dialect = agilent6063b.DIALECT
+    else:
+        raise UserError('load.driver names no load that can be probed; give --driver, "chroma63600" or "agilent6063b"')
+    try:
+        line = load_line(own, tap)
+    except SettingsError as error:
+        raise UserError(str(error)) from None
 
     try:
         await line.open()
         await line.interrupt()
         await line.drain(0.1)
-        for text in await _answers(line, dialect, settings.load.deadline_s):
+        for text in await _answers(line, dialect, own.deadline_s):
             say(text)
     finally:
         await line.close()

@@ -6,13 +6,11 @@ from typing import cast
 from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
+from daemon.config.plugged import LOAD
 from daemon.config.settings import Settings
 from drivers.interfaces import ElectronicLoad, Positioner
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
-from drivers.load.agilent6063b import Agilent6063B
-from drivers.load.chroma63600 import Chroma63600
-from drivers.load.sweep import SweepSettings
 from drivers.meters.keithley2000 import Keithley2000
 from drivers.positioners.pozsol import driver as pozsol
 from drivers.positioners.pozsol.driver import PozsolSettings
@@ -24,9 +22,6 @@ from drivers.switches.digital_port import DigitalPort
 from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from drivers.transcript import Tap, no_tap
-
-MARGIN_OF_LEAST_V = 0.9
-"""The lowest voltage of a sweep may be read this much lower without ending it."""
 
 
 def build_multiplexer(settings: Settings, tap: Tap = no_tap, port: DigitalPort | None = None) -> NiMultiplexer:
@@ -100,26 +95,11 @@ def positioner_surroundings(settings: Settings, clock: Clock, tap: Tap = no_tap)
     return PositionerSurroundings(settings.limits.limits(), clock.monotonic, tap)
 
 
-def load_line(settings: Settings, tap: Tap = no_tap) -> ScpiLine:
-    """Return the electronic load's line, not yet open; `UserError` if the settings do not say where it is."""
-    load = settings.load
-    if load.resource is None:
-        raise UserError('load.resource is missing: a real load needs its VISA name, such as "GPIB0::5::INSTR"')
-    where = VisaSettings(load.resource, load.visa, load.prologix_port, device="load", section="load")
-    return ThreadedLine("load", partial(VisaLine, where, tap))
-
-
 def build_load(settings: Settings, tap: Tap = no_tap) -> ElectronicLoad | None:
     """Return the electronic load, not yet connected, or None if there is none; `UserError` if it cannot be found."""
-    load = settings.load
-    if load.driver in ("none", "simulated"):
+    if settings.load.driver in LOAD.built_in:
         return None
-    if load.driver == "chroma63600":
-        return Chroma63600(load_line(settings, tap), load.channel, sweep_settings(settings))
-    return Agilent6063B(load_line(settings, tap), sweep_settings(settings))
-
-
-def sweep_settings(settings: Settings) -> SweepSettings:
-    """Return how the electronic load sweeps."""
-    load = settings.load
-    return SweepSettings(load.settle_s, MARGIN_OF_LEAST_V * load.minimum_voltage_v, load.deadline_s)
+    try:
+        return cast("ElectronicLoad", plugins.load(plugins.LOADS, settings.load.driver).build(settings.load, tap))
+    except SettingsError as error:
+        raise UserError(str(error)) from None

@@ -16,6 +16,7 @@ from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
+from daemon.config.plugged import LOAD
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.real import (
@@ -25,12 +26,12 @@ from daemon.rigs.real import (
     build_pozsol,
     build_voltmeter,
     positioner_surroundings,
-    sweep_settings,
 )
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.load.chroma63600 import Chroma63600
+from drivers.load.connection import sweep_settings
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
@@ -218,7 +219,7 @@ def _build_load(
             ' set load.driver to "simulated"'
         )
     core = LoadCore(source, noise, now=clock.monotonic())
-    return Chroma63600(InMemoryLine("load", core, clock.monotonic), core.channel, sweep_settings(settings))
+    return Chroma63600(InMemoryLine("load", core, clock.monotonic), core.channel, sweep_settings(load))
 
 
 def _noise_of_load(settings: Settings, number: int = 0) -> np.random.Generator:
@@ -357,7 +358,7 @@ async def run_bench(
     if settings.load.driver == "agilent6063b":
         load = LoadCore(source, noise, make="agilent6063b", now=now_s)
     else:
-        load = LoadCore(source, noise, channel=settings.load.channel, now=now_s)
+        load = LoadCore(source, noise, channel=LOAD.rechosen(settings.load, "chroma63600").channel, now=now_s)
     bench = Bench(
         directory,
         scene,

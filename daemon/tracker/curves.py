@@ -12,9 +12,9 @@ import numpy as np
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage, Reconnection, Rhythm
 from daemon.base.records import CurveQuality, Event, IvCurve, Quality, Record, Scan
-from daemon.config.instruments import Load
 from drivers.errors import DeviceError
 from drivers.interfaces import ElectronicLoad, SweptCurve
+from drivers.settings import LoadSettings
 from solar.iv import measured_maximum, sweep_voltages
 
 log = logging.getLogger("heliocube.load")
@@ -49,7 +49,7 @@ class IvAcquisition:
 
     def __init__(
         self,
-        settings: Load,
+        settings: LoadSettings,
         load: ElectronicLoad,
         clock: Clock,
         random: Random,

@@ -8,9 +8,11 @@ Not confirmed by a document: ``MODE?`` answers VOLT; 250 W, 10 A, 3 to 240 V, of
 first two. Not used: the flag "unregulated", which the family's manual says does not come in this mode.
 """
 
+from drivers.load.connection import VisaLoadSettings, load_line, sweep_settings
 from drivers.load.session import Dialect
 from drivers.load.sweep import ScpiLoad, SweepSettings
 from drivers.scpi import ScpiLine
+from drivers.transcript import Tap, no_tap
 
 PROTECTIONS = {
     1: "voltage fault",
@@ -43,8 +45,20 @@ DIALECT = Dialect(
 )
 
 
+class AgilentSettings(VisaLoadSettings):
+    """agilent6063b: an Agilent or HP 6063B."""
+
+
 class Agilent6063B(ScpiLoad):
     """The load; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
     def __init__(self, line: ScpiLine, settings: SweepSettings) -> None:
         super().__init__(line, DIALECT, settings)
+
+
+SETTINGS = AgilentSettings
+
+
+def build(settings: AgilentSettings, tap: Tap = no_tap) -> Agilent6063B:
+    """Return the load, not yet connected; `SettingsError` if the settings do not say where it is."""
+    return Agilent6063B(load_line(settings, tap), sweep_settings(settings))

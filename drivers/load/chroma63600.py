@@ -8,9 +8,13 @@ questions in one line are answered in one line with semicolons (where they are n
 has; an error queue is not used.
 """
 
+from pydantic import Field
+
+from drivers.load.connection import VisaLoadSettings, load_line, sweep_settings
 from drivers.load.session import Dialect
 from drivers.load.sweep import ScpiLoad, SweepSettings
 from drivers.scpi import ScpiLine
+from drivers.transcript import Tap, no_tap
 
 PROTECTIONS = {
     1: "over-temperature",
@@ -48,8 +52,24 @@ def dialect(channel: int) -> Dialect:
     )
 
 
+class ChromaSettings(VisaLoadSettings):
+    """chroma63600: a channel of a Chroma 63600 mainframe."""
+
+    channel: int = Field(
+        1, ge=1, le=10, description="Channel of the mainframe; modules with one input are 1, 3, 5, 7, 9."
+    )
+
+
 class Chroma63600(ScpiLoad):
     """The load at one channel; parameters as those of `drivers.load.sweep.ScpiLoad`."""
 
     def __init__(self, line: ScpiLine, channel: int, settings: SweepSettings) -> None:
         super().__init__(line, dialect(channel), settings)
+
+
+SETTINGS = ChromaSettings
+
+
+def build(settings: ChromaSettings, tap: Tap = no_tap) -> Chroma63600:
+    """Return the load, not yet connected; `SettingsError` if the settings do not say where it is."""
+    return Chroma63600(load_line(settings, tap), settings.channel, sweep_settings(settings))

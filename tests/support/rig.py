@@ -14,13 +14,14 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
-from daemon.rigs.real import build_pozsol, build_voltmeter, sweep_settings
+from daemon.rigs.real import build_pozsol, build_voltmeter
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
 from drivers.load.chroma63600 import Chroma63600
+from drivers.load.connection import sweep_settings
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
 from sim_drivers.multiplexer import MultiplexerCore
@@ -80,7 +81,7 @@ class Bench:
         self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
         self.cables.load = InMemoryLine("load", self.load_core, loop.time)
-        self.load = Chroma63600(self.cables.load, self.load_core.channel, sweep_settings(settings))
+        self.load = Chroma63600(self.cables.load, self.load_core.channel, sweep_settings(settings.load))
         self.bus = Bus()
         self.records = []
         self.bus.subscribe(self.records.append)
