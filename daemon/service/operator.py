@@ -83,6 +83,7 @@ class Operator:
     """
 
     def __init__(self, tracker: Tracker, speed: float) -> None:
+        self.log_name = tracker.log_name
         self._tracker = tracker
         self._control, self._motion = tracker.control, tracker.motion
         self._clock = tracker.clock
@@ -232,8 +233,7 @@ class Operator:
 
     def _note(self, command: str, why: str, by: str) -> None:
         text = f"{command}: {why}{f' ({by})' if by else ''}"
-        which = {} if self._tracker.alone else {"tracker": self._tracker.name}
-        log.info("%s", text, extra={"fields": which})
+        log.info("%s", text)
         self._tracker.publish(Event(self._clock.utc(), self._clock.monotonic(), "operator", text))
 
     def _require_telemetry(self, what: str) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from daemon.base.process import TRACKER
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
@@ -97,7 +98,7 @@ class Operators:
         chosen = self._meant(command)
         if len(chosen) == 1:
             ((_, operator),) = chosen.items()
-            return answer_json(command.name, command.identifier, await command.carry_out(operator))
+            return answer_json(command.name, command.identifier, await _by(operator, command))
         return answer_json(command.name, command.identifier, await self._by_all(command))
 
     def _meant(self, command: Command) -> dict[str, Operator]:
@@ -115,7 +116,7 @@ class Operators:
     async def _by_all(self, command: Command) -> Answer:
         """Return what all trackers did at once; what one refuses is no reason for the others not to."""
         outcomes = await asyncio.gather(
-            *(command.carry_out(operator) for operator in self._of.values()), return_exceptions=True
+            *(_by(operator, command) for operator in self._of.values()), return_exceptions=True
         )
         told = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(self._of, outcomes, strict=True))
         for found in outcomes:
@@ -126,6 +127,15 @@ class Operators:
             raise CommandError(f"not by all {len(outcomes)} trackers: {told}")
         worst = next(seen for seen in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if seen in {a.seen for a in answers})
         return Answer(worst, f"all {len(outcomes)} trackers: {told}")
+
+
+async def _by(operator: Operator, command: Command) -> Answer:
+    """Let an operator carry out a command; what the log says meanwhile is said of its tracker."""
+    before = TRACKER.set(operator.log_name)
+    try:
+        return await command.carry_out(operator)
+    finally:
+        TRACKER.reset(before)
 
 
 def _sentence(outcome: Answer | BaseException) -> str:

@@ -127,6 +127,11 @@ class Tracker:
                 settings.safety.scan_stale_s,
             )
 
+    @property
+    def log_name(self) -> str:
+        """What lines of the log call it: nothing where there is no other."""
+        return "" if self.alone else self.name
+
     def receive(self, scan: Scan) -> None:
         """Take in a fresh, authentic scan; its monotonic times are on our clock."""
         self.control.receive(scan)
@@ -160,7 +165,7 @@ class Tracker:
 
     async def _named(self, work: Awaitable[None]) -> None:
         """Do work, in a task of its own, whose lines in the log bear the tracker's name where there are several."""
-        TRACKER.set("" if self.alone else self.name)
+        TRACKER.set(self.log_name)
         await work
 
     async def _stop_motion(self) -> None:

@@ -58,6 +58,9 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
         bench.cables.others[0].link_up = False
         await bench.until(lambda: modes(bench)[1] is Mode.FAULT, 120, "the fault of one")
         await give(bench, "hold", tracker="east", why="test")
+        await give(bench, "auto", tracker="east", why="go on")
+        with pytest.raises(CommandError, match="not by all 2 trackers: east: .*; west: "):
+            await give(bench, "stop", why="both")
 
     try:
         run_rig(scenario, tracker=TWO)
@@ -65,6 +68,9 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
         logging.getLogger("heliocube").removeHandler(handler)
     assert next(line for line in lines if "is down" in line).count("tracker=west") == 1
     assert next(line for line in lines if "hold: test" in line).count("tracker=east") == 1
+    assert [
+        line for line in lines if "tracker=" not in line and ("both" in line or " -> " in line or "go on" in line)
+    ] == []
     for name in ("east", "west"):
         assert any("starting -> tracking" in line and f"tracker={name}" in line for line in lines)
 
