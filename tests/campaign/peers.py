@@ -70,7 +70,7 @@ class NotThereError(Exception):
     """A process did not start, in one sentence."""
 
 
-class BenchUnit:
+class SimulatedUnit:
     """The simulated unit of `heliocube bench`."""
 
     disturbances = BENCH_DISTURBANCES
@@ -228,7 +228,7 @@ def unit_and_tracker(folder, firmware=None, build="micro"):
         port = probe.getsockname()[1]
     config = folder / "config.toml"
     config.write_text(CONFIG.format(port=port, folder=folder))
-    unit = FirmwareUnit(folder, config, firmware, build) if firmware else BenchUnit(folder, config)
+    unit = FirmwareUnit(folder, config, firmware, build) if firmware else SimulatedUnit(folder, config)
     try:
         tracker = Tracker(unit.config, port, folder / "service.log")
         try:

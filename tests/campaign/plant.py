@@ -11,7 +11,7 @@ from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
-from tests.support.rig import Bench, HandWeather
+from tests.support.rig import HandWeather, ServiceRig
 
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
@@ -58,13 +58,13 @@ class DriverTap:
         return await self._driver.home(axis)
 
 
-class Plant(Bench):
+class Plant(ServiceRig):
     """The instruments, and the service that runs on them at present.
 
     Parameters
     ----------
     loop, settings, start, weather, setup
-        As for a bench.
+        As for `ServiceRig`.
     watch
         Is told of orders, services and commands; see `tests.campaign.watch`.
     """

@@ -9,42 +9,42 @@ A_PACKET, B_PACKET, STOP_PACKET = b"$.", b"$2", b"$9s"
 TRACKING_OFF_PACKET = encode_command(Field.MODE, wire.TRACKING_OFF)
 
 
-def drive(bench, field, value):
+def drive(rig, field, value):
     """Send a command as another program would."""
-    bench.unit.feed(encode_command(field, value), bench.clock.monotonic())
+    rig.unit.feed(encode_command(field, value), rig.clock.monotonic())
 
 
-def drive_b(bench, angle_deg):
-    drive(bench, Field.B_ANGLE, angle_deg)
+def drive_b(rig, angle_deg):
+    drive(rig, Field.B_ANGLE, angle_deg)
 
 
-def lose(bench, monkeypatch, *starts):
+def lose(rig, monkeypatch, *starts):
     """Let packets that start so get lost on their way to the unit."""
-    feed = bench.unit.feed
+    feed = rig.unit.feed
 
     def lossy(data, now):
         if not data.startswith(starts):
             feed(data, now)
 
-    monkeypatch.setattr(bench.unit, "feed", lossy)
+    monkeypatch.setattr(rig.unit, "feed", lossy)
 
 
-def show(bench, **fields):
+def show(rig, **fields):
     """Let telemetry say something that the simulated unit does not say by itself."""
-    read = type(bench.positioner).read_telemetry
+    read = type(rig.positioner).read_telemetry
 
     async def shown():
-        return replace(await read(bench.positioner), **fields)
+        return replace(await read(rig.positioner), **fields)
 
-    bench.positioner.read_telemetry = shown
-
-
-def alarms(bench):
-    return {alarm.name: alarm.text for alarm in bench.tracker.alarms.active}
+    rig.positioner.read_telemetry = shown
 
 
-def speed(bench, seconds):
+def alarms(rig):
+    return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}
+
+
+def speed(rig, seconds):
     """Return how fast the faster axis really turns at present [deg/s], from the truth this long apart."""
-    now = bench.clock.monotonic()
-    before, after = bench.unit.truth(now), bench.unit.truth(now + seconds)
+    now = rig.clock.monotonic()
+    before, after = rig.unit.truth(now), rig.unit.truth(now + seconds)
     return max(abs(after.a_deg - before.a_deg), abs(after.b_deg - before.b_deg)) / seconds

@@ -19,7 +19,7 @@ from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
 from tests.support.broker import LEFT_OUT, MOSQUITTO, Broker
-from tests.support.rig import KEY, Bench, HandWeather
+from tests.support.rig import KEY, HandWeather, ServiceRig
 
 # Fast enough for minutes to pass in seconds, slow enough for a busy machine to answer in time.
 SPEED = 20.0
@@ -122,7 +122,7 @@ async def observer(port, topic="#", **how):
             await asyncio.gather(listening, return_exceptions=True)
 
 
-class MqttBench(Bench):
+class BrokerRig(ServiceRig):
     """The rig with a broker."""
 
     def __init__(self, loop, settings, speed, role=Role.BOTH, start="2022-10-12T10:00"):
@@ -170,10 +170,10 @@ def settings_for(port, **sections):
 
 
 @contextlib.asynccontextmanager
-async def serving(*benches):
+async def serving(*rigs):
     """Run services, and end them as a signal does."""
     stop = asyncio.Event()
-    tasks = [asyncio.create_task(bench.run_until(stop)) for bench in benches]
+    tasks = [asyncio.create_task(rig.run_until(stop)) for rig in rigs]
     try:
         yield
     finally:

@@ -62,7 +62,7 @@ class SteppingClock(LoopClock):
         return super().utc() + self.step_s
 
 
-class Bench:
+class ServiceRig:
     """One service, its instruments, and everything it has published."""
 
     polling = OFTEN
@@ -170,7 +170,7 @@ class Bench:
 
 @pytest.fixture
 def run_rig():
-    """Run a scenario, an async function that is given the bench, beside the service.
+    """Run a scenario, an async function that is given the rig, beside the service.
 
     Where hours pass and nothing hangs on it, a positioner at rest may be looked at less often than the service does.
     """
@@ -182,7 +182,7 @@ def run_rig():
         settings = Settings.model_validate(sections)
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             loop = runner.get_loop()
-            bench = Bench(
+            rig = ServiceRig(
                 loop,
                 settings,
                 datetime.fromisoformat(start).replace(tzinfo=UTC),
@@ -194,8 +194,8 @@ def run_rig():
 
             async def beside():
                 stop = asyncio.Event()
-                serving = asyncio.create_task(bench.service.run(stop))
-                acting = asyncio.create_task(scenario(bench))
+                serving = asyncio.create_task(rig.service.run(stop))
+                acting = asyncio.create_task(scenario(rig))
                 await asyncio.wait((serving, acting), return_when=asyncio.FIRST_COMPLETED)
                 stop.set()
                 outcomes = await asyncio.gather(serving, acting, return_exceptions=True)
@@ -204,6 +204,6 @@ def run_rig():
                         raise outcome
 
             runner.run(beside())
-        return bench
+        return rig
 
     return run

@@ -61,27 +61,27 @@ class Caller:
         return await self("POST", f"/api/{name}", body, headers)
 
 
-def server_of(bench, settings, recent=None, store=None):
-    """Return the local interface of a bench's service."""
+def server_of(rig, settings, recent=None, store=None):
+    """Return the local interface of a rig's service."""
     recent = Recent() if recent is None else recent
-    operators = Operators(bench.service.trackers, 1.0)
-    api = Api(lambda: bench.see(recent, store), recent, operators, TOKEN, 1.0)
-    return ApiServer(settings, api, bench.clock, bench.bus.publish, 1.0)
+    operators = Operators(rig.service.trackers, 1.0)
+    api = Api(lambda: rig.see(recent, store), recent, operators, TOKEN, 1.0)
+    return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
 
 
 @pytest.fixture
 def serve(run_rig):
-    """Run a scenario with the bench and a caller of its local interface."""
+    """Run a scenario with the rig and a caller of its local interface."""
 
     def run(scenario, **options):
-        async def beside(bench):
+        async def beside(rig):
             recent = Recent()
-            bench.bus.subscribe(recent.note)
-            settings = bench.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-            server = server_of(bench, settings, recent)
+            rig.bus.subscribe(recent.note)
+            settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
+            server = server_of(rig, settings, recent)
             serving = asyncio.create_task(server.run())
             try:
-                await scenario(bench, Caller(server))
+                await scenario(rig, Caller(server))
             finally:
                 serving.cancel()
                 await asyncio.wait((serving,))
@@ -92,17 +92,17 @@ def serve(run_rig):
 
 
 def test_the_state_tells_everything_with_age_and_quality(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
-        await at_rest(bench)
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
         found = (await call.get("/api/state")).json
         assert found["simulated"] is True
-        assert found["mode"] == {"name": "tracking", "why": bench.control.why, "since": found["mode"]["since"]}
+        assert found["mode"] == {"name": "tracking", "why": rig.control.why, "since": found["mode"]["since"]}
         assert found["scan"]["stale"] is False
         for face in found["scan"]["faces"].values():
             assert face["quality"] == "ok"
             assert 0 <= face["age_s"] <= found["scan"]["age_s"] + 5
-        pose, truth = found["tracker"]["pose"], bench.truth()
+        pose, truth = found["tracker"]["pose"], rig.truth()
         assert (pose["a_deg"], pose["b_deg"]) == (pytest.approx(truth[0], abs=0.2), pytest.approx(truth[1], abs=0.2))
         assert pose["stale"] is False
         assert 0 <= pose["age_s"] <= 30
@@ -115,9 +115,9 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
 
 
 def test_what_is_too_old_is_marked_stale_and_recovers(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
-        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = False
+    async def scenario(rig, call):
+        await tracking(rig)
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
         await asyncio.sleep(60)
         found = (await call.get("/api/state")).json
         assert found["scan"]["stale"] is True
@@ -131,8 +131,8 @@ def test_what_is_too_old_is_marked_stale_and_recovers(serve):
         health = await call.get("/healthz")
         assert (health.status, health.json["ok"], len(health.json["down"])) == (200, True, 2)
 
-        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = True
-        await bench.until_mode(Mode.TRACKING, 200)
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = True
+        await rig.until_mode(Mode.TRACKING, 200)
         await asyncio.sleep(10)
         found = (await call.get("/api/state")).json
         assert {face["quality"] for face in found["scan"]["faces"].values()} == {"ok"}
@@ -143,7 +143,7 @@ def test_what_is_too_old_is_marked_stale_and_recovers(serve):
 
 
 def test_before_the_first_scan_what_is_unknown_is_null(serve):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         found = (await call.get("/api/state")).json
         assert found["scan"] is None
         assert found["next_decision_s"] is None
@@ -152,7 +152,7 @@ def test_before_the_first_scan_what_is_unknown_is_null(serve):
 
 
 def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         await asyncio.sleep(60)
         scans = (await call.get("/api/scans")).json["scans"]
         assert [scan["sequence"] for scan in scans] == list(range(len(scans)))
@@ -169,11 +169,11 @@ def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
 
 
 def test_events_bring_the_state_and_every_record_and_end_with_the_service(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
+    async def scenario(rig, call):
+        await tracking(rig)
         reader, writer = await call.open("GET", "/api/events")
         await asyncio.sleep(20)
-        bench.service.bus.publish(Event(bench.clock.utc(), bench.clock.monotonic(), "test", "hello"))
+        rig.service.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "test", "hello"))
         await reader.readuntil(b"event: state\ndata: ")
         assert json.loads(await reader.readline())["mode"]["name"] == "tracking"
         seen = set()
@@ -204,15 +204,15 @@ def test_a_listener_that_does_not_read_costs_a_bounded_queue_and_nobody_else_any
 
 
 def test_metrics_are_those_of_prometheus(serve):
-    async def scenario(bench, call):
-        await under_way(bench)
+    async def scenario(rig, call):
+        await under_way(rig)
         reply = await call.get("/metrics")
         lines = reply.body.decode().splitlines()
         assert "text/plain" in reply.head
         assert 'heliocube_info{role="both",simulated="true",version="0.1.0"} 1.0' in lines
         assert 'heliocube_mode{mode="tracking",tracker="tracker"} 1.0' in lines
         assert 'heliocube_moving{tracker="tracker"} 1.0' in lines
-        assert f'heliocube_angle_degrees{{axis="a",tracker="tracker"}} {bench.motion.pose.a_deg}' in lines
+        assert f'heliocube_angle_degrees{{axis="a",tracker="tracker"}} {rig.motion.pose.a_deg}' in lines
         names = [line.split("{")[0].split()[0] for line in lines if not line.startswith("#")]
         assert all(name.startswith("heliocube_") for name in names)
         assert "python_info" not in names
@@ -221,9 +221,9 @@ def test_metrics_are_those_of_prometheus(serve):
 
 
 def test_health_is_bad_when_control_no_longer_looks(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
-        bench.control.last_tick_s -= 31
+    async def scenario(rig, call):
+        await tracking(rig)
+        rig.control.last_tick_s -= 31
         reply = await call.get("/healthz")
         assert (reply.status, reply.json["ok"]) == (503, False)
         assert "control has not looked for 3" in reply.json["troubles"][0]
@@ -232,24 +232,24 @@ def test_health_is_bad_when_control_no_longer_looks(serve):
 
 
 def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, monkeypatch):
-    async def scenario(bench, call):
-        await under_way(bench)
-        sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
+    async def scenario(rig, call):
+        await under_way(rig)
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         reply = await call.post("stop", b'{"why": "a hand"}')
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
         assert reply.status == 200
         assert reply.json["done"] is True
-        a_deg, b_deg = bench.truth()
+        a_deg, b_deg = rig.truth()
         assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: stopped by HTTP since " in reply.json["text"]
 
     serve(scenario)
 
 
 def test_goto_goes_and_outside_the_limits_is_refused_with_the_limits(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
-        await at_rest(bench)
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
         reply = await call.post("goto", b'{"a_deg": -20, "b_deg": 70.5}')
         assert (reply.status, reply.json["text"][:28]) == (200, "moving to A -20.0, B 70.5 de")
         for body in (b'{"a_deg": 60, "b_deg": 70}', b'{"a_deg": NaN, "b_deg": 70}', b'{"a_deg": 0, "b_deg": 1e999}'):
@@ -272,13 +272,13 @@ def test_goto_goes_and_outside_the_limits_is_refused_with_the_limits(serve):
     ],
 )
 def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
-    async def scenario(bench, call):
-        await tracking(bench)
+    async def scenario(rig, call):
+        await tracking(rig)
         for command in ("stow", "hold", "auto", "stop", "goto", "home", "clear"):
             reply = await call.post(command, b'{"a_deg": 0, "b_deg": 60}' if command == "goto" else b"", headers)
             assert (reply.status, reply.json) == (401, {"error": sentence})
             assert "www-authenticate: Bearer" in reply.head
-        assert bench.mode is Mode.TRACKING
+        assert rig.mode is Mode.TRACKING
 
     serve(scenario)
 
@@ -300,11 +300,11 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
     ids=lambda value: repr(value)[:30],
 )
 def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve, body, status, sentence):
-    async def scenario(bench, call):
-        await tracking(bench)
+    async def scenario(rig, call):
+        await tracking(rig)
         reply = await call.post("stow", body)
         assert (reply.status, reply.json) == (status, {"error": sentence})
-        assert bench.mode is Mode.TRACKING
+        assert rig.mode is Mode.TRACKING
 
     serve(scenario)
 
@@ -313,7 +313,7 @@ def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve,
     "body", [b"", b'{"a_deg": 1}', b'{"a_deg": "1", "b_deg": 60}', b'{"a_deg": true, "b_deg": 60}']
 )
 def test_goto_needs_two_numbers(serve, body):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         reply = await call.post("goto", body)
         assert reply.status == 400
         assert reply.json["error"] == 'goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}'
@@ -322,7 +322,7 @@ def test_goto_needs_two_numbers(serve, body):
 
 
 def test_unknown_places_and_wrong_methods_are_one_sentence(serve):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         reply = await call.get("/api/nothing")
         assert (reply.status, reply.json) == (404, {"error": "there is no /api/nothing here; see docs/api.md"})
         reply = await call.get("/api/stow")
@@ -332,14 +332,14 @@ def test_unknown_places_and_wrong_methods_are_one_sentence(serve):
 
 
 def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_rig):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         port = call.server.url.rpartition(":")[2]
-        settings = bench.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
-        second = server_of(bench, settings)
+        settings = rig.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
+        second = server_of(rig, settings)
         assert second.url is None
         serving = asyncio.create_task(second.run())
         await asyncio.sleep(300)
-        told = [event.text for event in bench.of(Event) if event.subject == "api"]
+        told = [event.text for event in rig.of(Event) if event.subject == "api"]
         assert told == [
             f"127.0.0.1:{port} cannot be listened on: Address already in use; set api.listen to another port"
         ]
@@ -353,10 +353,10 @@ def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_
 
 
 def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
-    async def scenario(bench, call):
-        await tracking(bench)
-        await at_rest(bench)
-        bench.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
         await asyncio.sleep(20)
         assert (await call.get("/api/state")).json["tracker"]["pose"]["stale"] is False
         await asyncio.sleep(25)
@@ -367,21 +367,21 @@ def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
 
 
 def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost_tracker_is(serve):
-    async def scenario(bench, call):
-        read = bench.positioner.read_telemetry
+    async def scenario(rig, call):
+        read = rig.positioner.read_telemetry
 
         async def with_currents():
             return replace(await read(), a_motor_current_a=0.75, b_motor_current_a=float("nan"))
 
-        bench.positioner.read_telemetry = with_currents
-        await tracking(bench)
+        rig.positioner.read_telemetry = with_currents
+        await tracking(rig)
         assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": 0.75, "b": None}
         metrics = (await call.get("/metrics")).body.decode()
         assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
         assert 'heliocube_motor_amperes{axis="b"' not in metrics
         assert "heliocube_angle_degrees{" in metrics
-        bench.cables.positioner.link_up = False
-        await bench.until(lambda: not bench.motion.connected, 15, "the loss")
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 15, "the loss")
         metrics = (await call.get("/metrics")).body.decode()
         assert "heliocube_angle_degrees{" not in metrics
         assert "heliocube_motor_amperes{" not in metrics
@@ -391,7 +391,7 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
 
 
 def test_the_seventeenth_listener_is_sent_away(serve):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         connections = [await call.open("GET", "/api/events") for _ in range(16)]
         for reader, _ in connections:
             await reader.readuntil(b"event: state")
@@ -407,9 +407,9 @@ def test_the_seventeenth_listener_is_sent_away(serve):
 
 
 def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
-    async def scenario(bench, call):
-        east, west = bench.service.trackers
-        await bench.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+    async def scenario(rig, call):
+        east, west = rig.service.trackers
+        await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
         reply = await call.post("hold", b'{"tracker": "west"}')
         assert (reply.status, west.control.mode, east.control.mode) == (200, Mode.HOLD, Mode.TRACKING)
         assert (await call.post("hold?tracker=east")).status == 200
@@ -431,10 +431,10 @@ def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
 
 
 def test_health_names_a_store_that_is_down(run_rig):
-    async def scenario(bench):
+    async def scenario(rig):
         down = StoreStatus(Path("records"), 0, 5, 0, "the disk is full")
-        settings = bench.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-        server = server_of(bench, settings, store=down)
+        settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
+        server = server_of(rig, settings, store=down)
         serving = asyncio.create_task(server.run())
         reply = await Caller(server).get("/healthz")
         assert (reply.status, reply.json["down"]) == (200, ["store: the disk is full"])
@@ -445,7 +445,7 @@ def test_health_names_a_store_that_is_down(run_rig):
 
 
 def test_a_body_without_end_is_not_read_to_its_end(serve):
-    async def scenario(bench, call):
+    async def scenario(rig, call):
         reader, writer = await call.open("POST", "/api/stow", headers=BEARER, length=1 << 40)
         sent = 0
         replying = asyncio.create_task(reader.read(200))

@@ -11,22 +11,22 @@ from daemon.service.recent import Recent
 from daemon.service.state import state_json
 
 
-def view_of(bench, console):
+def view_of(rig, console):
     recent = Recent()
-    bench.bus.subscribe(recent.note)
-    return LiveView(lambda: state_json(bench.see(recent)), console, speed=1.0)
+    rig.bus.subscribe(recent.note)
+    return LiveView(lambda: state_json(rig.see(recent)), console, speed=1.0)
 
 
 def shown(run_rig, *, terminal, faults=()):
     out = io.StringIO()
 
-    async def scenario(bench):
+    async def scenario(rig):
         console = Console(file=out, force_terminal=terminal, width=110, height=40)
-        viewing = asyncio.create_task(view_of(bench, console).run())
-        await bench.until_mode(Mode.TRACKING, 120)
+        viewing = asyncio.create_task(view_of(rig, console).run())
+        await rig.until_mode(Mode.TRACKING, 120)
         await asyncio.sleep(30)
         for name in faults:
-            getattr(bench.cables, name).link_up = False
+            getattr(rig.cables, name).link_up = False
         await asyncio.sleep(90)
         viewing.cancel()
         await asyncio.gather(viewing, return_exceptions=True)
@@ -49,16 +49,16 @@ def test_a_terminal_shows_what_is_wrong(run_rig):
 
 
 def test_alarms_are_in_plain_sight_on_every_display(run_rig):
-    async def scenario(bench):
+    async def scenario(rig):
         out, plain = io.StringIO(), io.StringIO()
-        await bench.until_mode(Mode.TRACKING, 120)
+        await rig.until_mode(Mode.TRACKING, 120)
         screens = [
             Console(file=out, force_terminal=True, width=200, height=40),
             Console(file=plain, force_terminal=False, width=200),
         ]
-        viewing = [asyncio.create_task(view_of(bench, screen).run()) for screen in screens]
-        await bench.control.stop("repair", "ana")
-        bench.wind_m_s = 20.0
+        viewing = [asyncio.create_task(view_of(rig, screen).run()) for screen in screens]
+        await rig.control.stop("repair", "ana")
+        rig.wind_m_s = 20.0
         await asyncio.sleep(20)
         for task in viewing:
             task.cancel()
@@ -77,14 +77,14 @@ def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
 
 
 def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig):
-    async def scenario(bench):
-        east, west = bench.service.trackers
-        await bench.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+    async def scenario(rig):
+        east, west = rig.service.trackers
+        await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
         await west.control.stop("repair", "ana")
-        bench.wind_m_s = 20.0
+        rig.wind_m_s = 20.0
         await asyncio.sleep(20)
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(bench.see())))
+        console.print(render(state_json(rig.see())))
         lines = [line.strip() for line in console.file.getvalue().splitlines()]
         assert lines.index("east") < lines.index("west")
         own = lines[lines.index("west") :]

@@ -8,51 +8,51 @@ from daemon.base.records import Mode, Quality
 from tests.support.rig import HandWeather
 
 
-def qualities(bench):
-    scan = bench.control.state.scan
+def qualities(rig):
+    scan = rig.control.state.scan
     return [] if scan is None else [face.quality for face in scan.faces]
 
 
-def alarm(bench):
-    return next((alarm.text for alarm in bench.service.cube_alarms.active if alarm.name == "cube-face"), None)
+def alarm(rig):
+    return next((alarm.text for alarm in rig.service.cube_alarms.active if alarm.name == "cube-face"), None)
 
 
-def every_face(bench):
-    return qualities(bench) == [Quality.IMPLAUSIBLE] * 4
+def every_face(rig):
+    return qualities(rig) == [Quality.IMPLAUSIBLE] * 4
 
 
-def stick_all(bench):
+def stick_all(rig):
     for bit in (0, 1, 2):
-        bench.switch.stick(bit, True, bench.clock.monotonic())
+        rig.switch.stick(bit, True, rig.clock.monotonic())
 
 
 @pytest.mark.parametrize("weather", [HandWeather(), HandWeather(dni=0, dhi=150), HandWeather(dni=0, dhi=20)])
 @pytest.mark.parametrize(("bit", "high"), [(0, False), (0, True), (1, False), (1, True), (2, True)])
 def test_a_stuck_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 60)
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(100)
-        bench.switch.stick(bit, high, bench.clock.monotonic())
-        await bench.until(lambda: every_face(bench) or bench.mode is Mode.FALLBACK, 600, "the finding")
-        await bench.until_mode(Mode.FALLBACK, 70)
-        assert alarm(bench)
+        rig.switch.stick(bit, high, rig.clock.monotonic())
+        await rig.until(lambda: every_face(rig) or rig.mode is Mode.FALLBACK, 600, "the finding")
+        await rig.until_mode(Mode.FALLBACK, 70)
+        assert alarm(rig)
 
     # Line 2 low is the address of all four faces anyway.
     run_rig(scenario, weather=weather)
 
 
 def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_agreement(run_rig):
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 60)
-        stick_all(bench)
-        await bench.until(lambda: every_face(bench), 600, "the finding")
-        assert "the east, south, west, zenith faces read" in alarm(bench)
-        await bench.until_mode(Mode.FALLBACK, 70)
-        bench.switch.unstick(bench.clock.monotonic())
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 60)
+        stick_all(rig)
+        await rig.until(lambda: every_face(rig), 600, "the finding")
+        assert "the east, south, west, zenith faces read" in alarm(rig)
+        await rig.until_mode(Mode.FALLBACK, 70)
+        rig.switch.unstick(rig.clock.monotonic())
         await asyncio.sleep(300)
-        assert every_face(bench), "one good look is no agreement"
-        await bench.until(lambda: alarm(bench) is None, 1200, "the end of the alarm")
-        await bench.until_mode(Mode.TRACKING, 60)
+        assert every_face(rig), "one good look is no agreement"
+        await rig.until(lambda: alarm(rig) is None, 1200, "the end of the alarm")
+        await rig.until_mode(Mode.TRACKING, 60)
 
     run_rig(scenario)
 
@@ -61,26 +61,26 @@ def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_ag
 def test_a_face_at_exactly_0_v_is_named_and_not_used(run_rig, face):
     name = ("east", "south", "west", "zenith")[face]
 
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 60)
-        bench.scene.break_sensor(face, 0.0)
-        await bench.until(lambda: qualities(bench)[face] is Quality.IMPLAUSIBLE, 600, "the finding")
-        assert f"the {name} face reads next to nothing" in alarm(bench)
-        assert [quality for index, quality in enumerate(qualities(bench)) if index != face] == [Quality.OK] * 3
-        await bench.until_mode(Mode.FALLBACK, 70)
-        bench.scene.repair_sensor(face)
-        await bench.until_mode(Mode.TRACKING, 1500)
-        assert alarm(bench) is None
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 60)
+        rig.scene.break_sensor(face, 0.0)
+        await rig.until(lambda: qualities(rig)[face] is Quality.IMPLAUSIBLE, 600, "the finding")
+        assert f"the {name} face reads next to nothing" in alarm(rig)
+        assert [quality for index, quality in enumerate(qualities(rig)) if index != face] == [Quality.OK] * 3
+        await rig.until_mode(Mode.FALLBACK, 70)
+        rig.scene.repair_sensor(face)
+        await rig.until_mode(Mode.TRACKING, 1500)
+        assert alarm(rig) is None
 
     run_rig(scenario)
 
 
 def test_interchanged_faces_are_found(run_rig):
-    async def scenario(bench):
-        sensor = bench.switch._inputs
-        bench.switch._inputs = lambda channel, now: sensor({0: 2, 2: 0}.get(channel, channel), now)
-        await bench.until(lambda: Quality.IMPLAUSIBLE in qualities(bench), 700, "the finding")
-        assert "faces are interchanged" in alarm(bench)
+    async def scenario(rig):
+        sensor = rig.switch._inputs
+        rig.switch._inputs = lambda channel, now: sensor({0: 2, 2: 0}.get(channel, channel), now)
+        await rig.until(lambda: Quality.IMPLAUSIBLE in qualities(rig), 700, "the finding")
+        assert "faces are interchanged" in alarm(rig)
 
     run_rig(scenario, start="2022-10-12T07:30")
 
@@ -90,21 +90,21 @@ def test_interchanged_faces_are_found(run_rig):
     [(HandWeather(), "2022-10-12T06:00", 4), (HandWeather(dni=0, dhi=8), "2022-10-12T14:30", 3)],
 )
 def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start, hours):
-    async def scenario(bench):
+    async def scenario(rig):
         for _ in range(hours * 6):
             await asyncio.sleep(600)
-            assert alarm(bench) is None
+            assert alarm(rig) is None
 
     run_rig(scenario, weather=weather, start=start, rest_look_s=5.0)
 
 
 def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
-    async def scenario(bench):
+    async def scenario(rig):
         await asyncio.sleep(60)
-        bench.clock.step_s = -12 * 3600.0
+        rig.clock.step_s = -12 * 3600.0
         for face in range(4):
-            bench.scene.break_sensor(face, 0.0)
+            rig.scene.break_sensor(face, 0.0)
         await asyncio.sleep(850)
-        assert alarm(bench) is None
+        assert alarm(rig) is None
 
     run_rig(scenario, start="2022-10-12T23:30")

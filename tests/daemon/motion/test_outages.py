@@ -21,51 +21,51 @@ ORDINARY = ("moving", "staying")
 SELDOM = Polling(idle_s=5.0)
 
 
-def now(bench):
-    return bench.clock.monotonic()
+def now(rig):
+    return rig.clock.monotonic()
 
 
-async def flapping(bench):
-    end_s = now(bench) + DAY_S
-    while now(bench) < end_s:
-        bench.unit.inject("a_overcurrent", now(bench))
+async def flapping(rig):
+    end_s = now(rig) + DAY_S
+    while now(rig) < end_s:
+        rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(120)
-        drive(bench, Field.STATUS, wire.CLEAR)
+        drive(rig, Field.STATUS, wire.CLEAR)
         await asyncio.sleep(120)
 
 
-async def unplugged(bench):
-    bench.cables.positioner.link_up = False
+async def unplugged(rig):
+    rig.cables.positioner.link_up = False
 
 
-async def deaf(bench):
-    bench.unit.inject("deaf", now(bench))
+async def deaf(rig):
+    rig.unit.inject("deaf", now(rig))
 
 
-async def undervoltage(bench):
-    bench.unit.inject("undervoltage", now(bench))
+async def undervoltage(rig):
+    rig.unit.inject("undervoltage", now(rig))
 
 
-async def stuck(bench):
-    bench.unit.inject("a_hall_loss", now(bench))
+async def stuck(rig):
+    rig.unit.inject("a_hall_loss", now(rig))
 
 
-async def storm_without_supply(bench):
-    bench.unit.inject("undervoltage", now(bench))
-    bench.wind_m_s = 20.0
+async def storm_without_supply(rig):
+    rig.unit.inject("undervoltage", now(rig))
+    rig.wind_m_s = 20.0
 
 
-async def tracking_by_itself(bench):
-    bench.unit.inject("own_tracking", now(bench))
+async def tracking_by_itself(rig):
+    rig.unit.inject("own_tracking", now(rig))
     await asyncio.sleep(1800)
-    bench.motion.clear_faults()
+    rig.motion.clear_faults()
     await asyncio.sleep(1800)
-    bench.unit.inject("own_tracking", now(bench))
+    rig.unit.inject("own_tracking", now(rig))
 
 
-async def brown_out(bench):
-    while bench.mode != "night":
-        bench.unit.power_cycle(now(bench))
+async def brown_out(rig):
+    while rig.mode != "night":
+        rig.unit.power_cycle(now(rig))
         await asyncio.sleep(600)
 
 
@@ -75,17 +75,17 @@ async def brown_out(bench):
     ids=lambda trouble: trouble.__name__,
 )
 def test_a_day_of_trouble_is_told_in_at_most_50_lines(run_rig, caplog, trouble):
-    async def scenario(bench):
-        await quiet(bench)
-        bench.motion._polling = SELDOM
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion._polling = SELDOM
         caplog.clear()
-        end_s = now(bench) + DAY_S
+        end_s = now(rig) + DAY_S
         try:
             async with asyncio.timeout(DAY_S):
-                await trouble(bench)
+                await trouble(rig)
         except TimeoutError:
             pass
-        await asyncio.sleep(max(end_s - now(bench), 0))
+        await asyncio.sleep(max(end_s - now(rig), 0))
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130, "fallback_after_s": 600})
@@ -94,11 +94,11 @@ def test_a_day_of_trouble_is_told_in_at_most_50_lines(run_rig, caplog, trouble):
 
 
 def test_a_day_of_refusals_is_told_in_at_most_50_lines(run_rig, caplog, monkeypatch):
-    async def scenario(bench):
-        await quiet(bench)
-        bench.motion._polling = SELDOM
-        lose(bench, monkeypatch, A_PACKET, B_PACKET)
-        sent = commands_sent(bench, monkeypatch)
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion._polling = SELDOM
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(rig, monkeypatch)
         caplog.clear()
         await asyncio.sleep(DAY_S)
         assert len([data for _, data in sent if data[:2] == B_PACKET]) < 100

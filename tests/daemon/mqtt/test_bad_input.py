@@ -14,15 +14,15 @@ from daemon.commands.config import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.service.rig import Role
 from tests.support.broker import CERTIFICATES
-from tests.support.mqtt import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
 
 PROGRAM = Path(sys.executable).with_name("heliocube")
 BASE = "heliocube/tracker"
 OWN = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
 
 
-def bench(port, role=Role.BOTH, **sections):
-    return MqttBench(asyncio.get_running_loop(), settings_for(port, **sections), SPEED, role)
+def broker_rig(port, role=Role.BOTH, **sections):
+    return BrokerRig(asyncio.get_running_loop(), settings_for(port, **sections), SPEED, role)
 
 
 def told(rig):
@@ -55,7 +55,7 @@ async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
 )
 def test_a_link_that_cannot_be_is_told_once_and_the_service_tracks_on(scaled, log_lines, mqtt, sentence):
     async def scenario():
-        rig = bench(1, mqtt=mqtt)
+        rig = broker_rig(1, mqtt=mqtt)
         async with serving(rig):
             await is_told_once_and_tracks(rig, log_lines, sentence)
         assert rig.mqtt.status.connections == 0
@@ -75,7 +75,7 @@ def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, s
     broker = make_broker(tls=True).start()
 
     async def scenario():
-        rig = bench(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / file, **OWN})
+        rig = broker_rig(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / file, **OWN})
         async with serving(rig):
             await is_told_once_and_tracks(rig, log_lines, sentence)
 
@@ -84,7 +84,7 @@ def test_a_wrong_authority_is_told_once_and_the_service_tracks_on(make_broker, s
 
 def test_a_wrong_discovery_prefix_costs_home_assistant_only(broker, scaled, log_lines):
     async def scenario():
-        rig = bench(broker.port, mqtt={"discovery_prefix": "ha/+"})
+        rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
         async with observer(broker.port) as lab, serving(rig):
             await is_told_once_and_tracks(
                 rig, log_lines, "so Home Assistant is told nothing: correct it and start again"
@@ -100,7 +100,7 @@ def test_a_wrong_topic_of_the_bridge_costs_its_scans_only(broker, scaled, log_li
     bridge = {"transport": "mqtt", "topic": "a/#", "insecure": False, "key_file": "bridge.key"}
 
     async def scenario():
-        cube, both = bench(broker.port, Role.CUBE, bridge=bridge), bench(broker.port, bridge=bridge)
+        cube, both = broker_rig(broker.port, Role.CUBE, bridge=bridge), broker_rig(broker.port, bridge=bridge)
         async with observer(broker.port) as lab, serving(cube, both):
             await lab.until("heliocube/cube/state", lambda found: found["scan"])
             assert "so no scan goes over the broker" in cube.mqtt.status.troubles[0]
@@ -126,7 +126,7 @@ def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_
     broker, scaled, log_lines, inputs, sentence
 ):
     async def scenario():
-        rig = bench(broker.port, mqtt=inputs, safety={"wind_stale_s": 150})
+        rig = broker_rig(broker.port, mqtt=inputs, safety={"wind_stale_s": 150})
         async with observer(broker.port) as lab, serving(rig):
 
             async def repeat():

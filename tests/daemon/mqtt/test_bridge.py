@@ -8,20 +8,20 @@ from daemon.base.records import Mode, Quality, Scan
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError
 from daemon.service.rig import Role
-from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for, until
 
 TOPIC = "site/cube/bridge"
 KEYED = {"transport": "mqtt", "topic": TOPIC, "insecure": False, "key_file": "bridge.key"}
 
 
-def bench(port, role, **bridge):
+def broker_rig(port, role, **bridge):
     settings = settings_for(port, bridge=KEYED | bridge)
-    return MqttBench(asyncio.get_running_loop(), settings, SPEED, role)
+    return BrokerRig(asyncio.get_running_loop(), settings, SPEED, role)
 
 
 def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_before(broker, scaled):
     async def scenario():
-        cube, tracker = bench(broker.port, Role.CUBE), bench(broker.port, Role.TRACKER)
+        cube, tracker = broker_rig(broker.port, Role.CUBE), broker_rig(broker.port, Role.TRACKER)
         async with observer(broker.port) as lab:
             async with serving(cube, tracker):
                 await tracker.until_mode(Mode.TRACKING, 500)
@@ -50,10 +50,10 @@ def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_befo
 def test_a_retained_scan_is_not_taken(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            async with serving(bench(broker.port, Role.CUBE)):
+            async with serving(broker_rig(broker.port, Role.CUBE)):
                 await lab.until(TOPIC)
             await lab.say(TOPIC, lab.on(TOPIC)[-1].payload, retain=True)
-            tracker = bench(broker.port, Role.TRACKER)
+            tracker = broker_rig(broker.port, Role.TRACKER)
             async with serving(tracker):
                 await until(lambda: tracker.mqtt.status.connected, "the link")
                 await asyncio.sleep(SPEED)
@@ -67,7 +67,7 @@ def test_a_tracker_beside_its_cube_needs_no_broker_to_hear_it(broker, scaled):
     broker.kill()
 
     async def scenario():
-        rig = bench(broker.port, Role.BOTH)
+        rig = broker_rig(broker.port, Role.BOTH)
         async with serving(rig):
             await rig.until_mode(Mode.TRACKING, 500)
             assert all(face.quality is Quality.OK for face in rig.of(Scan)[-1].faces)

@@ -10,7 +10,7 @@ from daemon.base.records import Mode
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
 from tests.support import home_assistant
-from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for
+from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for
 
 TOPICS = Topics("lab/rig", "roof tracker")
 TOPIC = "homeassistant/device/lab_rig_roof_tracker/config"
@@ -102,7 +102,7 @@ def test_it_appears_by_itself_and_vanishes_when_it_is_switched_off(broker, scale
     async def scenario():
         for switched_on in (True, False):
             settings = settings_for(broker.port, mqtt={"discovery": switched_on})
-            rig = MqttBench(asyncio.get_running_loop(), settings, SPEED)
+            rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
             async with observer(broker.port) as lab, serving(rig):
                 await lab.until("heliocube/tracker/scan")
             async with observer(broker.port) as late:
@@ -116,7 +116,7 @@ def test_it_appears_by_itself_and_vanishes_when_it_is_switched_off(broker, scale
 def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_command(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
+            rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
             async with serving(rig):
                 found = await lab.until("homeassistant/device/heliocube_tracker/config")
                 tracking = await lab.until("heliocube/tracker/state", lambda s: s["mode"]["name"] == "tracking")

@@ -12,7 +12,7 @@ from daemon.commands.screen import render
 from daemon.service.recent import Recent
 from daemon.service.snapshot import snapshot
 from daemon.service.state import state_json
-from tests.support.mqtt import SPEED, MqttBench, calm, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, calm, observer, serving, settings_for, until
 
 
 def seen_of(rig):
@@ -29,7 +29,7 @@ def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, 
     inputs = {"wind": {"topic": "weather"}, "safe": {"topic": "weather", "json_path": "ok", "stale_s": 3600}}
 
     async def scenario():
-        rig = MqttBench(
+        rig = BrokerRig(
             asyncio.get_running_loop(), settings_for(broker.port, mqtt={"queue_messages": 10, **inputs}), SPEED
         )
         metrics, shown = seen_of(rig)
@@ -82,7 +82,7 @@ def test_wind_and_safety_may_come_on_one_topic(broker, scaled):
     inputs = {"wind": {"topic": "weather", "json_path": "wind"}, "safe": {"topic": "weather", "json_path": "ok"}}
 
     async def scenario():
-        rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
+        rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
         async with observer(broker.port) as lab, serving(rig):
             await calm(rig, lab, {"weather": {"wind": 3, "ok": "safe"}})
             await rig.until_mode(Mode.TRACKING, 400)

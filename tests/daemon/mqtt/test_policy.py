@@ -15,7 +15,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
-from tests.support.mqtt import MqttBench, settings_for, until
+from tests.support.mqtt import BrokerRig, settings_for, until
 
 CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
 
@@ -169,7 +169,7 @@ def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_bro
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
 
             async def scenario():
-                rig = MqttBench(asyncio.get_running_loop(), settings, 1.0)
+                rig = BrokerRig(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
                 serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
                 await asyncio.sleep(86400)

@@ -10,7 +10,7 @@ from daemon.config.sections import SafetySettings
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.tracker.stow import WindStow
-from tests.support.mqtt import SPEED, MqttBench, calm, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, calm, observer, serving, settings_for, until
 
 
 class Told:
@@ -189,7 +189,7 @@ def test_a_storm_on_the_broker_stows_the_tracker_and_a_bad_sensor_is_shown(broke
     async def scenario():
         inputs = {"wind": {"topic": "weather/roof", "json_path": "wind.speed"}, "safe": {"topic": "dome/safe"}}
         async with observer(broker.port) as lab:
-            rig = MqttBench(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
+            rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
             async with serving(rig):
                 await calm(rig, lab, {"weather/roof": {"wind": {"speed": 3}}, "dome/safe": "safe"})
                 await rig.until_mode(Mode.TRACKING, 400)

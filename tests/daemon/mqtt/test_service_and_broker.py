@@ -8,19 +8,19 @@ from daemon.base.records import Mode
 from daemon.mqtt.outbox import Message
 from daemon.service.operator import CommandError, Operator
 from tests.support.broker import CERTIFICATES
-from tests.support.mqtt import SPEED, MqttBench, needs_mosquitto, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
 
 BASE = "heliocube/tracker"
 
 
-def bench(port, **sections):
-    return MqttBench(asyncio.get_running_loop(), settings_for(port, **sections), SPEED)
+def broker_rig(port, **sections):
+    return BrokerRig(asyncio.get_running_loop(), settings_for(port, **sections), SPEED)
 
 
 def test_state_scans_decisions_poses_and_events_come_out_marked_as_simulated(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            rig = bench(broker.port)
+            rig = broker_rig(broker.port)
             async with serving(rig):
                 assert await lab.until(f"{BASE}/status") == "online"
                 told = [await lab.until(f"{BASE}/{kind}") for kind in ("state", "scan", "decision", "pose", "mode")]
@@ -38,7 +38,7 @@ def test_state_scans_decisions_poses_and_events_come_out_marked_as_simulated(bro
 
 def test_one_who_comes_late_finds_availability_state_and_the_last_of_what_lasts(broker, scaled):
     async def scenario():
-        rig = bench(broker.port)
+        rig = broker_rig(broker.port)
         async with serving(rig):
             await until(lambda: rig.control.state.decision, "a decision")
             await until(lambda: rig.mqtt.status.waiting == 0, "an empty queue")
@@ -56,7 +56,7 @@ def test_one_who_comes_late_finds_availability_state_and_the_last_of_what_lasts(
 def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            rig = bench(broker.port)
+            rig = broker_rig(broker.port)
             async with serving(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
                 count = 0
@@ -117,7 +117,7 @@ def test_a_retained_command_is_ignored_and_says_so(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             await lab.say(f"{BASE}/command/stow", {"why": "long ago"}, retain=True)
-            rig = bench(broker.port)
+            rig = broker_rig(broker.port)
             async with serving(rig):
                 reply = await lab.until(f"{BASE}/reply")
                 assert reply["accepted"] is False
@@ -130,7 +130,7 @@ def test_a_retained_command_is_ignored_and_says_so(broker, scaled):
 def test_with_commands_switched_off_nobody_moves_the_tracker(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            rig = bench(broker.port, mqtt={"commands": False})
+            rig = broker_rig(broker.port, mqtt={"commands": False})
             async with serving(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
                 await lab.say(f"{BASE}/command/stow")
@@ -143,7 +143,7 @@ def test_with_commands_switched_off_nobody_moves_the_tracker(broker, scaled):
 
 def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, scaled):
     async def scenario():
-        rig = bench(broker.port, mqtt={"queue_messages": 10})
+        rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
         async with serving(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             await until(lambda: rig.mqtt.status.connected, "the link")
@@ -167,7 +167,7 @@ def test_a_killed_broker_costs_no_control_and_the_truth_is_back_with_it(broker, 
 def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            rig = bench(broker.port)
+            rig = broker_rig(broker.port)
             async with serving(rig):
                 await lab.until(f"{BASE}/status", lambda word: word == "online")
                 heard = len(lab.on(f"{BASE}/status"))
@@ -179,7 +179,7 @@ def test_an_offline_that_is_not_true_is_corrected(broker, scaled):
 
 def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
     async def scenario():
-        rig = bench(broker.port)
+        rig = broker_rig(broker.port)
         async with serving(rig):
             await until(lambda: rig.mqtt.status.connected, "the link")
             broker.hang()
@@ -201,7 +201,7 @@ def test_a_hung_broker_is_noticed_and_let_go(broker, scaled):
 
 def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(broker, scaled):
     async def scenario():
-        rig = bench(broker.port)
+        rig = broker_rig(broker.port)
         link = asyncio.create_task(rig.mqtt.link.run())
         try:
             await until(lambda: rig.mqtt.status.connected, "the link")
@@ -221,7 +221,7 @@ def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(b
 
 def test_the_service_stops_in_time_although_the_broker_hangs(broker, scaled):
     async def scenario():
-        rig = bench(broker.port)
+        rig = broker_rig(broker.port)
         async with serving(rig):
             await until(lambda: rig.mqtt.status.connected, "the link")
             broker.hang()
@@ -241,7 +241,7 @@ def test_a_wrong_password_is_one_sentence_and_the_service_tracks_on(make_broker,
         credentials.chmod(0o600)
 
     async def scenario():
-        rig = bench(broker.port, mqtt={"credentials_file": credentials})
+        rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
         async with serving(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             assert rig.mqtt.status.down_why == (
@@ -260,7 +260,7 @@ def test_a_password_that_others_can_read_keeps_the_link_down_and_the_service_tra
     credentials.chmod(0o644)
 
     async def scenario():
-        rig = bench(broker.port, mqtt={"credentials_file": credentials})
+        rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
         async with serving(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             assert "chmod 640" in rig.mqtt.status.down_why
@@ -276,7 +276,7 @@ def test_a_topic_that_the_access_list_forbids_is_one_sentence(make_broker, scale
     credentials.chmod(0o600)
 
     async def scenario():
-        rig = bench(broker.port, mqtt={"credentials_file": credentials})
+        rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
         async with serving(rig):
 
             def sentences():
@@ -298,7 +298,7 @@ def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_i
     own = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
 
     async def scenario():
-        right = bench(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / "ca.pem", **own})
+        right = broker_rig(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / "ca.pem", **own})
         async with serving(right):
             await until(lambda: right.mqtt.status.connected, "the link")
         for mqtt, part in [
@@ -307,7 +307,7 @@ def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_i
             ({"ca_file": CERTIFICATES / "none.pem", **own}, "mqtt.ca_file"),
             ({"ca_file": CERTIFICATES / "ca.pem"}, f"127.0.0.1:{broker.port}"),
         ]:
-            rig = bench(broker.port, mqtt={"tls": True, **mqtt})
+            rig = broker_rig(broker.port, mqtt={"tls": True, **mqtt})
             async with serving(rig):
                 await until(lambda rig=rig: rig.mqtt.link._backoff._delay_s > 1.0, "a refusal")
                 assert part in rig.mqtt.status.down_why
@@ -319,7 +319,7 @@ def test_tls_with_the_right_authority_and_certificate_connects_and_a_wrong_one_i
 @needs_mosquitto
 def test_two_services_with_one_client_id_do_not_throw_each_other_out_without_end(broker, scaled, log_lines):
     async def scenario():
-        first, second = (bench(broker.port, mqtt={"client_id": "same", "name": name}) for name in ("one", "two"))
+        first, second = (broker_rig(broker.port, mqtt={"client_id": "same", "name": name}) for name in ("one", "two"))
         async with observer(broker.port) as lab:
             async with serving(first, second):
                 await asyncio.sleep(200)
@@ -338,7 +338,7 @@ def test_ten_thousand_messages_wait_for_the_broker_and_come_in_order(make_broker
     broker = make_broker()
 
     async def scenario():
-        rig = bench(broker.port, mqtt={"queue_messages": 10_000})
+        rig = broker_rig(broker.port, mqtt={"queue_messages": 10_000})
         for count in range(10_500):
             rig.mqtt.link.send(_numbered(count))
         assert rig.mqtt.status.waiting == 10_000

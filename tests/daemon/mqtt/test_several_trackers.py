@@ -4,14 +4,14 @@ import asyncio
 import json
 
 from daemon.base.records import Mode
-from tests.support.mqtt import SPEED, MqttBench, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for, until
 
 
 def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
     settings = settings_for(broker.port, tracker=[{"name": "east"}, {"name": "west"}])
 
     async def scenario():
-        rig = MqttBench(asyncio.get_running_loop(), settings, SPEED)
+        rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
         east, west = rig.service.trackers
         async with observer(broker.port) as lab:
             async with serving(rig):

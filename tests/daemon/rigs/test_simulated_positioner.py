@@ -55,10 +55,10 @@ def test_it_moves_and_arrives_with_any_geometry(geometry):
 
 @pytest.mark.parametrize("geometry", GEOMETRIES.values(), ids=GEOMETRIES)
 def test_the_service_tracks_with_it(run_rig, geometry):
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 300)
-        await bench.until(lambda: bench.of(Move), 400, "the end of a move")
-        assert bench.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 300)
+        await rig.until(lambda: rig.of(Move), 400, "the end of a move")
+        assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
 
     run_rig(scenario, instruments={"positioner": geometry})
 

@@ -22,9 +22,9 @@ def told(caplog):
     return [record.getMessage() for record in caplog.records if record.getMessage() not in ORDINARY]
 
 
-async def flap(bench, device, *, down_s=10.0, up_s=10.0, for_s=DAY_S):
-    end_s = now(bench) + for_s
-    while now(bench) < end_s:
+async def flap(rig, device, *, down_s=10.0, up_s=10.0, for_s=DAY_S):
+    end_s = now(rig) + for_s
+    while now(rig) < end_s:
         device.link_up = False
         await asyncio.sleep(down_s)
         device.link_up = True
@@ -33,13 +33,13 @@ async def flap(bench, device, *, down_s=10.0, up_s=10.0, for_s=DAY_S):
 
 @pytest.mark.parametrize("name", ["positioner", "voltmeter", "load"])
 def test_a_day_of_a_bad_contact_is_told_in_at_most_50_lines_and_50_events(run_rig, caplog, name):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.motion._polling = SELDOM
+    async def scenario(rig):
+        await tracking(rig)
+        rig.motion._polling = SELDOM
         caplog.clear()
-        bench.records.clear()
-        await flap(bench, getattr(bench.cables, name))
-        during = [event.text for event in bench.of(Event)]
+        rig.records.clear()
+        await flap(rig, getattr(rig.cables, name))
+        during = [event.text for event in rig.of(Event)]
         assert len(told(caplog)) <= MOST, "\n".join(told(caplog))
         assert len(during) <= MOST, "\n".join(during)
 
@@ -47,56 +47,56 @@ def test_a_day_of_a_bad_contact_is_told_in_at_most_50_lines_and_50_events(run_ri
         run_rig(scenario, **CALM, load={"driver": "chroma63600", "period_s": 5})
 
 
-async def wind_comes_and_goes(bench):
-    end_s = now(bench) + DAY_S
-    while now(bench) < end_s:
-        bench.wind_m_s = None
+async def wind_comes_and_goes(rig):
+    end_s = now(rig) + DAY_S
+    while now(rig) < end_s:
+        rig.wind_m_s = None
         await asyncio.sleep(400)
-        bench.wind_m_s = 20.0
+        rig.wind_m_s = 20.0
         await asyncio.sleep(100)
-        bench.wind_m_s = 3.0
+        rig.wind_m_s = 3.0
         await asyncio.sleep(1000)
 
 
-async def cube_unplugged(bench):
-    bench.cables.voltmeter.link_up = False
+async def cube_unplugged(rig):
+    rig.cables.voltmeter.link_up = False
     await asyncio.sleep(DAY_S)
 
 
-async def cube_for_minutes(bench):
-    await flap(bench, bench.cables.multiplexer, down_s=200.0, up_s=200.0)
+async def cube_for_minutes(rig):
+    await flap(rig, rig.cables.multiplexer, down_s=200.0, up_s=200.0)
 
 
 @pytest.mark.parametrize(
     "trouble", [wind_comes_and_goes, cube_unplugged, cube_for_minutes], ids=lambda one: one.__name__
 )
 def test_a_day_of_other_trouble_is_told_in_at_most_50_lines_and_50_events(run_rig, caplog, trouble):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.motion._polling = SELDOM
+    async def scenario(rig):
+        await tracking(rig)
+        rig.motion._polling = SELDOM
         caplog.clear()
-        bench.records.clear()
-        await trouble(bench)
+        rig.records.clear()
+        await trouble(rig)
         assert len(told(caplog)) <= MOST, "\n".join(told(caplog))
-        assert len(bench.of(Event)) <= MOST, "\n".join(event.text for event in bench.of(Event))
+        assert len(rig.of(Event)) <= MOST, "\n".join(event.text for event in rig.of(Event))
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, **QUICK)
 
 
 def test_after_a_bad_contact_the_next_loss_is_told_at_once(run_rig, caplog):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.motion._polling = SELDOM
-        await flap(bench, bench.cables.positioner, for_s=1200.0)
+    async def scenario(rig):
+        await tracking(rig)
+        rig.motion._polling = SELDOM
+        await flap(rig, rig.cables.positioner, for_s=1200.0)
         await asyncio.sleep(1900)
         assert told(caplog)[-1].startswith("the positioner is steady again: it has worked for 30 min, after 60 outages")
         caplog.clear()
-        bench.records.clear()
-        bench.cables.positioner.link_up = False
+        rig.records.clear()
+        rig.cables.positioner.link_up = False
         await asyncio.sleep(60)
         assert told(caplog)[0] == "the positioner is down: positioner: is unplugged"
-        assert [event.text for event in bench.of(Event)] == ["the positioner is down: positioner: is unplugged"]
+        assert [event.text for event in rig.of(Event)] == ["the positioner is down: positioner: is unplugged"]
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, **CALM)

@@ -33,22 +33,22 @@ def manager(tmp_path):
         yield Notifier(environment, 1), heard
 
 
-def watch(bench, notifier):
-    service = bench.service
-    return Watchdog(bench.clock, notifier, service.trackers, service.acquisition, speed=1.0)
+def watch(rig, notifier):
+    service = rig.service
+    return Watchdog(rig.clock, notifier, service.trackers, service.acquisition, speed=1.0)
 
 
 @pytest.mark.parametrize("part", ["control", "acquisition"])
 def test_pings_end_when_a_part_of_the_work_hangs(run_rig, manager, part):
     notifier, heard = manager
 
-    async def scenario(bench):
-        watching = asyncio.create_task(watch(bench, notifier).run())
+    async def scenario(rig):
+        watching = asyncio.create_task(watch(rig, notifier).run())
         assert (await heard(60)).count("WATCHDOG=1") >= 5
         if part == "control":
-            bench.control.tick = lambda: None
+            rig.control.tick = lambda: None
         else:
-            bench.multiplexer.select = lambda _channel: asyncio.sleep(1e6)
+            rig.multiplexer.select = lambda _channel: asyncio.sleep(1e6)
         await heard(60)
         lines = await heard(120)
         assert "WATCHDOG=1" not in lines
@@ -62,9 +62,9 @@ def test_pings_end_when_a_part_of_the_work_hangs(run_rig, manager, part):
 def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
     notifier, heard = manager
 
-    async def scenario(bench):
-        watching = asyncio.create_task(watch(bench, notifier).run())
-        bench.cables.voltmeter.link_up = bench.cables.positioner.link_up = False
+    async def scenario(rig):
+        watching = asyncio.create_task(watch(rig, notifier).run())
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
         await heard(120)
         assert (await heard(120)).count("WATCHDOG=1") >= 11
         watching.cancel()
@@ -74,9 +74,9 @@ def test_a_device_that_is_down_is_no_reason_to_be_killed(run_rig, manager):
 
 
 def test_an_axis_that_runs_past_its_target_is_stopped_and_named(run_rig):
-    async def scenario(bench):
-        await bench.until_mode(Mode.FAULT, 300)
-        assert "beyond its target" in bench.control.why
+    async def scenario(rig):
+        await rig.until_mode(Mode.FAULT, 300)
+        assert "beyond its target" in rig.control.why
 
-    bench = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
-    assert MoveOutcome.OVERSHOT in [move.outcome for move in bench.of(Move)]
+    rig = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
+    assert MoveOutcome.OVERSHOT in [move.outcome for move in rig.of(Move)]

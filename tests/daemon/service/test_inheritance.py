@@ -6,18 +6,18 @@ from daemon.base.records import Mode
 
 
 def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_that(run_rig, tmp_path):
-    async def unnamed(bench):
-        await bench.until_mode(Mode.TRACKING, 120)
-        await bench.control.stop("repair", "ana")
+    async def unnamed(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.control.stop("repair", "ana")
 
-    async def named(bench):
+    async def named(rig):
         await asyncio.sleep(60)
-        assert [tracker.control.wishes.stop.why for tracker in bench.service.trackers] == ["repair"] * 2
-        assert [tracker.control.mode for tracker in bench.service.trackers] == [Mode.HOLD] * 2
-        bench.service.trackers[0].control.auto()
+        assert [tracker.control.wishes.stop.why for tracker in rig.service.trackers] == ["repair"] * 2
+        assert [tracker.control.mode for tracker in rig.service.trackers] == [Mode.HOLD] * 2
+        rig.service.trackers[0].control.auto()
 
-    async def again(bench):
-        east, west, north = bench.service.trackers
+    async def again(rig):
+        east, west, north = rig.service.trackers
         assert east.control.wishes.stop is None
         assert west.control.wishes.stop.why == "repair"
         assert north.control.wishes.stop is None

@@ -12,79 +12,79 @@ from daemon.service.operator import CommandError, Operator
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.rig import Role
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
-from tests.support.rig import Bench, HandWeather
+from tests.support.rig import HandWeather, ServiceRig
 
 
-def operator(bench):
-    return Operator(bench.tracker, 1.0)
+def operator(rig):
+    return Operator(rig.tracker, 1.0)
 
 
-def angles(bench):
+def angles(rig):
     """Where the unit truly stands, as an answer writes it."""
-    a_deg, b_deg = bench.truth()
+    a_deg, b_deg = rig.truth()
     return f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg"
 
 
 def test_a_stop_in_mid_move_is_the_first_thing_sent_and_the_answer_tells_where_it_stands(run_rig, monkeypatch):
-    async def scenario(bench):
-        await under_way(bench)
-        sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
-        answer = await operator(bench).stop("a hand near the actuator", "ana@lab")
+    async def scenario(rig):
+        await under_way(rig)
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        answer = await operator(rig).stop("a hand near the actuator", "ana@lab")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
         assert answer.done
         assert answer.text.startswith("stopped on the way to A ")
-        assert f"; {angles(bench)}; mode hold: stopped by ana@lab since 2022-10-12 10:0" in answer.text
+        assert f"; {angles(rig)}; mode hold: stopped by ana@lab since 2022-10-12 10:0" in answer.text
         assert answer.text.endswith(" UTC: a hand near the actuator")
         await asyncio.sleep(900)
-        assert angles(bench) in answer.text, "it stays where it was stopped"
+        assert angles(rig) in answer.text, "it stays where it was stopped"
 
     run_rig(scenario)
 
 
 def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_rig, monkeypatch):
-    async def scenario(bench):
-        await under_way(bench)
-        sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
-        answer = await operator(bench).stow("storm")
+    async def scenario(rig):
+        await under_way(rig)
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        answer = await operator(rig).stow("storm")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
         assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("moving to A +0.0, B 90.0 deg, now at A ")
         assert answer.text.endswith("; mode stow: storm")
-        await at_rest(bench)
-        assert bench.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
-        again = await operator(bench).stow("storm")
+        await at_rest(rig)
+        assert rig.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
+        again = await operator(rig).stow("storm")
         assert again.done
-        assert again.text.startswith(f"{angles(bench)}; mode stow: storm; this replaces: stowed since ")
+        assert again.text.startswith(f"{angles(rig)}; mode stow: storm; this replaces: stowed since ")
 
     run_rig(scenario)
 
 
 def test_a_stow_while_another_target_is_being_sent_does_not_wait_for_it(run_rig, monkeypatch):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        bench.control.goto(30, 50, "test")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.goto(30, 50, "test")
         await asyncio.sleep(0.01)
-        sent, asked_s = commands_sent(bench, monkeypatch), bench.clock.monotonic()
-        await operator(bench).stow("storm")
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        await operator(rig).stow("storm")
         assert sent[0][1].startswith(b"$9s")
         assert sent[0][0] - asked_s < 0.2
-        await at_rest(bench)
-        assert bench.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
+        await at_rest(rig)
+        assert rig.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
 
     run_rig(scenario)
 
 
 def test_a_second_stow_does_not_stop_the_first(run_rig, monkeypatch):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await operator(bench).stow("storm")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).stow("storm")
         await asyncio.sleep(3)
-        sent = commands_sent(bench, monkeypatch)
-        assert (await operator(bench).stow("storm")).seen == "under-way"
+        sent = commands_sent(rig, monkeypatch)
+        assert (await operator(rig).stow("storm")).seen == "under-way"
         assert not sent
 
     run_rig(scenario)
@@ -92,69 +92,69 @@ def test_a_second_stow_does_not_stop_the_first(run_rig, monkeypatch):
 
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
 def test_goto_outside_the_limits_is_refused_with_the_limits(run_rig, target):
-    async def scenario(bench):
-        await tracking(bench)
+    async def scenario(rig):
+        await tracking(rig)
         with pytest.raises(CommandError, match=r"outside the limits \(A -50\.\.50 deg, B 15\.\.90 deg\)") as refused:
-            await operator(bench).goto(*target, "test")
+            await operator(rig).goto(*target, "test")
         assert refused.value.wrong
-        assert bench.mode is Mode.TRACKING
+        assert rig.mode is Mode.TRACKING
 
     run_rig(scenario)
 
 
 def test_goto_goes_there_and_auto_tracks_again(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        answer = await operator(bench).goto(-20, 70, "look at the other side")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        answer = await operator(rig).goto(-20, 70, "look at the other side")
         assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("moving to A -20.0, B 70.0 deg, now at A ")
-        await at_rest(bench)
+        await at_rest(rig)
         await asyncio.sleep(11)
-        again = await operator(bench).goto(-20, 70, "again")
+        again = await operator(rig).goto(-20, 70, "again")
         assert again.done
-        assert again.text.startswith(f"{angles(bench)}; mode hold: again; this replaces: held since ")
-        assert "mode tracking: " in (await operator(bench).auto("done")).text
+        assert again.text.startswith(f"{angles(rig)}; mode hold: again; this replaces: held since ")
+        assert "mode tracking: " in (await operator(rig).auto("done")).text
 
     run_rig(scenario)
 
 
 def test_hold_stops_a_move(run_rig):
-    async def scenario(bench):
-        await under_way(bench)
-        answer = await operator(bench).hold("measurement")
+    async def scenario(rig):
+        await under_way(rig)
+        answer = await operator(rig).hold("measurement")
         assert answer.done
-        assert answer.text == f"{angles(bench)}; mode hold: measurement"
+        assert answer.text == f"{angles(rig)}; mode hold: measurement"
 
     run_rig(scenario)
 
 
 def test_nothing_goes_anywhere_while_stowed_and_the_sentence_says_what_ends_it(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await operator(bench).stow("storm")
-        for call in (operator(bench).hold, operator(bench).home, lambda why: operator(bench).goto(0, 60, why)):
+    async def scenario(rig):
+        await tracking(rig)
+        await operator(rig).stow("storm")
+        for call in (operator(rig).hold, operator(rig).home, lambda why: operator(rig).goto(0, 60, why)):
             with pytest.raises(CommandError, match=r"while the tracker is stowed \(storm\): 'heliocube auto' ends"):
                 await call("x")
-        assert bench.mode is Mode.STOW
+        assert rig.mode is Mode.STOW
 
     run_rig(scenario)
 
 
 def test_stop_outranks_every_stow_until_auto_and_the_answer_says_so(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await operator(bench).stow("storm")
-        stopped = await operator(bench).stop("wait")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).stow("storm")
+        stopped = await operator(rig).stop("wait")
         assert stopped.text.endswith(" UTC: wait; stow is wanted and not done (storm)")
-        bench.wind_m_s = 20.0
+        rig.wind_m_s = 20.0
         await asyncio.sleep(120)
-        assert bench.mode is Mode.HOLD
-        await operator(bench).auto("clear of the axes")
-        await bench.until_mode(Mode.STOW, 10)
+        assert rig.mode is Mode.HOLD
+        await operator(rig).auto("clear of the axes")
+        await rig.until_mode(Mode.STOW, 10)
         await asyncio.sleep(2)
-        stopped = await operator(bench).stop("wait")
+        stopped = await operator(rig).stop("wait")
         assert "mode hold: stopped since " in stopped.text
         assert "; stow is wanted and not done (wind 20.0 m/s" in stopped.text
 
@@ -162,46 +162,46 @@ def test_stop_outranks_every_stow_until_auto_and_the_answer_says_so(run_rig):
 
 
 def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        answer = await operator(bench).home("reference")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        answer = await operator(rig).home("reference")
         assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("homing, now at A ")
         with pytest.raises(CommandError, match="homing and goes nowhere before its end"):
-            await operator(bench).goto(0, 60, "x")
-        await at_rest(bench)
-        assert (await operator(bench).clear("marks")).done
+            await operator(rig).goto(0, 60, "x")
+        await at_rest(rig)
+        assert (await operator(rig).clear("marks")).done
 
     run_rig(scenario)
 
 
 def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_back(run_rig, monkeypatch):
-    async def scenario(bench):
-        await under_way(bench)
-        bench.cables.positioner.link_up = False
+    async def scenario(rig):
+        await under_way(rig)
+        rig.cables.positioner.link_up = False
         with pytest.raises(CommandError, match="stop could not be sent, and is sent as soon as") as told:
-            await operator(bench).stop("halt")
+            await operator(rig).stop("halt")
         assert not told.value.wrong
-        await bench.until(lambda: not bench.motion.connected, 5, "the loss")
-        sent = commands_sent(bench, monkeypatch)
-        bench.cables.positioner.link_up = True
-        await bench.until_mode(Mode.HOLD, 60)
+        await rig.until(lambda: not rig.motion.connected, 5, "the loss")
+        sent = commands_sent(rig, monkeypatch)
+        rig.cables.positioner.link_up = True
+        await rig.until_mode(Mode.HOLD, 60)
         assert sent[0][1].startswith(b"$9s")
         await asyncio.sleep(3)
-        stands = bench.truth()
+        stands = rig.truth()
         await asyncio.sleep(900)
-        assert bench.truth() == stands
+        assert rig.truth() == stands
 
     run_rig(scenario)
 
 
 def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.cables.positioner.link_up = False
-        await bench.until(lambda: not bench.motion.connected, 15, "the loss")
-        for call in (operator(bench).home, operator(bench).clear, lambda why: operator(bench).goto(0, 60, why)):
+    async def scenario(rig):
+        await tracking(rig)
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 15, "the loss")
+        for call in (operator(rig).home, operator(rig).clear, lambda why: operator(rig).goto(0, 60, why)):
             with pytest.raises(CommandError, match=r"the tracker cannot .*: positioner: is unplugged"):
                 await call("x")
 
@@ -209,11 +209,11 @@ def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
 
 
 def test_every_command_is_an_event_with_its_reason(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await operator(bench).goto(-20, 70, "shading test")
-        await operator(bench).auto("done")
-        told = [event.text for event in bench.of(Event) if event.subject == "operator"]
+    async def scenario(rig):
+        await tracking(rig)
+        await operator(rig).goto(-20, 70, "shading test")
+        await operator(rig).auto("done")
+        told = [event.text for event in rig.of(Event) if event.subject == "operator"]
         assert told == ["goto A -20, B 70 deg: shading test", "auto: done"]
 
     run_rig(scenario)
@@ -222,8 +222,8 @@ def test_every_command_is_an_event_with_its_reason(run_rig):
 def test_the_cubes_process_has_no_tracker_to_command():
     async def scenario():
         start = datetime(2022, 10, 12, 10, tzinfo=UTC)
-        bench = Bench(asyncio.get_running_loop(), Settings(), start, HandWeather(), Role.CUBE)
-        operators = Operators(bench.service.trackers, 1.0)
+        rig = ServiceRig(asyncio.get_running_loop(), Settings(), start, HandWeather(), Role.CUBE)
+        operators = Operators(rig.service.trackers, 1.0)
         for name, body in (("stow", b""), ("home", b""), ("goto", b'{"a_deg": 0, "b_deg": 60}')):
             with pytest.raises(CommandError, match="has no tracker: ask that of the tracker"):
                 await operators.carry_out(parse(name, body, "test"))

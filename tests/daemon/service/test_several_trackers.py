@@ -16,32 +16,32 @@ from drivers.errors import DriverHungError
 TWO = [{"name": "east"}, {"name": "west", "limits": {"a_max_deg": 20.0}}]
 
 
-def modes(bench):
-    return [tracker.control.mode for tracker in bench.service.trackers]
+def modes(rig):
+    return [tracker.control.mode for tracker in rig.service.trackers]
 
 
-async def both_track(bench):
-    await bench.until(lambda: modes(bench) == [Mode.TRACKING] * 2, 120, "tracking of both")
+async def both_track(rig):
+    await rig.until(lambda: modes(rig) == [Mode.TRACKING] * 2, 120, "tracking of both")
 
 
-async def give(bench, name, **body):
+async def give(rig, name, **body):
     command = parse(name, json.dumps(body).encode(), "test")
-    return await Operators(bench.service.trackers, 1.0).carry_out(command)
+    return await Operators(rig.service.trackers, 1.0).carry_out(command)
 
 
 def test_one_that_is_unplugged_is_in_fault_and_the_other_tracks_on(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
-        bench.cables.others[0].link_up = False
-        await bench.until(lambda: modes(bench)[1] is Mode.FAULT, 120, "the fault of one")
-        moved = len(bench.of(Move))
+    async def scenario(rig):
+        await both_track(rig)
+        rig.cables.others[0].link_up = False
+        await rig.until(lambda: modes(rig)[1] is Mode.FAULT, 120, "the fault of one")
+        moved = len(rig.of(Move))
         await asyncio.sleep(1800)
-        assert modes(bench) == [Mode.TRACKING, Mode.FAULT]
-        later = bench.of(Move)[moved:]
+        assert modes(rig) == [Mode.TRACKING, Mode.FAULT]
+        later = rig.of(Move)[moved:]
         assert later
         assert {move.tracker for move in later} == {"east"}
-        bench.cables.others[0].link_up = True
-        await bench.until(lambda: modes(bench) == [Mode.TRACKING] * 2, 120, "the way back")
+        rig.cables.others[0].link_up = True
+        await rig.until(lambda: modes(rig) == [Mode.TRACKING] * 2, 120, "the way back")
 
     run_rig(scenario, tracker=TWO)
 
@@ -53,14 +53,14 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
     logging.getLogger("heliocube").addHandler(handler)
     caplog.set_level(logging.INFO, "heliocube")
 
-    async def scenario(bench):
-        await both_track(bench)
-        bench.cables.others[0].link_up = False
-        await bench.until(lambda: modes(bench)[1] is Mode.FAULT, 120, "the fault of one")
-        await give(bench, "hold", tracker="east", why="test")
-        await give(bench, "auto", tracker="east", why="go on")
-        with pytest.raises(CommandError, match="not by all 2 trackers: east: .*; west: "):
-            await give(bench, "stop", why="both")
+    async def scenario(rig):
+        await both_track(rig)
+        rig.cables.others[0].link_up = False
+        await rig.until(lambda: modes(rig)[1] is Mode.FAULT, 120, "the fault of one")
+        await give(rig, "hold", tracker="east", why="test")
+        await give(rig, "auto", tracker="east", why="go on")
+        with pytest.raises(CommandError, match=r"not by all 2 trackers: east: .*; west: "):
+            await give(rig, "stop", why="both")
 
     try:
         run_rig(scenario, tracker=TWO)
@@ -76,16 +76,16 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
 
 
 def test_a_stop_of_one_leaves_the_other_moving_and_each_wish_survives_a_restart_by_itself(run_rig, tmp_path):
-    async def before(bench):
-        await both_track(bench)
-        answer = await give(bench, "stop", tracker="west", why="repair")
+    async def before(rig):
+        await both_track(rig)
+        answer = await give(rig, "stop", tracker="west", why="repair")
         assert answer["done"]
         await asyncio.sleep(1800)
-        assert modes(bench) == [Mode.TRACKING, Mode.HOLD]
-        assert (await give(bench, "snow", tracker="east", why="hail"))["state"] in ("done", "under-way")
+        assert modes(rig) == [Mode.TRACKING, Mode.HOLD]
+        assert (await give(rig, "snow", tracker="east", why="hail"))["state"] in ("done", "under-way")
 
-    async def after(bench):
-        east, west = bench.service.trackers
+    async def after(rig):
+        east, west = rig.service.trackers
         assert (east.control.wishes.snow.why, east.control.wishes.stop) == ("hail", None)
         assert (west.control.wishes.stop.why, west.control.wishes.snow) == ("repair", None)
 
@@ -96,76 +96,76 @@ def test_a_stop_of_one_leaves_the_other_moving_and_each_wish_survives_a_restart_
 
 
 def test_a_stop_without_a_name_is_for_all_and_other_commands_ask_for_one(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
-        found = await give(bench, "stop", why="fire")
+    async def scenario(rig):
+        await both_track(rig)
+        found = await give(rig, "stop", why="fire")
         assert found["text"].startswith("all 2 trackers: east: ")
         assert "; west: " in found["text"]
-        assert modes(bench) == [Mode.HOLD] * 2
+        assert modes(rig) == [Mode.HOLD] * 2
         with pytest.raises(CommandError, match="'auto' needs the name of a tracker, one of east, west"):
-            await give(bench, "auto")
+            await give(rig, "auto")
         with pytest.raises(CommandError, match="there is no tracker 'north' here, but east, west"):
-            await give(bench, "auto", tracker="north")
-        await give(bench, "auto", tracker="east")
-        await bench.until(lambda: modes(bench) == [Mode.TRACKING, Mode.HOLD], 120, "the release of one")
+            await give(rig, "auto", tracker="north")
+        await give(rig, "auto", tracker="east")
+        await rig.until(lambda: modes(rig) == [Mode.TRACKING, Mode.HOLD], 120, "the release of one")
 
     run_rig(scenario, tracker=TWO)
 
 
 def test_a_stop_of_all_that_one_cannot_be_told_says_so_and_stops_the_others(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
-        bench.cables.others[0].link_up = False
+    async def scenario(rig):
+        await both_track(rig)
+        rig.cables.others[0].link_up = False
         with pytest.raises(CommandError, match=r"not by all 2 trackers: east: .*; west: stop could not be sent"):
-            await give(bench, "stop", why="fire")
-        assert bench.control.wishes.stop.why == "fire"
-        assert not bench.motion.moving
+            await give(rig, "stop", why="fire")
+        assert rig.control.wishes.stop.why == "fire"
+        assert not rig.motion.moving
 
     run_rig(scenario, tracker=TWO)
 
 
 def test_each_keeps_within_its_own_limits(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
-        await give(bench, "goto", tracker="east", a_deg=30, b_deg=60)
+    async def scenario(rig):
+        await both_track(rig)
+        await give(rig, "goto", tracker="east", a_deg=30, b_deg=60)
         with pytest.raises(CommandError, match="outside the limits"):
-            await give(bench, "goto", tracker="west", a_deg=30, b_deg=60)
+            await give(rig, "goto", tracker="west", a_deg=30, b_deg=60)
 
     run_rig(scenario, tracker=TWO)
 
 
 def test_records_bear_the_name_of_their_tracker_and_scans_come_once(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
+    async def scenario(rig):
+        await both_track(rig)
         await asyncio.sleep(600)
         for kind in (Pose, ModeChange, Move):
-            assert {record.tracker for record in bench.of(kind)} == {"east", "west"}
-        scans = bench.of(Scan)
+            assert {record.tracker for record in rig.of(kind)} == {"east", "west"}
+        scans = rig.of(Scan)
         assert len(scans) == len({scan.sequence for scan in scans}) > 5
 
     run_rig(scenario, tracker=TWO)
 
 
 def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig):
-    async def two(bench):
-        await both_track(bench)
-        found = state_json(bench.see())
+    async def two(rig):
+        await both_track(rig)
+        found = state_json(rig.see())
         assert list(found["trackers"]) == ["east", "west"]
         assert found["mode"] is found["tracker"] is None
         assert found["trackers"]["west"]["tracker"]["limits"]["a_max_deg"] == 20.0
-        bench.wind_m_s = 20.0
-        await give(bench, "stop", tracker="west", why="repair")
+        rig.wind_m_s = 20.0
+        await give(rig, "stop", tracker="west", why="repair")
         await asyncio.sleep(20)
-        assert [(alarm["name"], alarm["tracker"]) for alarm in state_json(bench.see())["alarms"]] == [
+        assert [(alarm["name"], alarm["tracker"]) for alarm in state_json(rig.see())["alarms"]] == [
             ("stow-wanted", "west")
         ]
-        west = tracker_state_json(bench.see(), "west")
+        west = tracker_state_json(rig.see(), "west")
         assert (west["mode"]["name"], west["tracker"]["name"]) == ("hold", "west")
-        assert tracker_state_json(bench.see(), "east")["alarms"] == []
+        assert tracker_state_json(rig.see(), "east")["alarms"] == []
 
-    async def one(bench):
-        await bench.until_mode(Mode.TRACKING, 120)
-        found = state_json(bench.see())
+    async def one(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        found = state_json(rig.see())
         assert found["trackers"]["tracker"] == {name: found[name] for name in found["trackers"]["tracker"]}
         assert found["mode"]["name"] == "tracking"
 
@@ -174,34 +174,34 @@ def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig
 
 
 def test_maintenance_of_one_leaves_the_alarms_of_the_other_and_of_the_cube(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
-        await give(bench, "maintenance", tracker="west", why="belts")
-        assert [tracker.alarms.muted for tracker in bench.service.trackers] == [False, True]
-        assert not bench.service.cube_alarms.muted
-        await give(bench, "maintenance", tracker="east", why="belts")
-        assert bench.service.cube_alarms.muted
-        await give(bench, "auto", tracker="east")
-        assert not bench.service.cube_alarms.muted
+    async def scenario(rig):
+        await both_track(rig)
+        await give(rig, "maintenance", tracker="west", why="belts")
+        assert [tracker.alarms.muted for tracker in rig.service.trackers] == [False, True]
+        assert not rig.service.cube_alarms.muted
+        await give(rig, "maintenance", tracker="east", why="belts")
+        assert rig.service.cube_alarms.muted
+        await give(rig, "auto", tracker="east")
+        assert not rig.service.cube_alarms.muted
 
     run_rig(scenario, tracker=TWO)
 
 
 def test_a_driver_that_hangs_for_good_costs_its_own_tracker_and_not_the_service(run_rig):
-    async def scenario(bench):
-        await both_track(bench)
+    async def scenario(rig):
+        await both_track(rig)
 
         async def hang():
             raise DriverHungError("positioner", "8 calls of its driver never returned")
 
-        bench.others[0].open = hang
-        bench.cables.others[0].link_up = False
-        await bench.until(lambda: bench.service.trackers[1].alarms.active, 120, "the alarm")
-        (alarm,) = bench.service.trackers[1].alarms.active
+        rig.others[0].open = hang
+        rig.cables.others[0].link_up = False
+        await rig.until(lambda: rig.service.trackers[1].alarms.active, 120, "the alarm")
+        (alarm,) = rig.service.trackers[1].alarms.active
         assert alarm.name == "driver-hung"
         assert "the tracker west is out of work until the service is started anew" in alarm.text
         await asyncio.sleep(900)
-        assert modes(bench) == [Mode.TRACKING, Mode.FAULT]
-        assert [event.tracker for event in bench.of(Event) if event.subject == "service"] == ["west"]
+        assert modes(rig) == [Mode.TRACKING, Mode.FAULT]
+        assert [event.tracker for event in rig.of(Event) if event.subject == "service"] == ["west"]
 
     run_rig(scenario, tracker=TWO)

@@ -93,11 +93,11 @@ def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
 def test_it_stands_where_the_live_tracker_stood(run_rig, replayed, law):
     # Decisions lie well away from the edges of the clouds, where one scan more turns the mean by degrees.
-    bench = run_rig(one_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
-    scans = bench.of(Scan)
+    rig = run_rig(one_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
+    scans = rig.of(Scan)
     lines = [[iso_utc(scan.time_utc_s), *(f"{face.irradiance_w_m2}" for face in scan.faces)] for scan in scans]
     found = replayed(lines, law)
-    poses = bench.of(Pose)
+    poses = rig.of(Pose)
     times = np.array([pose.time_utc_s for pose in poses])
     moving = np.array([pose.time_utc_s for pose in poses if pose.moving])
     compared = 0

@@ -7,46 +7,46 @@ import pytest
 from daemon.base.records import Decision, Mode
 
 
-async def just_before_a_decision(bench, lead_s):
-    await bench.until_mode(Mode.TRACKING, 60)
+async def just_before_a_decision(rig, lead_s):
+    await rig.until_mode(Mode.TRACKING, 60)
     await asyncio.sleep(5)
-    await bench.until(lambda: bench.control.state.next_decision_s < lead_s, 400, "the time before a decision")
-    return len(bench.of(Decision))
+    await rig.until(lambda: rig.control.state.next_decision_s < lead_s, 400, "the time before a decision")
+    return len(rig.of(Decision))
 
 
-def blind(bench, *, yes):
+def blind(rig, *, yes):
     for face in range(4):
         if yes:
-            bench.scene.break_sensor(face, 5.0)
+            rig.scene.break_sensor(face, 5.0)
         else:
-            bench.scene.repair_sensor(face)
+            rig.scene.repair_sensor(face)
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "chronometric", "optimal"])
 def test_a_decision_that_falls_due_on_stale_readings_waits_for_fresh_ones(run_rig, law):
-    async def scenario(bench):
-        decided = await just_before_a_decision(bench, 20)
-        blind(bench, yes=True)
+    async def scenario(rig):
+        decided = await just_before_a_decision(rig, 20)
+        blind(rig, yes=True)
         await asyncio.sleep(55)
-        assert bench.mode is Mode.TRACKING
-        assert len(bench.of(Decision)) == decided
-        blind(bench, yes=False)
-        await bench.until(lambda: len(bench.of(Decision)) == decided + 1, 12, "the decision")
+        assert rig.mode is Mode.TRACKING
+        assert len(rig.of(Decision)) == decided
+        blind(rig, yes=False)
+        await rig.until(lambda: len(rig.of(Decision)) == decided + 1, 12, "the decision")
 
     run_rig(scenario, law={"name": law})
 
 
 def test_a_decision_below_the_minimum_coverage_waits_until_it_is_reached(run_rig):
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 200)
-        decided = await just_before_a_decision(bench, 20)
-        blind(bench, yes=True)
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 200)
+        decided = await just_before_a_decision(rig, 20)
+        blind(rig, yes=True)
         await asyncio.sleep(40)
-        blind(bench, yes=False)
+        blind(rig, yes=False)
         await asyncio.sleep(30)
-        assert bench.mode is Mode.TRACKING
-        assert len(bench.of(Decision)) == decided
-        await bench.until(lambda: len(bench.of(Decision)) > decided, 120, "the decision")
-        assert bench.of(Decision)[decided].irradiances.coverage >= 0.9
+        assert rig.mode is Mode.TRACKING
+        assert len(rig.of(Decision)) == decided
+        await rig.until(lambda: len(rig.of(Decision)) > decided, 120, "the decision")
+        assert rig.of(Decision)[decided].irradiances.coverage >= 0.9
 
     run_rig(scenario, windows={"minimum_coverage": 0.9})

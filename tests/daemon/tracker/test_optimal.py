@@ -17,40 +17,40 @@ __all__ = ["serve"]
 OPTIMAL = {"name": "optimal"}
 
 
-async def one_hour(_bench):
+async def one_hour(_rig):
     await asyncio.sleep(3600)
 
 
-def off_sun_deg(bench):
-    return float(separation_deg(normal_from_angles(*bench.truth()), sun_direction(bench.clock.utc(), *SITE)))
+def off_sun_deg(rig):
+    return float(separation_deg(normal_from_angles(*rig.truth()), sun_direction(rig.clock.utc(), *SITE)))
 
 
-def break_faces(bench, *broken):
+def break_faces(rig, *broken):
     """Let some faces of the cube read far beyond anything that is plausible."""
-    sensor = bench.scene.sensor_voltage
+    sensor = rig.scene.sensor_voltage
 
     def voltage(face, utc_s):
         return 0.4 if face in broken else sensor(face, utc_s)
 
-    bench.scene.sensor_voltage = voltage
+    rig.scene.sensor_voltage = voltage
 
 
 def without(*broken):
-    async def scenario(bench):
-        break_faces(bench, *broken)
+    async def scenario(rig):
+        break_faces(rig, *broken)
         await asyncio.sleep(3600)
 
     return scenario
 
 
 def test_a_clear_sky_is_followed_with_few_moves(run_rig):
-    bench = run_rig(one_hour, law=OPTIMAL)
-    assert off_sun_deg(bench) < 5.0
-    assert bench.mode is Mode.TRACKING
-    moves = bench.of(Move)
+    rig = run_rig(one_hour, law=OPTIMAL)
+    assert off_sun_deg(rig) < 5.0
+    assert rig.mode is Mode.TRACKING
+    moves = rig.of(Move)
     assert 4 <= len(moves) <= 15
     assert all(move.outcome is MoveOutcome.ARRIVED for move in moves)
-    decisions = bench.of(Decision)
+    decisions = rig.of(Decision)
     times = [decision.time_monotonic_s for decision in decisions]
     assert np.diff(times) == pytest.approx(60.0, abs=0.2)
     estimate = decisions[-1].estimate
@@ -60,41 +60,41 @@ def test_a_clear_sky_is_followed_with_few_moves(run_rig):
 
 
 def test_an_overcast_sky_is_met_flat(run_rig):
-    bench = run_rig(one_hour, law=OPTIMAL, weather=HandWeather(dni=0, dhi=150))
-    assert bench.truth().b_deg == pytest.approx(90, abs=2.0)
-    assert bench.truth().a_deg == pytest.approx(0, abs=2.0)
+    rig = run_rig(one_hour, law=OPTIMAL, weather=HandWeather(dni=0, dhi=150))
+    assert rig.truth().b_deg == pytest.approx(90, abs=2.0)
+    assert rig.truth().a_deg == pytest.approx(0, abs=2.0)
 
 
 @pytest.mark.parametrize("face", range(4))
 def test_with_one_face_broken_it_goes_on_tracking(run_rig, face):
-    bench = run_rig(without(face), law=OPTIMAL)
-    assert bench.of(Scan)[-1].faces[face].quality is not Quality.OK
-    assert bench.mode is Mode.TRACKING
-    assert bench.of(Decision)[-1].law == "optimal"
-    assert off_sun_deg(bench) < 6.0
+    rig = run_rig(without(face), law=OPTIMAL)
+    assert rig.of(Scan)[-1].faces[face].quality is not Quality.OK
+    assert rig.mode is Mode.TRACKING
+    assert rig.of(Decision)[-1].law == "optimal"
+    assert off_sun_deg(rig) < 6.0
 
 
 def test_a_dead_zenith_face_is_no_night(run_rig):
-    async def scenario(bench):
-        sensor = bench.scene.sensor_voltage
-        bench.scene.sensor_voltage = lambda face, utc_s: 0.0 if face == 3 else sensor(face, utc_s)
+    async def scenario(rig):
+        sensor = rig.scene.sensor_voltage
+        rig.scene.sensor_voltage = lambda face, utc_s: 0.0 if face == 3 else sensor(face, utc_s)
         await asyncio.sleep(3600)
 
-    bench = run_rig(scenario, law=OPTIMAL)
-    assert bench.mode is Mode.TRACKING
-    assert off_sun_deg(bench) < 6.0
+    rig = run_rig(scenario, law=OPTIMAL)
+    assert rig.mode is Mode.TRACKING
+    assert off_sun_deg(rig) < 6.0
 
 
 def test_with_two_faces_broken_it_falls_back_on_the_sun(run_rig):
-    bench = run_rig(without(0, 3), law=OPTIMAL)
-    assert bench.mode is Mode.FALLBACK
-    assert bench.of(Decision)[-1].law == "chronometric"
-    assert off_sun_deg(bench) < 2.0
+    rig = run_rig(without(0, 3), law=OPTIMAL)
+    assert rig.mode is Mode.FALLBACK
+    assert rig.of(Decision)[-1].law == "chronometric"
+    assert off_sun_deg(rig) < 2.0
 
 
 def test_the_paper_s_law_still_needs_four_faces(run_rig):
-    bench = run_rig(without(0), law={"name": "mu-prime"})
-    assert bench.mode is Mode.FALLBACK
+    rig = run_rig(without(0), law={"name": "mu-prime"})
+    assert rig.mode is Mode.FALLBACK
 
 
 class Blinking(HandWeather):
@@ -107,9 +107,9 @@ class Blinking(HandWeather):
         return conditions
 
 
-def ordered_deg(bench):
+def ordered_deg(rig):
     return sum(
-        abs(move.target_a_deg - move.from_a_deg) + abs(move.target_b_deg - move.from_b_deg) for move in bench.of(Move)
+        abs(move.target_a_deg - move.from_a_deg) + abs(move.target_b_deg - move.from_b_deg) for move in rig.of(Move)
     )
 
 
@@ -128,11 +128,11 @@ def test_the_budget_of_the_day_holds_and_a_restart_opens_no_new_one(run_rig, tmp
 
 
 def test_the_budget_holds_in_fallback_too(run_rig):
-    bench = run_rig(without(0, 3), law=OPTIMAL | {"moves_per_day": 2})
-    assert len(bench.of(Move)) == 2
+    rig = run_rig(without(0, 3), law=OPTIMAL | {"moves_per_day": 2})
+    assert len(rig.of(Move)) == 2
 
 
-async def until_tomorrow(_bench):
+async def until_tomorrow(_rig):
     await asyncio.sleep(20 * 3600)
 
 
@@ -151,8 +151,8 @@ def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, 
     learned = taught.control.pointing.law.learned
     assert learned.albedo != 0.2
 
-    async def again(bench, call):
-        await bench.until_mode(Mode.TRACKING, 120)
+    async def again(rig, call):
+        await rig.until_mode(Mode.TRACKING, 120)
         found = (await call.get("/api/state")).json["law"]
         assert found["name"] == "optimal"
         assert found["learned"] == learned.to_dict()
@@ -167,15 +167,15 @@ def test_what_a_day_has_taught_survives_a_restart_and_can_be_forgotten(run_rig, 
 def test_a_damaged_file_is_learned_anew(run_rig, tmp_path):
     (tmp_path / "learned.json").write_text('{"albedo": 7, "day": 1}')
 
-    async def scenario(bench):
-        assert bench.control.pointing.law.learned.albedo == 0.2
+    async def scenario(rig):
+        assert rig.control.pointing.law.learned.albedo == 0.2
 
     run_rig(scenario, law=OPTIMAL, store={"directory": tmp_path})
 
 
 def test_a_law_that_learns_nothing_has_nothing_to_forget(serve):
-    async def scenario(bench, call):
-        await bench.until_mode(Mode.TRACKING, 120)
+    async def scenario(rig, call):
+        await rig.until_mode(Mode.TRACKING, 120)
         assert (await call.get("/api/state")).json["law"] == {"name": "mu-prime"}
         assert (await call.post("relearn")).status == 409
 
@@ -183,12 +183,12 @@ def test_a_law_that_learns_nothing_has_nothing_to_forget(serve):
 
 
 def test_after_a_step_of_the_clock_it_stays_where_it_is(run_rig):
-    async def scenario(bench):
+    async def scenario(rig):
         await asyncio.sleep(600)
-        bench.clock.step_s = 7200.0
-        before = len(bench.of(Move))
+        rig.clock.step_s = 7200.0
+        before = len(rig.of(Move))
         await asyncio.sleep(600)
-        assert len(bench.of(Move)) == before
-        assert "clock was set" in bench.of(Decision)[-1].target.why
+        assert len(rig.of(Move)) == before
+        assert "clock was set" in rig.of(Decision)[-1].target.why
 
     run_rig(scenario, law=OPTIMAL)

@@ -19,64 +19,64 @@ __all__ = ["serve"]
 OTHERS = ("stow", "snow", "hold", "goto", "home", "clear", "relearn", "maintenance")
 
 
-def operator(bench):
-    return Operator(bench.tracker, 1.0)
+def operator(rig):
+    return Operator(rig.tracker, 1.0)
 
 
-async def call(bench, name, why="x"):
+async def call(rig, name, why="x"):
     place = (10.0, 60.0) if name == "goto" else ()
-    return await getattr(operator(bench), name)(*place, why, "eve")
+    return await getattr(operator(rig), name)(*place, why, "eve")
 
 
-def alarms(bench):
-    return {alarm.name: alarm.text for alarm in bench.tracker.alarms.active}
+def alarms(rig):
+    return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}
 
 
-def look_seldom(bench):
+def look_seldom(rig):
     """Let the positioner be looked at every five minutes at rest: a day of looks is no test's business."""
-    bench.motion._polling = Polling(idle_s=300.0)
+    rig.motion._polling = Polling(idle_s=300.0)
 
 
-def press_a_button(bench):
+def press_a_button(rig):
     """Press a button at the unit; return what lets it go."""
-    read, pressed = bench.positioner.read_telemetry, [True]
+    read, pressed = rig.positioner.read_telemetry, [True]
 
     async def with_button():
         seen = await read()
-        return replace(seen, button_pressed=pressed[0], status_monotonic_s=bench.clock.monotonic())
+        return replace(seen, button_pressed=pressed[0], status_monotonic_s=rig.clock.monotonic())
 
-    bench.positioner.read_telemetry = with_button
+    rig.positioner.read_telemetry = with_button
     return lambda: pressed.__setitem__(0, False)
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends(run_rig, name):
-    async def scenario(bench):
-        await under_way(bench)
-        await operator(bench).stop("a hand near the actuator", "ana@lab")
-        stands, before = bench.truth(), len(bench.of(Move))
+    async def scenario(rig):
+        await under_way(rig)
+        await operator(rig).stop("a hand near the actuator", "ana@lab")
+        stands, before = rig.truth(), len(rig.of(Move))
         with pytest.raises(CommandError) as refused:
-            await call(bench, name)
+            await call(rig, name)
         assert not refused.value.wrong
         assert str(refused.value).startswith(f"no {name}: the tracker is stopped by ana@lab since 2022-10-12 10:0")
         assert str(refused.value).endswith(" UTC: a hand near the actuator; only 'heliocube auto' releases it")
         await asyncio.sleep(3600)
-        assert bench.truth() == stands
-        assert len(bench.of(Move)) == before
-        assert bench.control.wishes.stow is bench.control.wishes.hold is bench.control.wishes.snow is None
-        answer = await call(bench, "auto")
+        assert rig.truth() == stands
+        assert len(rig.of(Move)) == before
+        assert rig.control.wishes.stow is rig.control.wishes.hold is rig.control.wishes.snow is None
+        answer = await call(rig, "auto")
         assert "; released: stopped by ana@lab since " in answer.text
-        await bench.until_mode(Mode.TRACKING, 30)
+        await rig.until_mode(Mode.TRACKING, 30)
 
     run_rig(scenario)
 
 
 def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await bench.control.stop("repair")
-        control = bench.control
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await rig.control.stop("repair")
+        control = rig.control
         for ask in (
             lambda: control.stow("x"),
             lambda: control.snow("x"),
@@ -84,7 +84,7 @@ def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
             lambda: control.goto(0, 60, "x"),
             control.home,
             control.clear_faults,
-            bench.motion.home,
+            rig.motion.home,
         ):
             with pytest.raises(RefusedError, match=r"stopped since .*: repair; only 'heliocube auto' releases it"):
                 ask()
@@ -93,71 +93,71 @@ def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
 
 
 def test_a_restarted_box_is_not_homed_under_a_stop_and_is_afterwards(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await operator(bench).stop("supply off and on", "ana")
-        bench.unit.power_cycle(bench.clock.monotonic(), keep_position=True)
-        await bench.until_mode(Mode.HOLD, 15)
-        stands = bench.truth()
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).stop("supply off and on", "ana")
+        rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
+        await rig.until_mode(Mode.HOLD, 15)
+        stands = rig.truth()
         await asyncio.sleep(1800)
-        assert bench.truth() == stands
-        await operator(bench).auto("done")
-        await bench.until(lambda: bench.motion.homing, 30, "homing")
+        assert rig.truth() == stands
+        await operator(rig).auto("done")
+        await rig.until(lambda: rig.motion.homing, 30, "homing")
 
     run_rig(scenario, motion={"rehome": "automatic"})
 
 
 def test_a_second_stop_is_taken_sent_and_says_whose_it_replaces(run_rig, monkeypatch):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await operator(bench).stop("first", "ana")
-        sent = commands_sent(bench, monkeypatch)
-        answer = await operator(bench).stop("second", "bob")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).stop("first", "ana")
+        sent = commands_sent(rig, monkeypatch)
+        answer = await operator(rig).stop("second", "bob")
         assert sent[0][1].startswith(b"$9s")
         assert answer.done
         assert "; this replaces: stopped by ana since " in answer.text
-        assert bench.control.wishes.stop.by == "bob"
+        assert rig.control.wishes.stop.by == "bob"
 
     run_rig(scenario)
 
 
 def test_wind_under_a_stop_is_an_alarm_that_ends_with_the_stop(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        await operator(bench).stop("repair", "ana")
-        stands = bench.truth()
-        bench.wind_m_s = 20.0
-        await bench.until(lambda: "stow-wanted" in alarms(bench), 6, "the alarm")
-        text = alarms(bench)["stow-wanted"]
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).stop("repair", "ana")
+        stands = rig.truth()
+        rig.wind_m_s = 20.0
+        await rig.until(lambda: "stow-wanted" in alarms(rig), 6, "the alarm")
+        text = alarms(rig)["stow-wanted"]
         assert text.startswith(
             "stow is wanted (wind 20.0 m/s, stow from 15 m/s), but the tracker is stopped by ana since"
         )
         assert text.endswith("; only 'heliocube auto' releases it")
         await asyncio.sleep(600)
-        assert bench.truth() == stands
-        await operator(bench).auto("clear of the axes")
-        assert bench.mode is Mode.STOW
-        assert not alarms(bench)
-        told = [event.text for event in bench.of(Event) if event.subject == "alarm"]
+        assert rig.truth() == stands
+        await operator(rig).auto("clear of the axes")
+        assert rig.mode is Mode.STOW
+        assert not alarms(rig)
+        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
         assert len(told) == 2
 
     run_rig(scenario)
 
 
 def test_who_stopped_it_when_and_why_survives_a_restart(run_rig, tmp_path):
-    async def first(bench):
-        await tracking(bench)
-        await operator(bench).stop("repair", "ana@lab")
+    async def first(rig):
+        await tracking(rig)
+        await operator(rig).stop("repair", "ana@lab")
 
-    async def second(bench):
+    async def second(rig):
         await asyncio.sleep(60)
-        assert bench.mode is Mode.HOLD
-        assert bench.control.why.startswith("stopped by ana@lab since 2022-10-12 10:0")
+        assert rig.mode is Mode.HOLD
+        assert rig.control.why.startswith("stopped by ana@lab since 2022-10-12 10:0")
         with pytest.raises(CommandError, match="no goto: the tracker is stopped by ana@lab since"):
-            await call(bench, "goto")
+            await call(rig, "goto")
 
     for scenario in (first, second):
         run_rig(scenario, store={"directory": tmp_path})
@@ -166,69 +166,69 @@ def test_who_stopped_it_when_and_why_survives_a_restart(run_rig, tmp_path):
 def test_a_file_of_an_earlier_version_is_in_force(run_rig, tmp_path):
     (tmp_path / "operator.json").write_text('{"stop": "repair", "stow": null, "hold": "test"}')
 
-    async def scenario(bench):
+    async def scenario(rig):
         await asyncio.sleep(300)
-        assert (bench.mode, bench.control.why) == (Mode.HOLD, "stopped: repair")
-        assert bench.control.wishes.hold.why == "test"
-        assert not bench.of(Move)
+        assert (rig.mode, rig.control.why) == (Mode.HOLD, "stopped: repair")
+        assert rig.control.wishes.hold.why == "test"
+        assert not rig.of(Move)
 
     run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
-    async def first(bench):
-        await under_way(bench)
-        bench.cables.positioner.link_up = False
+    async def first(rig):
+        await under_way(rig)
+        rig.cables.positioner.link_up = False
         with pytest.raises(DeviceError):
-            await bench.control.stop("a hand", "ana")
+            await rig.control.stop("a hand", "ana")
 
     run_rig(first, store={"directory": tmp_path})
     assert Wishes.model_validate_json((tmp_path / "operator.json").read_text()).stop.by == "ana"
 
 
 def test_a_stop_while_unplugged_is_named_beside_the_fault_and_in_force_at_the_return(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.cables.positioner.link_up = False
-        await bench.until_mode(Mode.FAULT, 15)
+    async def scenario(rig):
+        await tracking(rig)
+        rig.cables.positioner.link_up = False
+        await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="stop could not be sent"):
-            await operator(bench).stop("repair", "ana")
-        assert bench.mode is Mode.FAULT
-        assert "unplugged; stopped by ana since " in bench.control.why
-        bench.cables.positioner.link_up = True
-        await bench.until_mode(Mode.HOLD, 60)
+            await operator(rig).stop("repair", "ana")
+        assert rig.mode is Mode.FAULT
+        assert "unplugged; stopped by ana since " in rig.control.why
+        rig.cables.positioner.link_up = True
+        await rig.until_mode(Mode.HOLD, 60)
         await asyncio.sleep(5)
-        stands = bench.truth()
+        stands = rig.truth()
         await asyncio.sleep(900)
-        assert bench.truth() == stands
+        assert rig.truth() == stands
 
     run_rig(scenario)
 
 
 def test_a_unit_that_does_not_hear_stop_is_never_called_done(run_rig, monkeypatch):
-    async def scenario(bench):
-        await under_way(bench)
-        feed = bench.unit.feed
-        monkeypatch.setattr(bench.unit, "feed", lambda data, now: None if data.startswith(b"$9s") else feed(data, now))
-        answer = await operator(bench).stop("a hand")
+    async def scenario(rig):
+        await under_way(rig)
+        feed = rig.unit.feed
+        monkeypatch.setattr(rig.unit, "feed", lambda data, now: None if data.startswith(b"$9s") else feed(data, now))
+        answer = await operator(rig).stop("a hand")
         assert (answer.done, answer.seen) == (False, "not-seen")
 
     run_rig(scenario, start="2022-10-12T10:00")
 
 
 def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
         await asyncio.sleep(11)
-        assert (await operator(bench).hold("test")).done
-        bench.positioner.read_telemetry = lambda: asyncio.sleep(3600)
-        asked_s = bench.clock.monotonic()
-        assert (await operator(bench).hold("test")).seen == "not-seen"
-        assert bench.clock.monotonic() - asked_s == pytest.approx(3.0, abs=0.1)
-        asked_s = bench.clock.monotonic()
-        await Operator(bench.tracker, 10.0).hold("test")
-        assert bench.clock.monotonic() - asked_s == pytest.approx(30.0, abs=1.0)
+        assert (await operator(rig).hold("test")).done
+        rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+        asked_s = rig.clock.monotonic()
+        assert (await operator(rig).hold("test")).seen == "not-seen"
+        assert rig.clock.monotonic() - asked_s == pytest.approx(3.0, abs=0.1)
+        asked_s = rig.clock.monotonic()
+        await Operator(rig.tracker, 10.0).hold("test")
+        assert rig.clock.monotonic() - asked_s == pytest.approx(30.0, abs=1.0)
 
     run_rig(scenario)
 
@@ -237,58 +237,58 @@ def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_r
 
 
 def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_rig):
-    async def scenario(bench):
-        await under_way(bench)
-        let_go = press_a_button(bench)
-        await bench.until_mode(Mode.HOLD, 2)
-        assert "a button was pressed at the unit: a person is there" in bench.control.why
-        await at_rest(bench)
-        stands = bench.truth()
+    async def scenario(rig):
+        await under_way(rig)
+        let_go = press_a_button(rig)
+        await rig.until_mode(Mode.HOLD, 2)
+        assert "a button was pressed at the unit: a person is there" in rig.control.why
+        await at_rest(rig)
+        stands = rig.truth()
         let_go()
         with pytest.raises(CommandError, match=r"no goto: the tracker is held since .*a person is there; only"):
-            await call(bench, "goto")
+            await call(rig, "goto")
         await asyncio.sleep(1800)
-        assert bench.truth() == stands
-        answer = await call(bench, "auto")
+        assert rig.truth() == stands
+        answer = await call(rig, "auto")
         assert "released: held since" in answer.text
-        await bench.until_mode(Mode.TRACKING, 30)
+        await rig.until_mode(Mode.TRACKING, 30)
         await asyncio.sleep(60)
-        assert bench.mode is Mode.TRACKING
+        assert rig.mode is Mode.TRACKING
 
     run_rig(scenario)
 
 
 def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        press_a_button(bench)
-        await bench.until_mode(Mode.HOLD, 11)
-        stands = bench.truth()
-        await call(bench, "auto")
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        press_a_button(rig)
+        await rig.until_mode(Mode.HOLD, 11)
+        stands = rig.truth()
+        await call(rig, "auto")
         await asyncio.sleep(11)
-        assert bench.mode is Mode.HOLD
-        await call(bench, "maintenance")
-        assert bench.mode is Mode.MAINTENANCE
-        assert bench.truth() == pytest.approx(stands, abs=0.3)
+        assert rig.mode is Mode.HOLD
+        await call(rig, "maintenance")
+        assert rig.mode is Mode.MAINTENANCE
+        assert rig.truth() == pytest.approx(stands, abs=0.3)
 
     run_rig(scenario)
 
 
 def test_a_press_that_was_seen_before_the_release_does_not_hold_again(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        await at_rest(bench)
-        read, pressed_s = bench.positioner.read_telemetry, bench.clock.monotonic()
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        read, pressed_s = rig.positioner.read_telemetry, rig.clock.monotonic()
 
         async def with_an_old_screen():
             return replace(await read(), button_pressed=True, status_monotonic_s=pressed_s)
 
-        bench.positioner.read_telemetry = with_an_old_screen
-        await bench.until_mode(Mode.HOLD, 11)
-        await call(bench, "auto")
+        rig.positioner.read_telemetry = with_an_old_screen
+        await rig.until_mode(Mode.HOLD, 11)
+        await call(rig, "auto")
         await asyncio.sleep(11)
-        assert bench.mode is Mode.TRACKING
+        assert rig.mode is Mode.TRACKING
 
     run_rig(scenario)
 
@@ -297,31 +297,31 @@ def test_a_press_that_was_seen_before_the_release_does_not_hold_again(run_rig):
 
 
 def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_every_day(run_rig, tmp_path):
-    async def first(bench):
-        await under_way(bench)
-        answer = await operator(bench).maintenance("greasing", "ana@lab")
+    async def first(rig):
+        await under_way(rig)
+        answer = await operator(rig).maintenance("greasing", "ana@lab")
         assert answer.done
-        assert bench.mode is Mode.MAINTENANCE
+        assert rig.mode is Mode.MAINTENANCE
         for name in OTHERS:
             with pytest.raises(CommandError, match=f"no {name}: the tracker is in maintenance by ana@lab since"):
-                await call(bench, name)
-        stands = bench.truth()
-        bench.wind_m_s = 20.0
-        look_seldom(bench)
+                await call(rig, name)
+        stands = rig.truth()
+        rig.wind_m_s = 20.0
+        look_seldom(rig)
         await asyncio.sleep(2.5 * 86400)
-        assert bench.truth() == stands
-        assert not alarms(bench)
-        assert "stow is wanted and not done (wind" in bench.control.why
-        reminders = [event for event in bench.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
+        assert rig.truth() == stands
+        assert not alarms(rig)
+        assert "stow is wanted and not done (wind" in rig.control.why
+        reminders = [event for event in rig.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
         assert len(reminders) == 2
 
-    async def second(bench):
+    async def second(rig):
         await asyncio.sleep(600)
-        assert bench.mode is Mode.MAINTENANCE
-        assert (await operator(bench).stop("wait", "bob")).done
-        assert bench.mode is Mode.MAINTENANCE
-        await operator(bench).auto("done")
-        assert bench.mode not in (Mode.MAINTENANCE, Mode.HOLD)
+        assert rig.mode is Mode.MAINTENANCE
+        assert (await operator(rig).stop("wait", "bob")).done
+        assert rig.mode is Mode.MAINTENANCE
+        await operator(rig).auto("done")
+        assert rig.mode not in (Mode.MAINTENANCE, Mode.HOLD)
 
     slow = {"store": {"directory": tmp_path}, "cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130}}
     for scenario in (first, second):
@@ -329,14 +329,14 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_every
 
 
 def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
-    async def scenario(bench):
-        await tracking(bench)
-        bench.cables.positioner.link_up = False
-        await bench.until_mode(Mode.FAULT, 15)
+    async def scenario(rig):
+        await tracking(rig)
+        rig.cables.positioner.link_up = False
+        await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="maintenance is noted, but stop could not be sent"):
-            await operator(bench).maintenance("cable", "ana")
-        assert bench.mode is Mode.MAINTENANCE
-        assert "cable; positioner: is unplugged" in bench.control.why
+            await operator(rig).maintenance("cable", "ana")
+        assert rig.mode is Mode.MAINTENANCE
+        assert "cable; positioner: is unplugged" in rig.control.why
 
     run_rig(scenario)
 
@@ -346,36 +346,36 @@ def test_maintenance_while_unplugged_is_in_force_and_says_both(run_rig):
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_over_http_a_refusal_is_the_same_sentence_and_never_an_error_of_the_service(serve, name):
-    async def scenario(bench, call_http):
-        await tracking(bench)
+    async def scenario(rig, call_http):
+        await tracking(rig)
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
         body = {"a_deg": 10, "b_deg": 60} if name == "goto" else {}
         reply = await call_http.post(name, json.dumps(body).encode())
         assert reply.status == 409
         with pytest.raises(CommandError) as refused:
-            await call(bench, name)
+            await call(rig, name)
         assert reply.json == {"error": str(refused.value)}
 
     serve(scenario)
 
 
 def test_goto_in_mode_starting_is_refused_in_one_sentence(serve):
-    async def scenario(bench, call_http):
-        await bench.until(lambda: bench.motion.connected, 10, "the positioner")
-        assert bench.mode is Mode.STARTING
+    async def scenario(rig, call_http):
+        await rig.until(lambda: rig.motion.connected, 10, "the positioner")
+        assert rig.mode is Mode.STARTING
         reply = await call_http.post("goto", b'{"a_deg": 10, "b_deg": 60}')
         assert (reply.status, reply.json) == (
             409,
             {"error": "no goto in mode starting: waiting for the cube's readings"},
         )
-        assert bench.control.wishes == Wishes()
+        assert rig.control.wishes == Wishes()
 
     serve(scenario)
 
 
 def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
-    async def scenario(bench, call_http):
-        await tracking(bench)
+    async def scenario(rig, call_http):
+        await tracking(rig)
         await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
         found = (await call_http.get("/api/state")).json
@@ -386,7 +386,7 @@ def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
         assert {name for name, wish in wishes.items() if wish is None} == {"maintenance", "buttons", "stow", "snow"}
         assert found["mode"]["name"] == "hold"
         assert found["alarms"] == []
-        bench.wind_m_s = 20.0
+        rig.wind_m_s = 20.0
         await asyncio.sleep(6)
         (alarm,) = (await call_http.get("/api/state")).json["alarms"]
         assert (alarm["name"], alarm["since"][:14]) == ("stow-wanted", "2022-10-12T10:")

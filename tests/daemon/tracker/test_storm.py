@@ -6,26 +6,26 @@ from daemon.base.records import Decision, Mode
 from daemon.service.state import state_json
 
 
-def wind_of(bench):
-    return state_json(bench.see())["wind"]
+def wind_of(rig):
+    return state_json(rig.see())["wind"]
 
 
 def test_a_gust_of_two_seconds_between_two_looks_stows(run_rig):
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 60)
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 60)
         for _ in range(3):
             # Just after a look, and over before the next.
-            looked_s = bench.control.last_tick_s
-            await bench.until(lambda before=looked_s: bench.control.last_tick_s > before, 10, "a look")
-            bench.wind_m_s = 14.0
+            looked_s = rig.control.last_tick_s
+            await rig.until(lambda before=looked_s: rig.control.last_tick_s > before, 10, "a look")
+            rig.wind_m_s = 14.0
             await asyncio.sleep(0.1)
-        bench.wind_m_s = 25.0
+        rig.wind_m_s = 25.0
         await asyncio.sleep(2.0)
-        bench.wind_m_s = 3.0
-        await bench.until_mode(Mode.STOW, 0.5)
-        assert "25.0 m/s" in bench.control.why
+        rig.wind_m_s = 3.0
+        await rig.until_mode(Mode.STOW, 0.5)
+        assert "25.0 m/s" in rig.control.why
         await asyncio.sleep(2.0)
-        (seen,) = wind_of(bench)
+        (seen,) = wind_of(rig)
         assert seen["name"] == "wind"
         assert (seen["speed_m_s"], seen["stow_from_m_s"], seen["release_below_m_s"]) == (3.0, 15.0, 10.0)
         assert 880 < seen["release_in_s"] <= 900
@@ -34,43 +34,43 @@ def test_a_gust_of_two_seconds_between_two_looks_stows(run_rig):
 
 
 def test_a_service_that_was_killed_in_a_storm_comes_back_stowing(run_rig, tmp_path):
-    async def storm(bench):
-        await bench.until_mode(Mode.TRACKING, 60)
-        bench.wind_m_s = 25.0
-        await bench.until_mode(Mode.STOW, 6)
+    async def storm(rig):
+        await rig.until_mode(Mode.TRACKING, 60)
+        rig.wind_m_s = 25.0
+        await rig.until_mode(Mode.STOW, 6)
 
-    async def after(bench):
-        bench.wind_m_s = None
-        await bench.until_mode(Mode.STOW, 10)
-        assert "before the restart" in bench.control.why
+    async def after(rig):
+        rig.wind_m_s = None
+        await rig.until_mode(Mode.STOW, 10)
+        assert "before the restart" in rig.control.why
         await asyncio.sleep(200)
-        bench.wind_m_s = 3.0
+        rig.wind_m_s = 3.0
         await asyncio.sleep(890)
-        assert bench.mode is Mode.STOW
-        assert not bench.of(Decision)
-        await bench.until_mode(Mode.TRACKING, 60)
+        assert rig.mode is Mode.STOW
+        assert not rig.of(Decision)
+        await rig.until_mode(Mode.TRACKING, 60)
 
     run_rig(storm, store={"directory": tmp_path})
     run_rig(after, store={"directory": tmp_path})
 
 
 def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
-    async def scenario(bench):
-        bench.wind_m_s = None
+    async def scenario(rig):
+        rig.wind_m_s = None
         await asyncio.sleep(120)
-        assert bench.mode is Mode.STARTING
-        assert bench.control.why == "waiting for the first word of wind"
-        bench.wind_m_s = 3.0
-        await bench.until_mode(Mode.TRACKING, 10)
+        assert rig.mode is Mode.STARTING
+        assert rig.control.why == "waiting for the first word of wind"
+        rig.wind_m_s = 3.0
+        await rig.until_mode(Mode.TRACKING, 10)
 
     run_rig(scenario)
 
 
 def test_silence_from_the_start_stows_after_its_time(run_rig):
-    async def scenario(bench):
-        bench.wind_m_s = None
+    async def scenario(rig):
+        rig.wind_m_s = None
         await asyncio.sleep(290)
-        assert bench.mode is Mode.STARTING
-        await bench.until_mode(Mode.STOW, 30)
+        assert rig.mode is Mode.STARTING
+        await rig.until_mode(Mode.STOW, 30)
 
     run_rig(scenario)

@@ -12,7 +12,7 @@ from solar.frames import normal_from_angles, separation_deg
 from tests.support.rig import SITE, HandWeather
 
 
-async def one_hour(_bench):
+async def one_hour(_rig):
     await asyncio.sleep(3600)
 
 
@@ -23,20 +23,20 @@ def plain_mean(scans):
 
 
 def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
-    bench = run_rig(one_hour, law={"name": "mu-prime"})
-    decisions = bench.of(Decision)
+    rig = run_rig(one_hour, law={"name": "mu-prime"})
+    decisions = rig.of(Decision)
     assert len(decisions) >= 11
     for decision in decisions:
-        scans = [record for record in bench.records[: bench.records.index(decision)] if isinstance(record, Scan)]
+        scans = [record for record in rig.records[: rig.records.index(decision)] if isinstance(record, Scan)]
         east, south, west, zenith = plain_mean(scans)
         mu = (south - min(east, west), east - west, zenith)
         a_deg = math.degrees(math.asin(-mu[1] / math.hypot(*mu)))
         b_deg = math.degrees(math.atan2(mu[2], mu[0]))
         assert decision.target.a_deg == pytest.approx(max(min(a_deg, 50), -50), abs=0.1)
         assert decision.target.b_deg == pytest.approx(max(min(b_deg, 90), 15), abs=0.1)
-    moves = bench.of(Move)
+    moves = rig.of(Move)
     assert all(move.outcome is MoveOutcome.ARRIVED for move in moves)
-    truth = bench.truth()
+    truth = rig.truth()
     assert (truth.a_deg, truth.b_deg) == (
         pytest.approx(decisions[-1].target.a_deg, abs=1.2),
         pytest.approx(decisions[-1].target.b_deg, abs=1.2),
@@ -44,38 +44,38 @@ def test_the_tracker_goes_where_equations_12_to_14_put_it(run_rig):
 
 
 def test_chronometric_stands_perpendicular_to_the_sun(run_rig):
-    bench = run_rig(one_hour, law={"name": "chronometric"})
-    truth = bench.truth()
-    sun = sun_direction(bench.clock.utc(), *SITE)
+    rig = run_rig(one_hour, law={"name": "chronometric"})
+    truth = rig.truth()
+    sun = sun_direction(rig.clock.utc(), *SITE)
     assert separation_deg(normal_from_angles(*truth), sun) < 2.0
-    assert len(bench.of(Move)) >= 8
+    assert len(rig.of(Move)) >= 8
 
 
 def test_an_overcast_sky_lays_the_tracker_flat(run_rig):
-    bench = run_rig(one_hour, weather=HandWeather(dni=0, dhi=150))
-    assert bench.truth().b_deg == pytest.approx(90, abs=1.5)
-    assert bench.truth().a_deg == pytest.approx(0, abs=1.5)
+    rig = run_rig(one_hour, weather=HandWeather(dni=0, dhi=150))
+    assert rig.truth().b_deg == pytest.approx(90, abs=1.5)
+    assert rig.truth().a_deg == pytest.approx(0, abs=1.5)
 
 
 def test_decisions_come_every_five_minutes_from_a_window_of_two(run_rig):
-    bench = run_rig(one_hour)
-    times = [decision.time_monotonic_s for decision in bench.of(Decision)]
+    rig = run_rig(one_hour)
+    times = [decision.time_monotonic_s for decision in rig.of(Decision)]
     assert [later - earlier for earlier, later in itertools.pairwise(times)] == pytest.approx(
         [300] * (len(times) - 1), abs=0.1
     )
-    first, *others = [decision.irradiances.coverage for decision in bench.of(Decision)]
+    first, *others = [decision.irradiances.coverage for decision in rig.of(Decision)]
     assert first >= 0.25
     assert others == pytest.approx([1.0] * len(others), abs=0.1)
 
 
 def test_noise_alone_moves_nothing(run_rig):
-    bench = run_rig(one_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
-    assert len(bench.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
+    rig = run_rig(one_hour, weather=HandWeather(dni=0, dhi=200), law={"name": "mu-prime"}, rest_look_s=5.0)
+    assert len(rig.of(Move)) == 0, "flat to begin with, flat by the law: nothing to do"
 
 
 def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
-    bench = run_rig(one_hour)
-    scans = bench.of(Scan)
+    rig = run_rig(one_hour)
+    scans = rig.of(Scan)
     floor_s = 4 * (0.3 + 0.040)
     east_to_zenith = [scan.zenith.time_monotonic_s - scan.east.time_monotonic_s for scan in scans]
     assert max(east_to_zenith) <= floor_s * 3 / 4 * 1.05
@@ -84,7 +84,7 @@ def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
 
 
 def test_night_falls_and_morning_comes(run_rig):
-    async def through_the_night(_bench):
+    async def through_the_night(_rig):
         await asyncio.sleep(16 * 3600)
 
     class Day(HandWeather):
@@ -95,9 +95,9 @@ def test_night_falls_and_morning_comes(run_rig):
             conditions.dhi_w_m2[:] = 300.0 * up
             return conditions
 
-    bench = run_rig(through_the_night, start="2022-10-12T15:00", weather=Day(), rest_look_s=5.0)
-    modes = [change.after for change in bench.of(ModeChange)]
+    rig = run_rig(through_the_night, start="2022-10-12T15:00", weather=Day(), rest_look_s=5.0)
+    modes = [change.after for change in rig.of(ModeChange)]
     assert modes == [Mode.TRACKING, Mode.NIGHT, Mode.TRACKING]
-    dark = next(change.time_utc_s for change in bench.of(ModeChange) if change.after is Mode.NIGHT)
-    at_night = [pose for pose in bench.of(Pose) if dark + 600 < pose.time_utc_s < dark + 7 * 3600]
+    dark = next(change.time_utc_s for change in rig.of(ModeChange) if change.after is Mode.NIGHT)
+    at_night = [pose for pose in rig.of(Pose) if dark + 600 < pose.time_utc_s < dark + 7 * 3600]
     assert {(round(pose.a_deg), round(pose.b_deg)) for pose in at_night} == {(0, 90)}

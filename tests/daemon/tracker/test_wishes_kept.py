@@ -17,23 +17,23 @@ from daemon.base.records import Mode, Move
     ],
 )
 def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, ask, mode):
-    async def first(bench):
-        await bench.until_mode(Mode.TRACKING, 120)
-        asked = ask(bench.control)
+    async def first(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        asked = ask(rig.control)
         if asked is not None:
             await asked
-        await bench.until_mode(mode, 10)
+        await rig.until_mode(mode, 10)
 
-    async def second(bench):
+    async def second(rig):
         await asyncio.sleep(900)
-        assert bench.mode is mode
-        assert bench.control.why.endswith("repair")
-        assert not bench.of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
-        bench.control.auto()
-        await bench.until_mode(Mode.TRACKING, 30)
+        assert rig.mode is mode
+        assert rig.control.why.endswith("repair")
+        assert not rig.of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
+        rig.control.auto()
+        await rig.until_mode(Mode.TRACKING, 30)
 
-    async def third(bench):
-        await bench.until_mode(Mode.TRACKING, 120)
+    async def third(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
 
     for scenario in (first, second, third):
         run_rig(scenario, store={"directory": tmp_path})
@@ -42,11 +42,11 @@ def test_a_restart_keeps_what_was_asked_until_it_is_released(run_rig, tmp_path, 
 def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
     (tmp_path / "operator.json").write_text('{"stop": 1')
 
-    async def scenario(bench):
+    async def scenario(rig):
         await asyncio.sleep(600)
-        assert bench.mode is Mode.HOLD
-        assert "cannot be read" in bench.control.why
-        assert not bench.of(Move)
+        assert rig.mode is Mode.HOLD
+        assert "cannot be read" in rig.control.why
+        assert not rig.of(Move)
 
     run_rig(scenario, store={"directory": tmp_path})
 
@@ -54,9 +54,9 @@ def test_a_garbled_file_keeps_the_tracker_stopped(run_rig, tmp_path):
 def test_a_disk_that_cannot_be_written_hinders_no_command(run_rig, tmp_path):
     (tmp_path / "file").write_text("")
 
-    async def scenario(bench):
-        await bench.until_mode(Mode.TRACKING, 120)
-        bench.control.stow("storm")
-        await bench.until_mode(Mode.STOW, 1)
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        rig.control.stow("storm")
+        await rig.until_mode(Mode.STOW, 1)
 
     run_rig(scenario, store={"directory": tmp_path / "file" / "folder"})
