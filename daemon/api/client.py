@@ -59,7 +59,7 @@ class Client:
 
     def state(self) -> dict[str, Any]:
         """Return the service's state; raises `UserError`."""
-        return self._ask("GET", "/api/state", None)
+        return self._request("GET", "/api/state", None)
 
     def command(self, name: str, **arguments: float | str) -> Reply:
         """Give a command in the name of whoever runs this, and return what came of it; raises `UserError`."""
@@ -68,10 +68,10 @@ class Client:
                 f"'{name}' needs the service's token: name its configuration with --config, or its token with"
                 f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
             )
-        found = self._ask("POST", f"/api/{name}", {"by": whoami(), **arguments})
+        found = self._request("POST", f"/api/{name}", {"by": whoami(), **arguments})
         return Reply(str(found.get("text", "")), NOT_SEEN if found.get("state") == "not-seen" else 0)
 
-    def _ask(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
+    def _request(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
         try:
             status, content = self._exchange(method, path, b"" if body is None else json.dumps(body).encode())
         except ConnectionRefusedError:

@@ -107,8 +107,8 @@ class ApiServer:
             bound.close()
             first = not self._outage.is_down
             reason = f"{self._address} cannot be listened on: {error.strerror}; set api.listen to another port"
-            told = self._outage.down(now_s, reason)
-            if first and told:
+            reported = self._outage.down(now_s, reason)
+            if first and reported:
                 self._publish(Event(self._clock.utc(), now_s, "api", reason))
             return
         self._outage.up(now_s)

@@ -96,21 +96,21 @@ class Tally:
         self._last = ""
         self._last_utc_s: float | None = None
         self._last_monotonic_s = 0.0
-        self._told: set[Refusal] = set()
-        self._untold: Counter[Refusal] = Counter()
+        self._reported: set[Refusal] = set()
+        self._unreported: Counter[Refusal] = Counter()
         self._summary_at_s = 0.0
         self._summary_every_s = HOUR_S
         self._gap_began_s: float | None = None
         self._gap_refusals = 0
-        self._recovery_told = False
+        self._recovery_reported = False
 
     def accept(self, now_monotonic_s: float) -> None:
         """Count a scan that is passed on."""
         self._accepted += 1
         if self._gap_began_s is not None:
             gap_s = now_monotonic_s - self._gap_began_s
-            if gap_s >= SILENCE_S and not self._recovery_told:
-                self._recovery_told = True
+            if gap_s >= SILENCE_S and not self._recovery_reported:
+                self._recovery_reported = True
                 _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap_refusals)
             self._gap_began_s = None
 
@@ -126,11 +126,11 @@ class Tally:
         self._last = f"{kind.replace('_', ' ')}: a datagram from {sender} {refused.reason}"
         self._last_utc_s = utc_s
         self._last_monotonic_s = now_monotonic_s
-        if kind not in self._told:
-            self._told.add(kind)
+        if kind not in self._reported:
+            self._reported.add(kind)
             _log.warning("%s; more of this kind are counted, not logged", self._last)
             return
-        self._untold[kind] += 1
+        self._unreported[kind] += 1
         if now_monotonic_s >= self._summary_at_s:
             self._summarise(now_monotonic_s)
 
@@ -146,16 +146,16 @@ class Tally:
         )
 
     def _begin_stretch(self, now_monotonic_s: float) -> None:
-        self._told.clear()
-        self._untold.clear()
-        self._recovery_told = False
+        self._reported.clear()
+        self._unreported.clear()
+        self._recovery_reported = False
         self._summary_every_s = HOUR_S
         self._summary_at_s = now_monotonic_s + HOUR_S
 
     def _summarise(self, now_monotonic_s: float) -> None:
-        counts = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(self._untold.items()))
+        counts = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(self._unreported.items()))
         _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last)
-        self._untold.clear()
+        self._unreported.clear()
         # Doubling keeps a day of refusals under twenty lines, however many datagrams there are.
         self._summary_every_s *= 2
         self._summary_at_s = now_monotonic_s + self._summary_every_s

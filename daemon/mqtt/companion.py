@@ -65,7 +65,7 @@ class Mqtt:
         self._unusable = unusable(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
-        self._look_again: Callable[[], None] = lambda: None
+        self._decide_again: Callable[[], None] = lambda: None
         self._telemetry: TelemetryPublisher | None = None
         self._commands: Commands | None = None
 
@@ -84,7 +84,7 @@ class Mqtt:
         if mqtt.wind.topic is not None:
             wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.trouble)
             self._listen("mqtt.wind", mqtt.wind.topic, wind.take)
-            wind_stow = WindStow(safety, wind.since_last_asked, f"the wind on {mqtt.wind.topic}")
+            wind_stow = WindStow(safety, wind.strongest_since_last_read, f"the wind on {mqtt.wind.topic}")
             self._inputs.append(partial(_input_status, "wind", mqtt.wind.topic, wind, wind_stow))
             found.append(wind_stow)
         if mqtt.safe.topic is not None:
@@ -104,14 +104,14 @@ class Mqtt:
         mqtt, simulated = self._settings.mqtt, service.rig.simulated
         own = [tracker for tracker in service.trackers if tracker.name == self._tracker]
         for tracker in own:
-            self._look_again = tracker.control.look_again
+            self._decide_again = tracker.control.decide_again
         self._telemetry = TelemetryPublisher(
             self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
         )
         service.bus.subscribe(self._telemetry.note)
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
-            self._hear_scans(service.receiver)
+            self._receive_scans(service.receiver)
         if mqtt.commands and own:
             operators = Operators(own, self._speed)
             self._commands = Commands(operators, partial(self._reply, simulated=simulated))
@@ -127,9 +127,9 @@ class Mqtt:
                 simulated=simulated,
             )
             self.link.at_birth(lambda: messages)
-        self._tell_unusable()
+        self._report_unusable()
 
-    def _hear_scans(self, receiver: BridgeReceiver | None) -> None:
+    def _receive_scans(self, receiver: BridgeReceiver | None) -> None:
         bridge = self._settings.bridge
         if bridge.transport == "mqtt" and self._role is Role.TRACKER and receiver is not None:
             self._listen("bridge.topic", bridge.topic, partial(self._take_scan, receiver))
@@ -148,7 +148,7 @@ class Mqtt:
         if not any(name.startswith(key) for name in self._unusable):
             self.link.listen(topic, handler)
 
-    def _tell_unusable(self) -> None:
+    def _report_unusable(self) -> None:
         """Say once what of the configuration cannot be used, and what that costs."""
         mqtt, safety = self._settings.mqtt, self._settings.safety
         costs = {
@@ -173,7 +173,7 @@ class Mqtt:
                     self.link.trouble(key, sentence)
 
     def _wake(self) -> None:
-        self._look_again()
+        self._decide_again()
 
     def _take_scan(self, receiver: BridgeReceiver, message: Incoming) -> None:
         if not message.retained:

@@ -46,7 +46,7 @@ def tls_context(settings: "MqttSettings") -> ssl.SSLContext:
         raise CredentialsError(f"mqtt.ca_file: there is no file {settings.ca_file}") from None
     except OSError as error:
         raise CredentialsError(
-            f"mqtt.ca_file: {settings.ca_file} has no certificates in PEM form ({_said(error)})"
+            f"mqtt.ca_file: {settings.ca_file} has no certificates in PEM form ({_reason(error)})"
         ) from None
     if settings.certificate_file is not None:
         try:
@@ -54,10 +54,10 @@ def tls_context(settings: "MqttSettings") -> ssl.SSLContext:
         except OSError as error:
             raise CredentialsError(
                 f"mqtt.certificate_file: {settings.certificate_file} and mqtt.certificate_key_file are no pair of"
-                f" certificate and key in PEM form ({_said(error)})"
+                f" certificate and key in PEM form ({_reason(error)})"
             ) from None
     return context
 
 
-def _said(error: OSError) -> str:
+def _reason(error: OSError) -> str:
     return getattr(error, "reason", None) or error.strerror or type(error).__name__

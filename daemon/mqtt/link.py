@@ -28,7 +28,7 @@ _PROVEN_S = 30.0
 # A link that comes and goes is told as one outage: lost again within this time, it counts as back after as long.
 _STEADY_S = 600.0
 _ECHO_WITHIN_S = 10.0
-_TELL_AGAIN_S = 3600.0
+_REPORT_AGAIN_S = 3600.0
 _LEAVE_WITHIN_S = 1.5
 
 Handler = Callable[[Incoming], None]
@@ -67,16 +67,16 @@ class Link:
         self._backoff = Backoff(random, _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)
         self._outbox = Outbox(settings.queue_messages)
         self._outage = Outage(log, "the MQTT broker")
-        self._handlers: dict[str, list[Handler]] = {topics.status: [self._hear_status]}
+        self._handlers: dict[str, list[Handler]] = {topics.status: [self._receive_status]}
         self._births: list[Callable[[], list[Message]]] = []
         self._troubles: dict[str, str] = {}
-        self._told_s: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
         self._connected = False
         self._down_why: str | None = "not connected yet"
-        self._told_back_s = -math.inf
+        self._reported_back_s = -math.inf
         self._unsteady = False
         self._renounced = False
-        self._told_dropped = 0
+        self._reported_dropped = 0
         self._since_utc_s = clock.utc()
         self._dropped_since_utc_s: float | None = None
         self._connections = self._sent = self._received = 0
@@ -128,10 +128,10 @@ class Link:
             if self._troubles.pop(subject, None) is not None:
                 log.debug("%s works again", subject)
         else:
-            if now_s - self._told_s.get(subject, -math.inf) >= _TELL_AGAIN_S and subject not in self._troubles:
-                self._told_s[subject] = now_s
+            if now_s - self._reported_s.get(subject, -math.inf) >= _REPORT_AGAIN_S and subject not in self._troubles:
+                self._reported_s[subject] = now_s
                 log.warning("%s", sentence)
-                self._tell(sentence)
+                self._report(sentence)
             self._troubles[subject] = sentence
 
     def renounce(self, sentence: str) -> None:
@@ -139,7 +139,7 @@ class Link:
         self._renounced = True
         self._down_why = sentence
         log.warning("%s", sentence)
-        self._tell(sentence)
+        self._report(sentence)
 
     async def run(self) -> None:
         """Keep the link until cancelled; then take leave on the availability topic."""
@@ -180,7 +180,7 @@ class Link:
 
     async def _serve(self, connection: Connection) -> None:
         """Send and hear at once; the first of the two that ends tells why the connection is lost."""
-        tasks = [asyncio.create_task(self._send_all(connection)), asyncio.create_task(self._hear_all(connection))]
+        tasks = [asyncio.create_task(self._send_all(connection)), asyncio.create_task(self._receive_all(connection))]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -224,13 +224,13 @@ class Link:
                 raise
             self._sent += 1
 
-    async def _hear_all(self, connection: Connection) -> None:
+    async def _receive_all(self, connection: Connection) -> None:
         async for message in connection.incoming():
             self._received += 1
             for handler in self._handlers.get(message.topic, ()):
                 handler(message)
 
-    def _hear_status(self, message: Incoming) -> None:
+    def _receive_status(self, message: Incoming) -> None:
         if message.retained:
             return
         if message.payload == ONLINE:
@@ -250,26 +250,26 @@ class Link:
     def _back(self) -> None:
         now_s = self._clock.monotonic()
         self._unsteady = False
-        if self._told_back_s == -math.inf and not self._outage.is_down:
+        if self._reported_back_s == -math.inf and not self._outage.is_down:
             log.info("connected to the MQTT broker at %s:%d", self._settings.host, self._settings.port)
         if self._outage.is_down:
-            self._told_back_s = now_s
+            self._reported_back_s = now_s
         if self._outage.up(now_s):
-            lost = self._outbox.dropped - self._told_dropped
-            self._told_dropped = self._outbox.dropped
+            lost = self._outbox.dropped - self._reported_dropped
+            self._reported_dropped = self._outbox.dropped
             dropped = f"; {lost} messages were dropped meanwhile, the oldest first" if lost else ""
-            self._tell(f"the broker is back{dropped}")
+            self._report(f"the broker is back{dropped}")
 
     def _lost(self, why: str) -> None:
         self._down_why = why
         now_s = self._clock.monotonic()
-        self._unsteady = self._unsteady or now_s - self._told_back_s < _STEADY_S * self._speed
+        self._unsteady = self._unsteady or now_s - self._reported_back_s < _STEADY_S * self._speed
         if self._outage.down(now_s, why):
-            self._tell(f"the broker is down: {why}")
+            self._report(f"the broker is down: {why}")
 
     def _date_the_first_loss(self) -> None:
         if self._outbox.dropped and self._dropped_since_utc_s is None:
             self._dropped_since_utc_s = self._clock.utc()
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "mqtt", text))

@@ -68,7 +68,7 @@ class WindReadings:
         if speed_m_s >= self._threshold_m_s:
             self._strong()
 
-    def since_last_asked(self) -> float | None:
+    def strongest_since_last_read(self) -> float | None:
         """Return the strongest wind [m/s] since the last call, or None if there was no reading."""
         strongest_m_s, self._strongest_m_s = self._strongest_m_s, None
         return strongest_m_s

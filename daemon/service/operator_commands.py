@@ -118,15 +118,15 @@ class Operators:
         outcomes = await asyncio.gather(
             *(_by(operator, command) for operator in self._of.values()), return_exceptions=True
         )
-        told = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(self._of, outcomes, strict=True))
+        results = "; ".join(f"{name}: {_sentence(found)}" for name, found in zip(self._of, outcomes, strict=True))
         for found in outcomes:
             if isinstance(found, BaseException) and not isinstance(found, CommandError):
                 raise found
         answers = [found for found in outcomes if isinstance(found, Answer)]
         if len(answers) < len(outcomes):
-            raise CommandError(f"not by all {len(outcomes)} trackers: {told}")
+            raise CommandError(f"not by all {len(outcomes)} trackers: {results}")
         worst = next(seen for seen in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if seen in {a.seen for a in answers})
-        return Answer(worst, f"all {len(outcomes)} trackers: {told}")
+        return Answer(worst, f"all {len(outcomes)} trackers: {results}")
 
 
 async def _by(operator: Operator, command: Command) -> Answer:

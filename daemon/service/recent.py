@@ -52,7 +52,7 @@ class Recent:
             self.decisions[record.tracker] += 1
         elif isinstance(record, Move):
             self.moves[record.tracker][record.outcome] += 1
-        text = _told(record)
+        text = _sentence(record)
         if text is not None:
             if self._several and not isinstance(record, Scan) and record.tracker:
                 text = f"{record.tracker}: {text}"
@@ -82,7 +82,7 @@ class Recent:
             self._listeners.remove(queue)
 
 
-def _told(record: Record) -> str | None:
+def _sentence(record: Record) -> str | None:
     if isinstance(record, ModeChange):
         return f"{record.before} -> {record.after}: {record.why}"
     if isinstance(record, Event):

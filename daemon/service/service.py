@@ -175,7 +175,7 @@ class Service:
         try:
             await self._open_bridge()
             for tracker in self.trackers:
-                tracker.tell_of_wind()
+                tracker.check_wind_source()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [

@@ -89,7 +89,7 @@ class Tracker:
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
-        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), clock, self._look_again)
+        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), clock, self._decide_again)
         self.motion = Motion(
             instruments.positioner,
             settings.limits.limits(),
@@ -98,7 +98,7 @@ class Tracker:
             clock,
             random,
             self.publish,
-            self._look_again,
+            self._decide_again,
             self.alarms,
             polling,
             settings.store.directory,
@@ -144,7 +144,7 @@ class Tracker:
         elif self.curves is not None:
             self.curves.note(record)
 
-    def tell_of_wind(self) -> None:
+    def check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
         accepted = self.settings.safety.without_wind_source == "accepted"
         if not (self.stow_watch.watched or self._rig.simulated or accepted):
@@ -191,5 +191,5 @@ class Tracker:
         self.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))
         self.alarms.set("driver-hung", sentence)
 
-    def _look_again(self) -> None:
-        self.control.look_again()
+    def _decide_again(self) -> None:
+        self.control.decide_again()

@@ -115,7 +115,7 @@ class Store:
         self._numbers = 0
         self._written = 0
         self._lost = 0
-        self._told_lost = 0
+        self._reported_lost = 0
         self._run: int | None = None
         self._newest_day: int | None = None
         self._thread = threading.Thread(target=self._work, name="store", daemon=True)
@@ -242,12 +242,12 @@ class Store:
                 self._waiting.popleft()
             self._written += count
             self._lost = self._numbers - self._written - len(self._waiting)
-            lost = self._lost - self._told_lost
-            told = self._outage.up(self._clock.monotonic())
-            if told:
-                self._told_lost = self._lost
-        if told:
-            self._tell(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
+            lost = self._lost - self._reported_lost
+            reported = self._outage.up(self._clock.monotonic())
+            if reported:
+                self._reported_lost = self._lost
+        if reported:
+            self._report(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
 
     def _reason(self, error: Exception) -> str:
         """Return what is wrong in words; of a full disk SQLite has several, some of which do not name it."""
@@ -259,9 +259,9 @@ class Store:
     def _failed(self, reason: str) -> None:
         with self._changed:
             first = not self._outage.is_down
-            told = self._outage.down(self._clock.monotonic(), reason)
-        if first and told:
-            self._tell(f"cannot write: {reason}; records wait in memory")
+            reported = self._outage.down(self._clock.monotonic(), reason)
+        if first and reported:
+            self._report(f"cannot write: {reason}; records wait in memory")
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "store", text))

@@ -140,12 +140,12 @@ class Control(Doors):
 
     def note(self, record: Record) -> None:
         """Take in a record of the bus: each pose comes with the telemetry that may show a pressed button."""
-        if isinstance(record, Pose) and self._orders.heed_buttons(self._motion.telemetry):
+        if isinstance(record, Pose) and self._orders.note_buttons(self._motion.telemetry):
             self._freeze()
             self._keep_wishes()
             text = "a button is pressed at the unit: the tracker is held until 'heliocube auto'"
             log.warning(text)
-            self._tell(text)
+            self._report(text)
 
     @property
     def state(self) -> ControlState:
@@ -171,7 +171,7 @@ class Control(Doors):
 
     @property
     def next_tick_s(self) -> float:
-        """Monotonic time of the next look, unless somebody asks for one before."""
+        """Monotonic time of the next tick, unless one is requested before."""
         return self.last_tick_s + self._until_next_tick()
 
     @property
@@ -201,7 +201,7 @@ class Control(Doors):
         self._motion.may_rehome = mode is Mode.FAULT  # a reference run tilts the module: not in a stow or hold
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
-        self._reminders.look(self.wishes, sun_known=self._clock_watch.trusted)
+        self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)
         self.last_tick_s = now_s
 
     def _turn_days(self, utc_s: float) -> None:
@@ -213,25 +213,25 @@ class Control(Doors):
         if step_s is not None:
             text = f"the clock was set by {step_s:+.1f} s"
             log.warning(text)
-            self._tell(text)
+            self._report(text)
 
     def _situation(self, now_s: float, mean: Irradiances | None) -> Situation:
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
         self._watch_stow(stow_why)
-        unheard_why = self._stow_watch.unheard_why(now_s)
-        if unheard_why is not None:
-            data, data_why = Data.WAITING, unheard_why
+        waiting_why = self._stow_watch.waiting_why(now_s)
+        if waiting_why is not None:
+            data, data_why = Data.WAITING, waiting_why
         wishes = self.wishes
         return Situation(
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
             doubt_why=self._motion.doubt,
             homing=self._motion.homing,
-            maintenance_why=wishes.told("maintenance"),
-            stop_why=wishes.told("stop"),
-            buttons_why=wishes.told("buttons"),
+            maintenance_why=wishes.describe("maintenance"),
+            stop_why=wishes.describe("stop"),
+            buttons_why=wishes.describe("buttons"),
             stow_why=stow_why,
             snow_why=wishes.snow.why if wishes.snow else None,
             hold_why=wishes.hold.why if wishes.hold else None,
@@ -296,38 +296,38 @@ class Control(Doors):
         chosen = self.pointing.chosen if self.mode is Mode.TRACKING else self.pointing.fallback
         self._due_s = now_s + chosen.law.decide_every_s
         utc_s = self._clock.utc()
-        says, target = self._ask(chosen, mean, utc_s)
-        moved = says.target is not None and self._worth_moving(target) and self._order_within_budget(target)
-        log.info("%s", "moving" if moved else "staying", extra={"fields": _told(chosen.name, target)})
+        answer, target = self._evaluate(chosen, mean, utc_s)
+        moved = answer.target is not None and self._worth_moving(target) and self._order_within_budget(target)
+        log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(chosen.name, target)})
         self._decision = Decision(
             time_utc_s=utc_s,
             time_monotonic_s=now_s,
             mode=self.mode,
             law=chosen.name,
             irradiances=mean,
-            direction_azimuth_deg=says.azimuth_deg,
-            direction_elevation_deg=says.elevation_deg,
-            sun_azimuth_deg=says.sun.azimuth_deg,
-            sun_elevation_deg=says.sun.elevation_deg,
+            direction_azimuth_deg=answer.azimuth_deg,
+            direction_elevation_deg=answer.elevation_deg,
+            sun_azimuth_deg=answer.sun.azimuth_deg,
+            sun_elevation_deg=answer.sun.elevation_deg,
             target=target,
             moved=moved,
-            estimate=Estimate(says.beam_w_m2, says.diffuse_w_m2, says.albedo),
+            estimate=Estimate(answer.beam_w_m2, answer.diffuse_w_m2, answer.albedo),
         )
         self._publish(self._decision)
 
-    def _ask(self, chosen: NamedLaw, mean: Irradiances | None, utc_s: float) -> tuple[Aim, Target]:
+    def _evaluate(self, chosen: NamedLaw, mean: Irradiances | None, utc_s: float) -> tuple[Aim, Target]:
         """Return what the law says, and where the tracker is to be by that: where it stands, without a target."""
         sun_known = self._clock_watch.trusted
         whence = self._motion.target or self._motion.pose
         heading = Angles(whence.a_deg, whence.b_deg) if whence else None
-        says = aim(chosen.law, mean, heading, utc_s, sun_known=sun_known)
+        answer = aim(chosen.law, mean, heading, utc_s, sun_known=sun_known)
         if chosen.law.needs_sun and not sun_known:
-            says = replace(says, target=None)
-            return says, self._standing("the clock was set a short while ago: the sun's position is in doubt")
-        why = f"{chosen.name}: {says.why}" if says.why else chosen.name
-        if says.target is None:
-            return says, self._standing(why)
-        return says, Target(says.target.a_deg, says.target.b_deg, why)
+            answer = replace(answer, target=None)
+            return answer, self._standing("the clock was set a short while ago: the sun's position is in doubt")
+        why = f"{chosen.name}: {answer.why}" if answer.why else chosen.name
+        if answer.target is None:
+            return answer, self._standing(why)
+        return answer, Target(answer.target.a_deg, answer.target.b_deg, why)
 
     def _standing(self, why: str) -> Target:
         pose = self._motion.pose
@@ -364,15 +364,15 @@ class Control(Doors):
             text = str(error)
             if text != self._last_why:
                 log.warning("no move: %s", text)
-                self._tell(f"no move: {text}")
+                self._report(f"no move: {text}")
             self._last_why = text
             return False
         self._last_why = ""
         return True
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "control", text))
 
 
-def _told(law: str, target: Target) -> dict[str, str]:
+def _log_fields(law: str, target: Target) -> dict[str, str]:
     return {"law": law, "a_deg": f"{target.a_deg:.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}

@@ -40,8 +40,8 @@ class Doors:
         self.mode = Mode.STARTING
         self.why = "starting"
 
-    def look_again(self) -> None:
-        """Ask for an immediate look at the situation."""
+    def decide_again(self) -> None:
+        """Request a tick at once, which judges the situation anew."""
         self._wake.set()
 
     @property
@@ -63,7 +63,7 @@ class Doors:
         """Go to the snow position and stay until released, but for stow; `RefusedError` while nothing may move."""
         self._orders.refuse("snow")
         if self.wishes.stow is not None:
-            raise RefusedError("positioner", f"no snow: the tracker is {self.wishes.told('stow')}; {RELEASE}")
+            raise RefusedError("positioner", f"no snow: the tracker is {self.wishes.describe('stow')}; {RELEASE}")
         self._orders.hold_at = None
         self._orders.latch("snow", why, by, instead_of="hold")
         self._parking.forget()

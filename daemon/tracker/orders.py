@@ -79,7 +79,7 @@ class Orders:
         """Write down what is in force."""
         self._file.save(self.wishes)
 
-    def heed_buttons(self, telemetry: Telemetry | None) -> bool:
+    def note_buttons(self, telemetry: Telemetry | None) -> bool:
         """Hold, in memory, when somebody presses a button at the unit; return whether that is new.
 
         What was seen before a person said `auto` is no reason afterwards; in maintenance somebody is known to be there.
@@ -97,4 +97,4 @@ class Orders:
         if wishes.stow is None:
             self.stow.release()
         else:
-            self.stow.ask(wishes.stow.why)
+            self.stow.request(wishes.stow.why)

@@ -39,7 +39,7 @@ class Reminders:
         self._maintenance: Wish | None = None
         self._due_s = math.inf
 
-    def look(self, wishes: Wishes, *, sun_known: bool) -> None:
+    def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
         """Remind where it is time; where the clock is in doubt the sun is not asked."""
         self._remind_of_maintenance(wishes)
         name = "snow" if wishes.snow is not None else "hold"
@@ -47,7 +47,7 @@ class Reminders:
         if wish is None:
             self._alarms.set("hold-forgotten", None)
         elif sun_known and self._outlasted_a_night(wish):
-            text = f"{wishes.told(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
+            text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
             self._alarms.set("hold-forgotten", text)
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
@@ -57,7 +57,7 @@ class Reminders:
             self._due_s = math.inf if wish is None else now_s + DAY_S - self._age_s(wish) % DAY_S
         if now_s >= self._due_s:
             self._due_s += DAY_S
-            text = f"still {wishes.told('maintenance')}; 'heliocube auto' ends it"
+            text = f"still {wishes.describe('maintenance')}; 'heliocube auto' ends it"
             log.warning(text)
             self._publish(Event(self._clock.utc(), now_s, "operator", text))
 

@@ -44,7 +44,7 @@ class StowSource(Protocol):
         """Return why the tracker must be stowed at this monotonic time, or None; it has to be asked often."""
 
     def status(self, now_s: float) -> StowStatus:
-        """Return how it stood when it was last asked; takes nothing in, so anybody may look."""
+        """Return how it stood at the last poll; changes nothing, so anybody may call it."""
 
     def resume(self, why: str, now_s: float) -> None:
         """Begin stowed, as it was before a restart, until it has been heard and was calm for its time."""
@@ -56,8 +56,8 @@ class OperatorStow:
     def __init__(self) -> None:
         self._why: str | None = None
 
-    def ask(self, why: str) -> None:
-        """Ask for stow."""
+    def request(self, why: str) -> None:
+        """Request stow."""
         self._why = why
 
     def release(self) -> None:

@@ -1,4 +1,4 @@
-"""All sources of stow together: every one is asked at every look, and what they said outlives a restart.
+"""All sources of stow together: every one is polled at every tick, and what they answered outlives a restart.
 
 A service that is killed in a storm must not come back tracking because its sensors have not spoken yet.
 """
@@ -20,7 +20,7 @@ log = logging.getLogger("heliocube.stow")
 
 FILE_NAME = "safety.json"
 # Shorter than a gust.
-_LOOK_EVERY_S = 1.0
+_POLL_EVERY_S = 1.0
 _SAVE_AGAIN_S = 60.0
 
 
@@ -62,7 +62,7 @@ class SafetyFile:
 
 
 class StowWatch:
-    """Asks every source at every look.
+    """Polls every source at every tick.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class StowWatch:
     clock
         The service's time.
     wake
-        Called when one begins to stow, so that nobody waits for the next look.
+        Called when one begins to stow, so that nobody waits for the next tick.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class StowWatch:
         self._wake = wake
         self._kept: Set[str] | None = None
         self._save_s = -math.inf
-        self._unheard = {source.name for source in self._sources}
+        self._pending = {source.name for source in self._sources}
         before = file.load()
         if before is not None and self._sources:
             log.warning("stow goes on: %s", before)
@@ -98,30 +98,30 @@ class StowWatch:
         return bool(self._sources)
 
     def reasons(self, now_s: float) -> tuple[str, ...]:
-        """Ask every source at this monotonic time and return all reasons to stow, none of them twice."""
+        """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
         found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
         if found.keys() != self._kept:
             self._keep(found, now_s)
         return tuple(dict.fromkeys(found.values())) if found else ()
 
-    def unheard_why(self, now_s: float) -> str | None:
+    def waiting_why(self, now_s: float) -> str | None:
         """Return which sources have not been heard once since the start, in words, or None."""
-        if self._unheard:
-            self._unheard = {status.name for status in self.statuses(now_s) if status.age_s == math.inf}
-        return f"waiting for the first word of {' and '.join(sorted(self._unheard))}" if self._unheard else None
+        if self._pending:
+            self._pending = {status.name for status in self.statuses(now_s) if status.age_s == math.inf}
+        return f"waiting for the first word of {' and '.join(sorted(self._pending))}" if self._pending else None
 
     def statuses(self, now_s: float) -> tuple[StowStatus, ...]:
         """Return how each source stands."""
         return tuple(source.status(now_s) for source in self._sources)
 
     async def run(self) -> None:
-        """Ask the sources between the looks of control too, so that no gust is missed, until cancelled."""
+        """Poll the sources between the ticks of control too, so that no gust is missed, until cancelled."""
         loop = asyncio.get_running_loop()
         failed: asyncio.Future[None] = loop.create_future()
         stowed = False
 
-        def look() -> bool:
-            # Called back and not a sleeping task: 86,400 looks of a simulated day have to be cheap.
+        def poll() -> bool:
+            # Called back and not a sleeping task: 86,400 polls of a simulated day have to be cheap.
             nonlocal stowed
             if failed.done():
                 return True
@@ -135,9 +135,9 @@ class StowWatch:
                 self._wake()
             return begins
 
-        end = call_every(_LOOK_EVERY_S, look)
+        end = call_every(_POLL_EVERY_S, poll)
         try:
-            look()
+            poll()
             await failed
         finally:
             end()

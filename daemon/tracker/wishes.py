@@ -71,7 +71,7 @@ class Wishes(BaseModel):
     snow: Kept = None
     hold: Kept = None
 
-    def told(self, name: str) -> str | None:
+    def describe(self, name: str) -> str | None:
         """Return one wish in words, such as ``stopped by ana@lab since 2022-10-12 10:00:03 UTC: repair``, or None."""
         wish: Wish | None = getattr(self, name)
         return None if wish is None else f"{_DONE_TO_IT[name]}{wish.whence}: {wish.why}"
@@ -81,12 +81,12 @@ class Wishes(BaseModel):
         """Why nothing at all may move, or None: the first of maintenance, a person's stop, a person at the buttons."""
         if self.maintenance is None and self.stop is None and self.buttons is None:
             return None
-        return self.told("maintenance") or self.told("stop") or self.told("buttons")
+        return self.describe("maintenance") or self.describe("stop") or self.describe("buttons")
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:
         """Yield in words what stands here and no longer, or another one, in `later`."""
         for name in type(self).model_fields:
-            text = self.told(name)
+            text = self.describe(name)
             if text is not None and getattr(later, name) != getattr(self, name):
                 yield text
 

@@ -52,7 +52,7 @@ def breaks(service):
 
 def kills(service):
     service.trackers[0].control.tick = None
-    service.trackers[0].control.look_again()
+    service.trackers[0].control.decide_again()
     return Reply(done=False, text="")
 
 

@@ -48,9 +48,9 @@ def test_it_stows_while_the_file_warns_and_for_its_time_after(watch, tmp_path):
     warning, clock = tmp_path / "warning", Clock()
     warning.write_text("clear\n")
     stow = watch(clock)
-    assert stow.unheard_why(clock.now_s) == f"waiting for the first word of the warning in {warning}"
+    assert stow.waiting_why(clock.now_s) == f"waiting for the first word of the warning in {warning}"
     assert stow.reasons(clock.now_s) == ()
-    assert stow.unheard_why(clock.now_s) is None
+    assert stow.waiting_why(clock.now_s) is None
     warning.write_text("hail\n")
     assert stow.reasons(clock.now_s) == (f"{warning} says 'hail'",)
     warning.write_text("clear\n")

@@ -33,7 +33,7 @@ def wind(**settings):
         lambda: woken.append(1),
         told,
     )
-    return readings, WindStow(SafetySettings(), readings.since_last_asked), told, woken
+    return readings, WindStow(SafetySettings(), readings.strongest_since_last_read), told, woken
 
 
 def said(payload, retained=False):
@@ -103,14 +103,14 @@ def test_a_garbled_wind_is_one_sentence_and_counts_as_silence(payload, part):
 def test_a_path_finds_its_value(path, payload, speed):
     readings, _, _, _ = wind(json_path=path)
     readings.take(said(payload))
-    assert readings.since_last_asked() == speed
+    assert readings.strongest_since_last_read() == speed
 
 
 @pytest.mark.parametrize("payload", ['{"wind": {}}', '{"wind": 3}', "[]", "3", "{"])
 def test_a_path_that_finds_nothing_is_one_sentence(payload):
     readings, _, told, _ = wind(json_path="wind.speed")
     readings.take(said(payload))
-    assert readings.since_last_asked() is None
+    assert readings.strongest_since_last_read() is None
     (sentence,) = told.now.values()
     assert sentence.endswith(("nothing at wind.speed", "not JSON"))
 
@@ -118,13 +118,13 @@ def test_a_path_that_finds_nothing_is_one_sentence(payload):
 def test_units_are_converted():
     readings, _, _, _ = wind(unit="km/h")
     readings.take(said("54"))
-    assert readings.since_last_asked() == pytest.approx(15.0)
+    assert readings.strongest_since_last_read() == pytest.approx(15.0)
 
 
 def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows():
     readings, stow, _, _ = wind()
     readings.take(said("2", retained=True))
-    assert readings.since_last_asked() is None
+    assert readings.strongest_since_last_read() is None
     readings.take(said("30", retained=True))
     assert stow.reason(0.0) is not None
 

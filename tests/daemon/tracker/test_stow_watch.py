@@ -67,11 +67,11 @@ def test_all_reasons_are_told():
 def test_nothing_may_be_judged_safe_before_every_source_has_been_heard_once():
     rig = Rig()
     rig.look(0, roof=3)
-    assert rig.watch.unheard_why(0) == "waiting for the first word of field"
+    assert rig.watch.waiting_why(0) == "waiting for the first word of field"
     rig.look(5, field=3)
-    assert rig.watch.unheard_why(5) is None
+    assert rig.watch.waiting_why(5) is None
     rig.look(10, field=None)
-    assert rig.watch.unheard_why(10) is None, "once is enough: from then on silence has its time"
+    assert rig.watch.waiting_why(10) is None, "once is enough: from then on silence has its time"
 
 
 def test_a_storm_outlives_a_restart_until_all_have_been_heard_and_calm_for_their_time(tmp_path):

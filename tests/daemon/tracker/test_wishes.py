@@ -34,7 +34,7 @@ def test_what_cannot_be_read_is_a_stop(tmp_path, text):
 def test_the_form_of_earlier_versions_is_read(tmp_path):
     found = loaded(tmp_path, '{"stop": null, "stow": "storm", "hold": null}')
     assert found == Wishes(stow=Wish(why="storm"))
-    assert found.told("stow") == "stowed: storm"
+    assert found.describe("stow") == "stowed: storm"
 
 
 def test_what_was_written_is_read_back(tmp_path):
