@@ -20,8 +20,6 @@ ERRORS = 4 | 8 | 16 | 32
 _NO_ERROR = re.compile(r"[+-]?0+,")
 _QUIET_S = 0.1
 _MOST_STALE_LINES = 20
-LONGEST_SYNCHRONISATION = _MOST_STALE_LINES + 2
-"""Most answers that `ScpiSession.synchronise` may wait for."""
 
 
 class ScpiLine(Protocol):

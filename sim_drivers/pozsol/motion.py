@@ -75,11 +75,6 @@ class Axis:
         """Whether the unit drives it at all."""
         return not self.enabled or bool(self.faults & ERRORS)
 
-    @property
-    def hall_lost(self) -> bool:
-        """Whether its Hall sensors are dead."""
-        return self._hall_lost
-
     def true_mm(self, now_s: float) -> float:
         """Where the actuator is, from the low end switch."""
         return self._profile.at(now_s)[0] if self._profile else self._rest_mm

@@ -15,7 +15,7 @@ are taken over at its end, a small step at a time, inside bounds.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,17 +48,6 @@ class Learned:
     def to_dict(self) -> dict[str, float]:
         """Return plain numbers for JSON; for one tracker only."""
         return {name: float(getattr(self, name)) for name in _NAMES}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, float]) -> Self:
-        """Return what :meth:`to_dict` gave; `ValueError` names a key or a number that is out of place."""
-        if set(values) != set(_NAMES):
-            raise ValueError(f"what was learned of the site has the keys {', '.join(_NAMES)}, not {', '.join(values)}")
-        for name, value in values.items():
-            low, high = ALBEDO_RANGE if name == "albedo" else GAIN_RANGE
-            if not (low <= value <= high):
-                raise ValueError(f"{name} = {value} that was learned of the site is not in {low:g}..{high:g}")
-        return cls(**values)
 
 
 _NAMES = ("albedo", "gain_east", "gain_south", "gain_west")

@@ -24,8 +24,6 @@ from solar.frames import Array, Limits, angles_within, normal_from_angles
 from solar.overcast import ISOTROPIC, STANDARD, overcast_factor
 from solar.sky import SkyModel
 
-DEFAULT_SKIES: tuple[SkyModel, ...] = ("haydavies", "perez1990")
-DEFAULT_SEEDS = 9
 NAMES = (T_CUBE, T_CHRONO)
 Parts = Sequence[tuple[float, WeatherName]]
 # From before sunrise to after sunset at SIRTA in October.
