@@ -111,14 +111,14 @@ class Api:
                 closing.cancel()
 
     async def _health(self, _: Request) -> Response:
-        """Tell whether the work goes on; a device that is down is told, and no reason for a restart."""
+        """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""
         seen = self._see()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
         down = [f"cube: {seen.cube_down_why}"] if seen.cube_down_why else []
         for tracker in seen.trackers:
             of = _of(tracker.name, seen)
             if tracker.silent_s > longest_s:
-                troubles.append(f"control{of} has not looked for {tracker.silent_s:.0f} s")
+                troubles.append(f"control{of} has not run for {tracker.silent_s:.0f} s")
             down += [f"{part}{of}: {why}" for part, why in _down(tracker)]
         if seen.store is not None and seen.store.down_why is not None:
             down.append(f"store: {seen.store.down_why}")

@@ -95,7 +95,7 @@ def cube(
 
         draw_comparison(found, plot)
     write_calibration(calibration, out, lines)
-    _tell(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
+    _print(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
 
 
 @app.command()
@@ -145,10 +145,10 @@ def field(
     lines = report.field_lines(found, made_on, sky.value)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
     write_calibration(calibration, out, lines)
-    _tell(lines, calibration.identifier, out)
+    _print(lines, calibration.identifier, out)
 
 
-def _tell(lines: list[str], identifier: str, out: Path) -> None:
+def _print(lines: list[str], identifier: str, out: Path) -> None:
     for line in lines:
         typer.echo(line)
     typer.echo(f"\ncalibration {identifier} written to {out}; set cube.calibration_file to use it")

@@ -54,8 +54,8 @@ def export(
     rows = write_tables(
         _directory(store, config), out, table_format.value, first, last, [one.value for one in kind or []]
     )
-    told = ", ".join(f"{count} {name}" for name, count in rows.items())
-    typer.echo(f"written to {out}: {told}")
+    counts = ", ".join(f"{count} {name}" for name, count in rows.items())
+    typer.echo(f"written to {out}: {counts}")
 
 
 def _directory(store: Path | None, config: Path | None) -> Path:

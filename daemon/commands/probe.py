@@ -48,7 +48,7 @@ def positioner(
 
     settings = _settings(config, "positioner", {"port": port}, tracker)
     with _tap(record) as tap:
-        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, _say()))
+        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, _printer()))
 
 
 @app.command()
@@ -64,7 +64,7 @@ def voltmeter(
 
     settings = _settings(config, "voltmeter", {"resource": resource})
     with _tap(record) as tap:
-        _run(probe_voltmeter(settings, SystemClock().monotonic, tap, _say(), write=write))
+        _run(probe_voltmeter(settings, SystemClock().monotonic, tap, _printer(), write=write))
 
 
 @app.command()
@@ -79,7 +79,7 @@ def multiplexer(
 
     settings = _settings(config, "multiplexer", {"server": server})
     with _tap(record) as tap:
-        _run(probe_multiplexer(settings, tap, _say(), write=write))
+        _run(probe_multiplexer(settings, tap, _printer(), write=write))
 
 
 class LoadChoice(StrEnum):
@@ -110,7 +110,7 @@ def load(
     given = {"resource": resource, "driver": None if driver is None else driver.value}
     settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
     with _tap(record) as tap:
-        _run(probe_load(settings, SystemClock().monotonic, tap, _say(), write=write))
+        _run(probe_load(settings, SystemClock().monotonic, tap, _printer(), write=write))
 
 
 def _settings(
@@ -127,7 +127,7 @@ def _settings(
     return override(settings, {"instruments": changes})
 
 
-def _say() -> Callable[[str], object]:
+def _printer() -> Callable[[str], object]:
     console = Console(highlight=False, soft_wrap=True)
     return lambda text: console.print(text, markup=False)
 

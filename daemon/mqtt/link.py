@@ -35,7 +35,7 @@ Handler = Callable[[Incoming], None]
 
 
 class Link:
-    """Keeps one connection, and tells whether there is one on the availability topic.
+    """Keeps one connection, and publishes on the availability topic whether there is one.
 
     Parameters
     ----------

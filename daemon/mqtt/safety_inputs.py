@@ -30,7 +30,7 @@ class WindReadings:
     clock_s
         Returns the monotonic time.
     strong
-        Called when a reading reaches the threshold, so that nobody waits for the next look.
+        Called when a reading reaches the threshold, so that nobody waits for the next tick.
     trouble
         Told of what cannot be read.
     """
@@ -95,7 +95,7 @@ class SafeStow:
     clock_s
         Returns the monotonic time.
     unsafe
-        Called when the word is unsafe, so that nobody waits for the next look.
+        Called when the word is unsafe, so that nobody waits for the next tick.
     trouble
         Told of what cannot be read.
     """
@@ -117,7 +117,7 @@ class SafeStow:
 
     @property
     def stowing(self) -> bool:
-        """Whether it asked for stow when it was last looked at."""
+        """Whether it asked for stow at the last poll."""
         return self._why is not None
 
     def take(self, message: Incoming) -> None:
@@ -161,7 +161,7 @@ class SafeStow:
         return self._why
 
     def status(self, now_s: float) -> StowStatus:
-        """Return how it stood when it was last asked."""
+        """Return how it stood at the last poll."""
         return StowStatus(
             self.name,
             self._why,

@@ -14,7 +14,7 @@ from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol import driver
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.positioner import PozsolPositioner
-from drivers.positioners.pozsol.unit_setup import unheard
+from drivers.positioners.pozsol.unit_setup import missing_fields
 from drivers.positioners.pozsol.wire import Field, TokenStream, own_moves
 from drivers.settings import SettingsError
 from drivers.transcript import Direction, Tap
@@ -156,7 +156,7 @@ def _report_setup(identity: PositionerIdentity, fields: dict[int, str], say: Say
     compared = "geometry (70-77, 83, 96-103, 107), zero offsets (192, 193) and ranges (79, 105, 110, 111)"
     for conflict in identity.setup_conflicts:
         say(f"  CONFLICT, nothing will be moved: {conflict}")
-    missing = ", ".join(str(code) for code in unheard(fields))
+    missing = ", ".join(str(code) for code in missing_fields(fields))
     if missing:
         say(f"  fields that did not come as numbers, so they were not compared: {missing}")
     if not identity.setup_conflicts:

@@ -1,6 +1,6 @@
 """The service manager's watchdog, answered only while the work itself goes on.
 
-A device that is down is a declared state and no reason to be killed; a control loop that no longer looks, a scan that
+A device that is down is a declared state and no reason to be killed; a control loop that no longer ticks, a scan that
 does not end or an event loop that runs late is.
 """
 
@@ -70,7 +70,7 @@ class Watchdog:
         for tracker in self._trackers:
             silent_s = now_s - tracker.control.last_tick_s
             if silent_s > _STUCK_AFTER_S * max(self._speed, 1.0):
-                return f"{self._of(tracker)}control has not looked for {silent_s:.0f} s"
+                return f"{self._of(tracker)}control has not run for {silent_s:.0f} s"
         if self._acquisition is not None and not self._acquisition.outage.is_down:
             silent_s = now_s - self._acquisition.last_scan_s
             if silent_s > (_STUCK_AFTER_S + self._acquisition.scan_every_s) * max(self._speed, 1.0):

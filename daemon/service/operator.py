@@ -157,7 +157,7 @@ class Operator:
         self._note("hold", why, by)
         control.tick()
         if not motion.homing:
-            # Even a tracker at rest is looked at once more.
+            # Even a tracker at rest is polled once more.
             motion.rest()
 
         def seen() -> Seen | None:

@@ -52,7 +52,7 @@ class Service:
     calibration
         Of the cube; None for the gains of the settings.
     polling
-        How often to look at the positioner.
+        How often to poll the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator, by the name of the tracker.
     send_beyond

@@ -80,7 +80,7 @@ class TrackerState:
     control
         Mode, reason, decision and means.
     silent_s
-        Time since control looked at the situation last.
+        Time since control's last tick.
     law, law_shown
         The pointing law, and what it shows of itself.
     wishes

@@ -54,7 +54,7 @@ class Tracker:
     sun_elevation_deg
         Of UTC [s], where it stands.
     polling
-        How often to look at the positioner.
+        How often to poll the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator.
     alone

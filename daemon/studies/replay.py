@@ -171,7 +171,7 @@ class _Feeder:
                 await self._pass(due_s)
             await self._live_until(due_s)
             control.receive(_scan(self._cube, number, row, loop.time()))
-            log.angles.extend(self._look())
+            log.angles.extend(self._angles())
             log.modes.append(control.mode)
             learned = control.pointing.law.learned
             if learned is not None and (not log.learned or log.learned[-1][1] is not learned):
@@ -201,7 +201,7 @@ class _Feeder:
             await asyncio.sleep(max(duration_s, 0.0))
             self._woken_s = self._loop.time()
 
-    def _look(self) -> tuple[float, float, float, float]:
+    def _angles(self) -> tuple[float, float, float, float]:
         """Return where the tracker was sent last and where it stands; what rests need not be looked at twice."""
         motion = self._motion
         if motion.resting and self._seen_at_rest:

@@ -31,7 +31,7 @@ from solar.laws.law import Aim
 log = logging.getLogger("heliocube.control")
 
 _TICK_S = 5.0
-# Longer than a clock's resolution: a timer may fire that much early, and the look after it must find time moved on.
+# Longer than a clock's resolution: a timer may fire that much early, and the tick after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
 # Changes between the same two modes that are told each for itself.
 _FEW_CHANGES = 8
@@ -164,7 +164,7 @@ class Control(Doors):
         )
 
     async def run(self) -> None:
-        """Look at the situation every few seconds, and at once when asked to, until cancelled."""
+        """Tick every few seconds, and at once on request, until cancelled."""
         while True:
             self.tick()
             await wait_at_most(self._wake, self._until_next_tick())
@@ -185,7 +185,7 @@ class Control(Doors):
         return _TICK_S
 
     def tick(self) -> None:
-        """Look at the situation once, change mode if it calls for that, and act in the mode."""
+        """Judge the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
         if self._clock_watch.trusted:
@@ -334,7 +334,7 @@ class Control(Doors):
         return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
 
     def _worth_moving(self, target: Target) -> bool:
-        """Tell whether the target is far enough from where the tracker stands or is already heading."""
+        """Return whether the target is far enough from where the tracker stands or is already heading."""
         whence = self._motion.target or self._motion.pose
         if whence is None:
             return False

@@ -15,7 +15,7 @@ log = logging.getLogger("heliocube.control")
 
 
 class Reminders:
-    """Looks at the wishes now and then.
+    """Checks the wishes at every tick.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Reminders:
         self._due_s = math.inf
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
-        """Remind where it is time; where the clock is in doubt the sun is not asked."""
+        """Remind where it is time; where the clock is in doubt the sun's position is not used."""
         self._remind_of_maintenance(wishes)
         name = "snow" if wishes.snow is not None else "hold"
         wish: Wish | None = getattr(wishes, name)

@@ -1,4 +1,4 @@
-"""Reasons to stow. A source is anything that can be asked whether it wants the tracker in its stow position now."""
+"""Reasons to stow. A source is anything that answers a poll whether it wants the tracker in its stow position now."""
 
 import math
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class StowSource(Protocol):
     name: str
 
     def reason(self, now_s: float) -> str | None:
-        """Return why the tracker must be stowed at this monotonic time, or None; it has to be asked often."""
+        """Return why the tracker must be stowed at this monotonic time, or None; it has to be polled often."""
 
     def status(self, now_s: float) -> StowStatus:
         """Return how it stood at the last poll; changes nothing, so anybody may call it."""
@@ -64,7 +64,7 @@ class OperatorStow:
         """Withdraw the request."""
         self._why = None
 
-    def reason(self, now_s: float) -> str | None:  # noqa: ARG002 - asked like the others; a latch needs no time
+    def reason(self, now_s: float) -> str | None:  # noqa: ARG002 - polled like the others; a latch needs no time
         """Return why a person asked, or None."""
         return self._why
 
@@ -96,7 +96,7 @@ class WindStow:
 
     @property
     def stowing(self) -> bool:
-        """Whether it asked for stow when it was last looked at."""
+        """Whether it asked for stow at the last poll."""
         return self._why is not None
 
     def reason(self, now_s: float) -> str | None:
@@ -117,7 +117,7 @@ class WindStow:
         return self._why
 
     def status(self, now_s: float) -> StowStatus:
-        """Return how it stood when it was last asked."""
+        """Return how it stood at the last poll."""
         safety = self._safety
         return StowStatus(
             name=self.name,

@@ -170,7 +170,7 @@ def test_a_frozen_process_does_not_answer_the_watchdog(start_unit, role):
     assert unit.end(signal.SIGABRT) == -signal.SIGABRT, "the service manager's next step ends it"
 
 
-@pytest.mark.parametrize(("part", "words"), [("control", "control has not looked"), ("acquisition", "no scan has")])
+@pytest.mark.parametrize(("part", "words"), [("control", "control has not run"), ("acquisition", "no scan has")])
 def test_a_stalled_part_leaves_the_watchdog_unanswered_though_the_loop_runs(tmp_path, part, words):
     messages = []
 

@@ -98,7 +98,7 @@ class PozsolPositioner:
         try:
             await self._line.open()
             identity = await self._identify()
-            await self._hear_setup()
+            await self._wait_for_setup()
         except BaseException:
             await self.close()
             raise
@@ -189,7 +189,7 @@ class PozsolPositioner:
     async def halt(self) -> None:
         """Send stop now, and again every 0.15 s until fresh telemetry shows both axes standing, within 12 s."""
         self._stops += 1
-        await self._stand(self._stops, heeding=False)
+        await self._stand(self._stops, give_way=False)
 
     async def home(self, axis: AxisName) -> None:
         """Halt, start a reference run and wait until it shows, up to 7 s.
@@ -253,7 +253,7 @@ class PozsolPositioner:
                 raise IdentityError(_DEVICE, f"sends something, but not the fields {names} of a positioner")
             await asyncio.sleep(_LOOK_EVERY_S)
 
-    async def _hear_setup(self) -> None:
+    async def _wait_for_setup(self) -> None:
         """Wait for the screens that tell how the unit is set; older units may not have all of them."""
         deadline_s = self._now() + _SETUP_WITHIN_S
         while True:
@@ -290,16 +290,16 @@ class PozsolPositioner:
                     f" {setup.geometry.position(angle_deg):.1f} of that angle; is the geometry that of this unit?",
                 )
 
-    async def _stand(self, stops: int, *, heeding: bool = True) -> None:
+    async def _stand(self, stops: int, *, give_way: bool = True) -> None:
         """Send stop again and again until both axes stand and aim at where they stand."""
         begin_s = self._now()
         self._watch.break_off_run()
         standstill = Standstill(begin_s, self._jitter)
         # A person's stop takes the place of what was sent an instant ago; our own must not.
-        again_s = self._sent_s + wire.COMMAND_SPACING_S if heeding else begin_s
+        again_s = self._sent_s + wire.COMMAND_SPACING_S if give_way else begin_s
         packet, sent = encode_command(Field.ACTION, wire.STOP), 0
         while sent < 2 or not standstill.reached:
-            if heeding:
+            if give_way:
                 self._raise_if_stopped(stops)
             if self._now() - begin_s > _STAND_WITHIN_S:
                 raise StillMovingError(_DEVICE, _why_not_standing(self._read(), standstill))

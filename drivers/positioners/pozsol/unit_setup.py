@@ -34,7 +34,7 @@ def conflicts(fields: Mapping[int, str], a: AxisSetup, b: AxisSetup) -> tuple[st
     return (*_Axis("a", a, fields).conflicts(), *_Axis("b", b, fields).conflicts())
 
 
-def unheard(fields: Mapping[int, str]) -> tuple[int, ...]:
+def missing_fields(fields: Mapping[int, str]) -> tuple[int, ...]:
     """Return the fields that a full comparison needs and that have not come as numbers."""
     return tuple(sorted(code for code in SETUP_FIELDS if math.isnan(_number(fields, code))))
 
@@ -67,7 +67,7 @@ class _Axis:
     def _at(self, step: int) -> float:
         return _number(self.fields, _FIRST[self.axis] + step)
 
-    def _say(self, code: int | str, says: str, key: str, configured: str, remedy: str) -> str:
+    def _sentence(self, code: int | str, says: str, key: str, configured: str, remedy: str) -> str:
         where = f"instruments.positioner.{self.axis}_axis.{key}"
         return f"field {code} of the positioner says {says}, but {where} is {configured}: {remedy}"
 
@@ -75,7 +75,7 @@ class _Axis:
         # A field that never came, NaN here, contradicts nothing.
         if not abs(unit - configured) > tolerance:
             return []
-        return [self._say(code, f"{unit:g}", key, f"{configured:.4g}", f"set it to {unit:g} if the unit is right")]
+        return [self._sentence(code, f"{unit:g}", key, f"{configured:.4g}", f"set it to {unit:g} if the unit is right")]
 
     def _offset(self) -> list[str]:
         return self._compare(
@@ -132,7 +132,7 @@ class _Axis:
         sense = "raises" if raises else "lowers"
         if sense != mine.sense:
             says, remedy = f"{side:g} (extension {sense} the angle)", f'set it to "{sense}" if the unit is right'
-            return [self._say(first + 5, says, "sense", f'"{mine.sense}"', remedy)]
+            return [self._sentence(first + 5, says, "sense", f'"{mine.sense}"', remedy)]
         code = f"{first + 6} + {first + 7}"
         return self._compare(code, zero_deg - fixed, mine.apex_deg, 2 * _ANGLE_DEG, "apex_deg")
 
@@ -142,7 +142,7 @@ class _Axis:
         says = f"the actuator is {length_mm:g} mm long at its low end"
         configured = f"{mine.low_deg:g}, which makes it {mine.low_length_mm:.1f} mm"
         low_deg = mine.angle_at_length(length_mm)
-        return [self._say(code, says, "low_deg", configured, f"set it to {low_deg:.2f} if the unit is right")]
+        return [self._sentence(code, says, "low_deg", configured, f"set it to {low_deg:.2f} if the unit is right")]
 
     def _drive(self, mine: Proportional, mode: float) -> list[str]:
         if math.isnan(mode):

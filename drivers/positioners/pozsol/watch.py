@@ -81,7 +81,7 @@ class PositionerWatch:
         if state.restarted_s != self._restarted_s:
             self.reference.note(f"restart {state.restarted_s}", "the positioner has restarted")
             raise LinkLostError(_DEVICE, "has restarted: it prints its banner")
-        if self._last is not None and self.run is None and self._last.says_the_same(state):
+        if self._last is not None and self.run is None and self._last.repeats(state):
             return self._last.at(state.as_of_s)
         try:
             telemetry = self._telemetry(state)
@@ -232,7 +232,7 @@ class _Standing:
         self._telemetry = telemetry
         self._fields: dict[str, Any] = {}
 
-    def says_the_same(self, state: LinkState) -> bool:
+    def repeats(self, state: LinkState) -> bool:
         before = self._state
         return state.values is before.values and state.jumped_s == before.jumped_s
 

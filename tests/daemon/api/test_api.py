@@ -226,7 +226,7 @@ def test_health_is_bad_when_control_no_longer_looks(serve):
         rig.control.last_tick_s -= 31
         reply = await call.get("/healthz")
         assert (reply.status, reply.json["ok"]) == (503, False)
-        assert "control has not looked for 3" in reply.json["troubles"][0]
+        assert "control has not run for 3" in reply.json["troubles"][0]
 
     serve(scenario)
 

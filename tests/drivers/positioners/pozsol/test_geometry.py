@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
-from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step, unheard
+from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step, missing_fields
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -64,9 +64,9 @@ def test_a_geometry_that_cannot_be_has_no_destination():
 
 def test_a_unit_that_is_set_as_configured_contradicts_nothing_and_silence_contradicts_nothing():
     assert conflicts(FIELDS, A, B) == ()
-    assert unheard(FIELDS) == ()
+    assert missing_fields(FIELDS) == ()
     assert conflicts({}, A, B) == ()
-    assert unheard({}) == tuple(sorted(SETUP_FIELDS))
+    assert missing_fields({}) == tuple(sorted(SETUP_FIELDS))
     assert count_step(FIELDS, "a") == pytest.approx(1 / 75)
     assert count_step({}, "a") is None
 
