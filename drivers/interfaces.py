@@ -38,6 +38,74 @@ class Voltmeter(Protocol):
         """Return one conversion [V] that began after the call; `OverRangeError` where there is none."""
 
 
+FaceFlaw = Literal["over-range", "late", "missing"]
+"""Why a face was not read: beyond the range; no answer in time; an answer that is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaceSample:
+    """What one face read.
+
+    Attributes
+    ----------
+    value
+        In the unit of the reading; NaN where the face was not read.
+    time_utc_s, time_monotonic_s
+        When it was measured, or had failed to be.
+    flaw
+        Why it was not read; None where it was.
+    """
+
+    value: float
+    time_utc_s: float
+    time_monotonic_s: float
+    flaw: FaceFlaw | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CubeReading:
+    """The four faces, read once.
+
+    Attributes
+    ----------
+    east, south, west, zenith
+        The faces, the zenith measured last or with the others.
+    unit
+        ``V`` for what bare sensors give, to which dark offsets and gains of the settings apply; ``W/m2`` for sensors
+        that apply their own.
+    proven
+        False if a test of the way from sensor to number has failed; True if it has passed, or there is none.
+    """
+
+    east: FaceSample
+    south: FaceSample
+    west: FaceSample
+    zenith: FaceSample
+    unit: Literal["V", "W/m2"]
+    proven: bool = True
+
+    @property
+    def faces(self) -> tuple[FaceSample, FaceSample, FaceSample, FaceSample]:
+        """East, south, west, zenith."""
+        return self.east, self.south, self.west, self.zenith
+
+
+class Cube(Protocol):
+    """Reads four faces: volts through a multiplexer or a scanning meter, or pyranometers that tell irradiances."""
+
+    async def open(self) -> str:
+        """Connect, identify and configure; return a sentence that identifies the instruments."""
+
+    async def close(self) -> None:
+        """Release the instruments. Never raises."""
+
+    async def read(self) -> CubeReading:
+        """Return a reading of all faces that began after the call.
+
+        A face that gives no value is flawed and costs the others nothing; a link that is gone raises `DeviceError`.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class PositionerIdentity:
     """Who the positioner says it is.

@@ -1,4 +1,4 @@
-"""The cube's role: four faces through one multiplexer and one voltmeter, every few seconds."""
+"""The cube's role: four faces every few seconds, judged and calibrated."""
 
 import asyncio
 import logging
@@ -13,13 +13,18 @@ from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
-from drivers.errors import DeadlineError, DeviceError, DriverHungError, OverRangeError, ProtocolError
-from drivers.interfaces import Multiplexer, Voltmeter
+from drivers.errors import DeviceError, DriverHungError
+from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 
 log = logging.getLogger("heliocube.acquisition")
 
 # A six-and-a-half-digit meter on a live sensor does not give the very same digits this many times in a row.
 _STUCK_AFTER = 6
+_OF_FLAW: dict[FaceFlaw, Quality] = {
+    "over-range": Quality.OVER_RANGE,
+    "late": Quality.LATE,
+    "missing": Quality.MISSING,
+}
 
 
 class Acquisition:
@@ -27,11 +32,9 @@ class Acquisition:
 
     Parameters
     ----------
-    cube
+    settings
         Faces, rhythm and plausibility.
-    settle_s
-        Time between switching the multiplexer and the start of a conversion.
-    multiplexer, voltmeter
+    cube
         The instruments, owned from here on.
     clock
         The service's time.
@@ -51,10 +54,8 @@ class Acquisition:
 
     def __init__(
         self,
-        cube: CubeSettings,
-        settle_s: float,
-        multiplexer: Multiplexer,
-        voltmeter: Voltmeter,
+        settings: CubeSettings,
+        cube: Cube,
         clock: Clock,
         random: Random,
         on_scan: Callable[[Scan], None],
@@ -65,10 +66,8 @@ class Acquisition:
         face_watch: FaceWatch | None = None,
     ) -> None:
         self._face_watch = face_watch
+        self._settings = settings
         self._cube = cube
-        self._settle_s = settle_s
-        self._multiplexer = multiplexer
-        self._voltmeter = voltmeter
         self._clock = clock
         self._on_scan = on_scan
         self._publish = publish
@@ -76,10 +75,10 @@ class Acquisition:
         self._calibration = calibration
         self._session = f"{random.getrandbits(64):016x}"
         self._sequence = 0
-        self._faces = tuple(getattr(cube, name) for name in FACES)
-        self._dark = DarkOffsets(sun_elevation_deg) if cube.dark_correction else None
+        self._faces = tuple(getattr(settings, name) for name in FACES)
+        self._dark = DarkOffsets(sun_elevation_deg) if settings.dark_correction else None
         self._repeats = [0] * len(FACES)
-        self._last_voltage = [math.nan] * len(FACES)
+        self._last_value = [math.nan] * len(FACES)
         # As read in the present scan, for the watch over the faces.
         self._read_mv = [math.nan] * len(FACES)
         self._read_w_m2 = [math.nan] * len(FACES)
@@ -87,9 +86,9 @@ class Acquisition:
         self._reconnection = Reconnection(
             self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
         )
-        self._rhythm = Rhythm(cube.scan_every_s)
+        self._rhythm = Rhythm(settings.scan_every_s)
         self._was_open = False
-        self.scan_every_s = cube.scan_every_s
+        self.scan_every_s = settings.scan_every_s
         self.last_scan_s = clock.monotonic()
 
     @property
@@ -108,21 +107,15 @@ class Acquisition:
         Raises `DriverHungError` when only a new process can open it.
         """
         try:
-            await self._reconnection.run(self._acquire, self._close)
+            await self._reconnection.run(self._acquire, self._cube.close)
         finally:
-            await self._close()
+            await self._cube.close()
 
     async def _open(self) -> None:
-        # The meter first: a second service fails at its port before it can touch the switch of the first.
-        meter = await self._voltmeter.open()
-        switch = await self._multiplexer.open()
+        identity = await self._cube.open()
         if not self._was_open:
             self._was_open = True
-            log.info("instruments of the cube are open", extra={"fields": {"multiplexer": switch, "voltmeter": meter}})
-
-    async def _close(self) -> None:
-        await self._voltmeter.close()
-        await self._multiplexer.close()
+            log.info("instruments of the cube are open", extra={"fields": {"cube": identity}})
 
     async def _acquire(self) -> None:
         await self._open()
@@ -135,14 +128,12 @@ class Acquisition:
             await asyncio.sleep(self._rhythm.wait_s(self._clock.monotonic()))
 
     async def scan(self) -> Scan:
-        """Read the four faces once, in 4 x (settle + conversion); raises `DeviceError` when the link is gone."""
-        proven = await self._self_test()
-        faces = [await self._read(index, proven) for index in range(len(FACES))]
-        # A switch that was lost before the last reading has gone to another input: it must still take its address.
-        await self._multiplexer.select(self._faces[-1].channel)
-        east, south, west, zenith = self._believed(faces, proven)
+        """Read and judge the four faces once; raises `DeviceError` when the link is gone."""
+        reading = await self._cube.read()
+        faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
+        east, south, west, zenith = self._believed(faces, reading.proven)
         scan = Scan(
-            source=self._cube.name,
+            source=self._settings.name,
             session=self._session,
             sequence=self._sequence,
             time_utc_s=zenith.time_utc_s,
@@ -157,43 +148,27 @@ class Acquisition:
         self._sequence += 1
         return scan
 
-    async def _self_test(self) -> bool:
-        for channel in (self._cube.self_test_channel, self._cube.second_self_test_channel):
-            if channel is not None and not await self._reads_nothing(channel):
-                return False
-        return True
-
-    async def _reads_nothing(self, channel: int) -> bool:
-        try:
-            voltage_v = await self._voltage(channel)
-        except (OverRangeError, DeadlineError, ProtocolError):
-            return False
-        return abs(voltage_v) * 1e3 <= self._cube.self_test_limit_mv
-
-    async def _voltage(self, channel: int) -> float:
-        await self._multiplexer.select(channel)
-        await asyncio.sleep(self._settle_s)
-        return await self._voltmeter.read_voltage()
-
-    async def _read(self, index: int, proven: bool) -> FaceReading:
-        voltage_v = irradiance = math.nan
+    def _face(self, index: int, sample: FaceSample, reading: CubeReading) -> FaceReading:
+        irradiance = math.nan
         self._read_mv[index] = self._read_w_m2[index] = math.nan
-        try:
-            voltage_v = await self._voltage(self._faces[index].channel)
-            quality = Quality.OK
-        except OverRangeError:
-            quality = Quality.OVER_RANGE
-        except DeadlineError:
-            quality = Quality.LATE
-        except ProtocolError:
+        if sample.flaw is not None:
+            quality = _OF_FLAW[sample.flaw]
+        elif math.isnan(sample.value):
             quality = Quality.MISSING
-        utc_s = self._clock.utc()
-        if quality is Quality.OK:
-            dark_mv = self._dark.learn(index, voltage_v * 1e3, utc_s) if self._dark else 0.0
-            irradiance = calibrated(voltage_v * 1e3 - dark_mv, self._faces[index])
-            self._read_mv[index], self._read_w_m2[index] = voltage_v * 1e3, irradiance
-            quality = self._judge(index, voltage_v, irradiance, proven)
-        return FaceReading(irradiance, quality, utc_s, self._clock.monotonic())
+        else:
+            irradiance = self._irradiance(index, sample, reading)
+            self._read_w_m2[index] = irradiance
+            quality = self._judge(index, sample.value, irradiance, reading.proven)
+        return FaceReading(irradiance, quality, sample.time_utc_s, sample.time_monotonic_s)
+
+    def _irradiance(self, index: int, sample: FaceSample, reading: CubeReading) -> float:
+        """Return an irradiance [W/m2]; dark offset, gain and voltage are of sensors that give volts."""
+        if reading.unit == "W/m2":
+            return sample.value
+        read_mv = sample.value * 1e3
+        self._read_mv[index] = read_mv
+        dark_mv = self._dark.learn(index, read_mv, sample.time_utc_s) if self._dark else 0.0
+        return calibrated(read_mv - dark_mv, self._faces[index])
 
     def _believed(self, faces: list[FaceReading], proven: bool) -> list[FaceReading]:
         watch = self._face_watch
@@ -208,13 +183,13 @@ class Acquisition:
             for index, face in enumerate(faces)
         ]
 
-    def _judge(self, index: int, voltage_v: float, irradiance: float, proven: bool) -> Quality:
-        repeated = voltage_v == self._last_voltage[index] and voltage_v != 0.0
+    def _judge(self, index: int, value: float, irradiance: float, proven: bool) -> Quality:
+        repeated = value == self._last_value[index] and value != 0.0
         self._repeats[index] = self._repeats[index] + 1 if repeated else 0
-        self._last_voltage[index] = voltage_v
+        self._last_value[index] = value
         if not proven:
             return Quality.SELF_TEST_FAILED
-        if not (self._cube.minimum_w_m2 <= irradiance <= self._cube.maximum_w_m2):
+        if not (self._settings.minimum_w_m2 <= irradiance <= self._settings.maximum_w_m2):
             return Quality.IMPLAUSIBLE
         if self._repeats[index] >= _STUCK_AFTER:
             return Quality.STALE

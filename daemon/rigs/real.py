@@ -7,8 +7,10 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.config.plugged import LOAD
+from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
-from drivers.interfaces import ElectronicLoad, Positioner
+from drivers.cube.multiplexed import CubeWiring, MultiplexedCube
+from drivers.interfaces import Cube, ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.meters.keithley2000 import Keithley2000
@@ -64,6 +66,26 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap, line: ScpiLine | None
         nplc=meter.nplc,
         deadline_s=settings.cube.reading_deadline_s,
     )
+
+
+def build_multiplexed_cube(
+    settings: Settings, clock: Clock, multiplexer: Multiplexer, voltmeter: Voltmeter
+) -> MultiplexedCube:
+    """Return the cube of a multiplexer and a voltmeter, wired as configured, not yet connected."""
+    cube = settings.cube
+    tests = [getattr(cube, name) for name in SELF_TESTS]
+    wiring = CubeWiring(
+        channels=(cube.east.channel, cube.south.channel, cube.west.channel, cube.zenith.channel),
+        settle_s=settings.instruments.multiplexer.settle_s,
+        self_test_channels=tuple(channel for channel in tests if channel is not None),
+        self_test_limit_mv=cube.self_test_limit_mv,
+    )
+    return MultiplexedCube(multiplexer, voltmeter, wiring, clock.utc, clock.monotonic)
+
+
+def build_cube(settings: Settings, clock: Clock) -> Cube:
+    """Return the cube, not yet connected; `UserError` if the settings do not say how to reach it."""
+    return build_multiplexed_cube(settings, clock, build_multiplexer(settings), build_voltmeter(settings))
 
 
 def build_positioner(settings: Settings, clock: Clock) -> Positioner:

@@ -20,8 +20,9 @@ from daemon.config.plugged import LOAD
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.real import (
+    build_cube,
     build_load,
-    build_multiplexer,
+    build_multiplexed_cube,
     build_positioner,
     build_pozsol,
     build_voltmeter,
@@ -29,7 +30,7 @@ from daemon.rigs.real import (
 )
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments
-from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
+from drivers.interfaces import Cube, ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.connection import sweep_settings
 from drivers.switches.ni_usb6008 import NiMultiplexer
@@ -82,8 +83,7 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
     """
     trackers = () if role is Role.CUBE else settings.trackers
     return Rig(
-        multiplexer=None if role is Role.TRACKER else build_multiplexer(settings),
-        voltmeter=None if role is Role.TRACKER else build_voltmeter(settings),
+        cube=None if role is Role.TRACKER else build_cube(settings, clock),
         trackers=tuple(TrackerInstruments(build_positioner(own, clock), build_load(own)) for _, own in trackers),
         wind_speed_m_s=None,
         simulated=False,
@@ -96,8 +96,7 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
     scene = _build_scene(settings, weather)
     rig = _under(scene, clock, weather)
     if role is not Role.TRACKER:
-        multiplexer, voltmeter = _build_cube(settings, clock, scene)
-        rig = replace(rig, multiplexer=multiplexer, voltmeter=voltmeter)
+        rig = replace(rig, cube=_build_cube(settings, clock, scene))
     if role is not Role.CUBE:
         built = [
             _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
@@ -132,7 +131,7 @@ def build_simulated_pair(
 ) -> SimulatedPair:
     """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
     scene = _build_scene(settings, weather)
-    multiplexer, voltmeter = _build_cube(settings, clock, scene)
+    cube = _build_cube(settings, clock, scene)
     (one, first), (other, second) = (
         _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
         for number, module in enumerate(modules)
@@ -146,7 +145,7 @@ def build_simulated_pair(
 
     around = _under(scene, clock, weather)
     rigs = (
-        replace(around, multiplexer=multiplexer, voltmeter=voltmeter, trackers=(first,)),
+        replace(around, cube=cube, trackers=(first,)),
         replace(around, trackers=(second,)),
     )
     return SimulatedPair(rigs, (one, other), overhead)
@@ -169,7 +168,7 @@ def _under(scene: Scene, clock: Clock, weather: Weather) -> Rig:
             raise UserError(str(error)) from error
 
     sensor = wind if _tells_wind(weather) else None
-    return Rig(None, None, (), sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
+    return Rig(None, (), sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
 
 
 def _tells_wind(weather: Weather) -> bool:
@@ -254,9 +253,11 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
     return core.truth, build_pozsol(settings, clock, InMemoryStream(core, clock.monotonic))
 
 
-def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> tuple[Multiplexer, Voltmeter]:
+def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube:
     switch, meter = _build_cube_cores(settings, clock, scene)
-    return (
+    return build_multiplexed_cube(
+        settings,
+        clock,
         # The simulated switch is wired one to one, whatever is configured for a real one.
         NiMultiplexer(InMemoryPort(switch, clock.monotonic)),
         build_voltmeter(settings, line=InMemoryLine("voltmeter", meter, clock.monotonic)),

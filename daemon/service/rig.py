@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.interfaces import ElectronicLoad, Multiplexer, Positioner, Voltmeter
+from drivers.interfaces import Cube, ElectronicLoad, Positioner
 
 
 class Role(StrEnum):
@@ -29,7 +29,7 @@ class Rig:
 
     Attributes
     ----------
-    multiplexer, voltmeter
+    cube
         None where the role has no cube.
     trackers
         Those of each tracker, in the order of the settings' trackers; empty where the role has none.
@@ -43,8 +43,7 @@ class Rig:
         Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
     """
 
-    multiplexer: Multiplexer | None
-    voltmeter: Voltmeter | None
+    cube: Cube | None
     trackers: tuple[TrackerInstruments, ...]
     wind_speed_m_s: Callable[[], float | None] | None
     simulated: bool

@@ -101,14 +101,12 @@ class Service:
 
     def _build_cube(self) -> None:
         settings, rig = self.settings, self.rig
-        if rig.multiplexer is None or rig.voltmeter is None:
-            raise ValueError("the cube's role needs a multiplexer and a voltmeter")
+        if rig.cube is None:
+            raise ValueError("the cube's role needs a cube")
         cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
         self.acquisition = Acquisition(
             cube,
-            settings.instruments.multiplexer.settle_s,
-            rig.multiplexer,
-            rig.voltmeter,
+            rig.cube,
             self.clock,
             self._random,
             self._send,

@@ -121,7 +121,7 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
         service = Service(
             settings,
             Role.TRACKER,
-            Rig(None, None, (TrackerInstruments(positioner),), None, simulated=True),
+            Rig(None, (TrackerInstruments(positioner),), None, simulated=True),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             Bus(),

@@ -136,8 +136,7 @@ class BrokerRig(ServiceRig):
             settings,
             role,
             Rig(
-                self.multiplexer if cube else None,
-                self.voltmeter if cube else None,
+                self.cube if cube else None,
                 tuple(TrackerInstruments(one) for one in (self.positioner, *self.others)) if tracker else (),
                 lambda: self.wind_m_s,
                 simulated=True,

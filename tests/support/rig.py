@@ -14,7 +14,7 @@ from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling
-from daemon.rigs.real import build_pozsol, build_voltmeter
+from daemon.rigs.real import build_multiplexed_cube, build_pozsol, build_voltmeter
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role, TrackerInstruments
@@ -94,6 +94,7 @@ class ServiceRig:
         cables.voltmeter = InMemoryLine("voltmeter", self.meter, now)
         self.multiplexer = NiMultiplexer(cables.multiplexer)
         self.voltmeter = build_voltmeter(settings, line=cables.voltmeter)
+        self.cube = build_multiplexed_cube(settings, self.clock, self.multiplexer, self.voltmeter)
         self.positioner = self.drive(self.unit, settings)
         own = [named.settings for named in settings.trackers[1:]]
         cables.others = [InMemoryStream(build_unit(one, self.clock), now) for one in own]
@@ -110,8 +111,7 @@ class ServiceRig:
             settings,
             role,
             Rig(
-                self.multiplexer,
-                self.voltmeter,
+                self.cube,
                 (
                     TrackerInstruments(self.positioner, None if settings.load.driver == "none" else self.load),
                     *(TrackerInstruments(positioner) for positioner in self.others),

@@ -13,6 +13,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.config.stuck_lines import self_test_gaps
 from daemon.cube.acquisition import Acquisition
+from daemon.rigs.real import build_multiplexed_cube
 from drivers.meters.keithley2000 import Keithley2000
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.multiplexer import MultiplexerCore
@@ -40,12 +41,13 @@ def qualities(channels, tests, spoil, parallel=()):
         loop = runner.get_loop()
         switch = MultiplexerCore(inputs=lambda channel, _now: volts.get(channel), latency_s=0.0)
         meter = VoltmeterCore(input_voltage=switch.output_voltage, random=np.random.default_rng(1))
+        clock = LoopClock(loop.time, 1.7e9)
+        multiplexer = NiMultiplexer(InMemoryPort(switch, loop.time))
+        voltmeter = Keithley2000(InMemoryLine("voltmeter", meter, loop.time))
         acquisition = Acquisition(
             settings.cube,
-            0.3,
-            NiMultiplexer(InMemoryPort(switch, loop.time)),
-            Keithley2000(InMemoryLine("voltmeter", meter, loop.time)),
-            LoopClock(loop.time, 1.7e9),
+            build_multiplexed_cube(settings, clock, multiplexer, voltmeter),
+            clock,
             Random(1),
             lambda _scan: None,
             lambda _event: None,

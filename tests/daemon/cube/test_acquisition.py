@@ -11,8 +11,9 @@ import pytest
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.config.sections import CubeSettings
+from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
+from daemon.rigs.real import build_multiplexed_cube
 from drivers.meters.keithley2000 import Keithley2000
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.multiplexer import MultiplexerCore
@@ -25,7 +26,7 @@ DAY, NIGHT = 30.0, -20.0
 class Rig:
     """An acquisition with its instruments in hand; voltages [mV] by input."""
 
-    def __init__(self, loop, cube, settle_s, latency_s, sun_deg):
+    def __init__(self, loop, settings, latency_s, sun_deg):
         self.mv = {0: 30.0, 1: 41.0, 2: 6.0, 3: 47.0, 7: 0.0}
         self.sun_deg = sun_deg
         self.on_input = lambda _channel: None
@@ -37,12 +38,11 @@ class Rig:
         self.multiplexer = NiMultiplexer(self.cables.multiplexer)
         self.voltmeter = Keithley2000(self.cables.voltmeter)
         self.scans, self.at, self.loop, self.scanned = [], [], loop, asyncio.Event()
+        clock = LoopClock(loop.time, 1.7e9)
         self.acquisition = Acquisition(
-            cube,
-            settle_s,
-            self.multiplexer,
-            self.voltmeter,
-            LoopClock(loop.time, 1.7e9),
+            settings.cube,
+            build_multiplexed_cube(settings, clock, self.multiplexer, self.voltmeter),
+            clock,
             Random(1),
             self._keep,
             lambda _event: None,
@@ -70,7 +70,9 @@ def run():
     def runs(scenario, *, settle_s=0.3, latency_s=0.0, sun_deg=DAY, **cube):
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             loop = runner.get_loop()
-            rig = Rig(loop, CubeSettings(**cube), settle_s, latency_s, sun_deg)
+            multiplexer = {"settle_s": settle_s}
+            settings = Settings.model_validate({"cube": cube, "instruments": {"multiplexer": multiplexer}})
+            rig = Rig(loop, settings, latency_s, sun_deg)
 
             async def beside():
                 working = asyncio.create_task(rig.acquisition.run())

@@ -35,9 +35,9 @@ def load(tmp_path):
 def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
     settings = load(REAL)
     assert settings.real
-    for role, present in ((Role.BOTH, (1, 1, 1)), (Role.CUBE, (1, 1, 0)), (Role.TRACKER, (0, 0, 1))):
+    for role, present in ((Role.BOTH, (1, 1)), (Role.CUBE, (1, 0)), (Role.TRACKER, (0, 1))):
         rig = build_real_rig(settings, role, SystemClock())
-        assert tuple(bool(part) for part in (rig.multiplexer, rig.voltmeter, rig.trackers)) == present
+        assert tuple(bool(part) for part in (rig.cube, rig.trackers)) == present
         assert (rig.simulated, rig.wind_speed_m_s, rig.sky_text) == (False, None, None)
 
 

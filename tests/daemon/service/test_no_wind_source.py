@@ -27,7 +27,7 @@ def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **sa
         clock = LoopClock(loop.time, 1.7e9)
         line = InMemoryStream(PositionerCore(loop.time()), loop.time)
         positioner = build_pozsol(settings, clock, line)
-        rig = Rig(None, None, (TrackerInstruments(positioner),), wind, simulated=simulated)
+        rig = Rig(None, (TrackerInstruments(positioner),), wind, simulated=simulated)
         service = Service(
             settings,
             role,

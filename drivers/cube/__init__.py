@@ -1,0 +1,1 @@
+"""Ways to read the four faces of a cube."""

@@ -1,0 +1,100 @@
+"""The cube's role on sensors that tell irradiances: no multiplexer, no voltmeter, no gains."""
+
+import asyncio
+import math
+from random import Random
+
+import pytest
+
+from daemon.base.clock import LoopClock
+from daemon.base.records import Quality
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.sections import CubeSettings
+from daemon.cube.acquisition import Acquisition
+from drivers.interfaces import CubeReading, FaceSample
+
+NIGHT = -20.0
+
+
+class Pyranometers:
+    """Four of them; each tells an irradiance [W/m2], or why it does not."""
+
+    def __init__(self, clock):
+        self._clock = clock
+        self.faces = [300.0, 410.0, 60.0, 470.0]
+        self.proven = True
+
+    async def open(self):
+        return "four pyranometers"
+
+    async def close(self):
+        pass
+
+    async def read(self):
+        east, south, west, zenith = (self._sample(face) for face in self.faces)
+        return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="W/m2", proven=self.proven)
+
+    def _sample(self, face):
+        flaw = face if isinstance(face, str) else None
+        return FaceSample(math.nan if flaw else face, self._clock.utc(), self._clock.monotonic(), flaw)
+
+
+@pytest.fixture
+def scan_of():
+    """Return the last of some scans with these faces."""
+
+    def scan(count=1, **changes):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            clock = LoopClock(runner.get_loop().time, 1.7e9)
+            cube = Pyranometers(clock)
+            vars(cube).update(changes)
+            settings = CubeSettings(east={"gain_w_m2_per_mv": 7.0, "offset_mv": 3.0})
+            acquisition = Acquisition(
+                settings,
+                cube,
+                clock,
+                Random(1),
+                lambda _scan: None,
+                lambda _event: None,
+                lambda _utc_s: NIGHT,
+                simulated=True,
+            )
+
+            async def scans():
+                return [await acquisition.scan() for _ in range(count)][-1]
+
+            return runner.run(scans())
+
+    return scan
+
+
+def test_irradiances_are_taken_as_they_are(scan_of):
+    scan = scan_of()
+    assert [face.irradiance_w_m2 for face in scan.faces] == [300.0, 410.0, 60.0, 470.0]
+    assert {face.quality for face in scan.faces} == {Quality.OK}
+
+
+def test_they_learn_no_dark_offset(scan_of):
+    scan = scan_of(count=900, faces=[-3.0, -3.0, -3.0, -3.0])
+    assert {face.irradiance_w_m2 for face in scan.faces} == {-3.0}
+
+
+def test_a_flawed_face_costs_the_others_nothing(scan_of):
+    scan = scan_of(faces=["late", "missing", "over-range", 470.0])
+    assert [face.quality for face in scan.faces] == [Quality.LATE, Quality.MISSING, Quality.OVER_RANGE, Quality.OK]
+
+
+@pytest.mark.parametrize(
+    ("value", "quality"),
+    [(math.nan, Quality.MISSING), (math.inf, Quality.IMPLAUSIBLE), (1501.0, Quality.IMPLAUSIBLE)],
+)
+def test_what_is_no_irradiance_is_not_used(scan_of, value, quality):
+    assert scan_of(faces=[300.0, value, 60.0, 470.0]).south.quality is quality
+
+
+def test_a_way_that_failed_its_test_spoils_every_face(scan_of):
+    assert {face.quality for face in scan_of(proven=False).faces} == {Quality.SELF_TEST_FAILED}
+
+
+def test_a_frozen_value_is_stale(scan_of):
+    assert {face.quality for face in scan_of(count=7).faces} == {Quality.STALE}
