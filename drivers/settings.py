@@ -3,15 +3,19 @@
 A driver is a module with two names, found through the entry points of its kind, such as `heliocube.positioner`:
 
 `SETTINGS`
-    Its keys in the configuration, a child of :class:`PositionerSettings` or :class:`LoadSettings`. Descriptions,
-    units in names and ranges make the commented file, the reference and the error messages.
+    Its keys in the configuration, a child of :class:`PositionerSettings`, :class:`LoadSettings` or
+    :class:`CubeDriverSettings`. Descriptions, units in names and ranges make the commented file, the reference and the
+    error messages.
 `build(settings, surroundings)`
     Returns the instrument, not yet connected; for a positioner a :class:`drivers.interfaces.Positioner`. Raises
     :class:`SettingsError` where the settings do not say enough to reach it. An electronic load is handed only the
-    `drivers.transcript.Tap` besides its settings, and is a :class:`drivers.interfaces.ElectronicLoad`.
+    `drivers.transcript.Tap` besides its settings, and is a :class:`drivers.interfaces.ElectronicLoad`. A cube is a
+    :class:`drivers.interfaces.Cube`.
 
 A positioner's module may have a third, `simulate(settings, surroundings)`, for simulated rigs: it returns a function
-that tells where the axes truly stand at a monotonic time, and the instrument.
+that tells where the axes truly stand at a monotonic time, and the instrument. A cube's is `simulate(settings,
+surroundings, sensor_v)` and returns the cube; `sensor_v(face, time_monotonic_s)` is the voltage [V] of the simulated
+sensor on face 0 east, 1 south, 2 west or 3 zenith, of about 0.1 mV per W/m2.
 """
 
 import re
@@ -144,6 +148,32 @@ class LoadSettings(DriverSettings):
     def exclusive(self) -> Mapping[str, str | None]:
         """Return the values that no two loads can have in common, such as a port, by their keys."""
         return {}
+
+
+class CubeDriverSettings(DriverSettings):
+    """How what reads the cube's faces is connected; their gains and the rhythm are those of every cube, in [cube]."""
+
+    driver: str = Field("", description="Name of the driver.")
+
+
+@dataclass(frozen=True, slots=True)
+class CubeSurroundings:
+    """What a cube's driver is handed besides its settings.
+
+    Attributes
+    ----------
+    utc_s, monotonic_s
+        Return the service's time.
+    deadline_s
+        Longest wait for one reading.
+    tap
+        To be told what goes over the line.
+    """
+
+    utc_s: Callable[[], float]
+    monotonic_s: Callable[[], float]
+    deadline_s: float
+    tap: Tap = no_tap
 
 
 @dataclass(frozen=True, slots=True)

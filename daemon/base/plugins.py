@@ -11,6 +11,7 @@ from daemon.base.errors import UserError
 LAWS = "heliocube.law"
 POSITIONERS = "heliocube.positioner"
 LOADS = "heliocube.load"
+CUBES = "heliocube.cube"
 
 
 class PluginError(UserError):

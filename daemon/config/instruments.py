@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, WithJsonSchema
 
-from daemon.config.plugged import POSITIONER
+from daemon.config.plugged import CUBE, POSITIONER
 from daemon.config.section import Section
-from drivers.settings import PortPath, PositionerSettings, Positive, VisaResource, text_of
+from drivers.settings import CubeDriverSettings, PortPath, PositionerSettings, Positive, VisaResource, text_of
 
 VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
 _SERVER = re.compile(r"[A-Za-z0-9._-]+:\d{1,5}|\[[0-9A-Fa-f:]+\]:\d{1,5}")
@@ -89,6 +89,9 @@ class Instruments(Section):
 
     kind: Literal["simulated", "real"] = Field(
         "simulated", description="Simulated ones in this process, or real ones at the addresses below."
+    )
+    cube: Annotated[SerializeAsAny[CubeDriverSettings], BeforeValidator(CUBE.settle)] = Field(
+        default_factory=CUBE.defaults
     )
     multiplexer: MultiplexerSettings = MultiplexerSettings()
     voltmeter: VoltmeterSettings = VoltmeterSettings()

@@ -13,13 +13,15 @@ from typing import Any, Literal, NamedTuple, cast
 from pydantic import BaseModel, ValidationError, create_model
 
 from daemon.base import plugins
-from drivers.settings import LoadSettings
+from drivers.settings import CubeDriverSettings, LoadSettings
 
 DEFAULT_LAW = "mu-prime"
 FALLBACK_LAW = "chronometric"
 """Points by ephemeris alone: what is left while there are no good readings."""
 
 DRIVER = "driver"
+MULTIPLEXED = "multiplexed"
+"""The cube whose keys stand in sections of their own."""
 Loc = tuple[int | str, ...]
 
 
@@ -155,6 +157,10 @@ class NoLoadSettings(LoadSettings):
     """none: the module is in open circuit."""
 
 
+class MultiplexedSettings(CubeDriverSettings):
+    """multiplexed: one voltmeter behind a multiplexer, each with its own section."""
+
+
 class SimulatedLoadSettings(LoadSettings):
     """simulated: goes with simulated instruments."""
 
@@ -187,7 +193,16 @@ LOAD = Plugged(
     built_in={"none": NoLoadSettings, "simulated": SimulatedLoadSettings},
 )
 
-SECTIONS = {each.path: each for each in (LAW, POSITIONER, LOAD)}
+CUBE = Plugged(
+    path="instruments.cube",
+    group=plugins.CUBES,
+    default=MULTIPLEXED,
+    title="What reads the cube's four faces.",
+    about="Which driver that is; gains, plausibility and rhythm are those of [cube] for all of them.",
+    built_in={MULTIPLEXED: MultiplexedSettings},
+)
+
+SECTIONS = {each.path: each for each in (LAW, CUBE, POSITIONER, LOAD)}
 """All of them, by their path."""
 
 

@@ -29,7 +29,7 @@ _NOT_READ = {
         "mqtt.wind",
         "mqtt.safe",
     ),
-    "tracker": ("instruments.multiplexer", "instruments.voltmeter"),
+    "tracker": ("instruments.cube", "instruments.multiplexer", "instruments.voltmeter"),
 }
 _HEADINGS = {
     "both": "cube and tracker in one process",

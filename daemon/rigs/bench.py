@@ -15,6 +15,7 @@ from daemon.base.errors import UserError
 from daemon.base.process import on_signals
 from daemon.config.file import override
 from daemon.config.keys import keys as every_key
+from daemon.config.plugged import MULTIPLEXED
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import DEFAULT_START, build_weather, run_bench
@@ -81,7 +82,7 @@ def _claim(directory: Path) -> Path:
 
 def _served(settings: Settings, directory: Path, port: int, start: datetime, anchor: datetime) -> Settings:
     """Return the settings with what makes a service drive this bench, under the same sun."""
-    instruments = settings.instruments.model_dump() | {"kind": "real"}
+    instruments = settings.instruments.model_dump() | {"kind": "real", "cube": {"driver": MULTIPLEXED}}
     instruments["multiplexer"] |= {"server": f"127.0.0.1:{port}", "digital_port": DIGITAL_PORT}
     instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
     instruments["positioner"] |= {"port": str(directory / "positioner")}

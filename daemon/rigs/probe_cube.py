@@ -3,7 +3,9 @@
 import asyncio
 from collections.abc import Callable
 
+from daemon.base.errors import UserError
 from daemon.base.records import FACES
+from daemon.config.plugged import MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibrated
@@ -44,9 +46,12 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
 
     Raises
     ------
+    UserError
+        The configured cube has none.
     DeviceError
         It cannot be reached, or does not do as it should.
     """
+    _require_multiplexed(settings, "a voltmeter")
     line = voltmeter_line(settings, tap)
     try:
         await line.open()
@@ -72,6 +77,12 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         await meter.close()
 
 
+def _require_multiplexed(settings: Settings, what: str) -> None:
+    driver = settings.instruments.cube.driver
+    if driver != MULTIPLEXED:
+        raise UserError(f'instruments.cube.driver is "{driver}": only the cube "{MULTIPLEXED}" has {what} to look at')
+
+
 async def _answers(line: ScpiLine, deadline_s: float) -> dict[str, str]:
     async def ask(query: str) -> str | None:
         try:
@@ -93,9 +104,12 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
 
     Raises
     ------
+    UserError
+        The configured cube has none.
     DeviceError
         It cannot be reached, or does not do as it should.
     """
+    _require_multiplexed(settings, "a multiplexer")
     multiplexer = build_multiplexer(settings, tap)
     meter = build_voltmeter(settings) if write and settings.instruments.voltmeter.resource else None
     try:

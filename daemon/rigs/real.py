@@ -6,7 +6,7 @@ from typing import cast
 from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.config.plugged import LOAD
+from daemon.config.plugged import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
 from drivers.cube.multiplexed import CubeWiring, MultiplexedCube
@@ -19,7 +19,7 @@ from drivers.positioners.pozsol.driver import PozsolSettings
 from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.scpi import ScpiLine
-from drivers.settings import PositionerSurroundings, SettingsError
+from drivers.settings import CubeSurroundings, PositionerSurroundings, SettingsError
 from drivers.switches.digital_port import DigitalPort
 from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
@@ -85,7 +85,18 @@ def build_multiplexed_cube(
 
 def build_cube(settings: Settings, clock: Clock) -> Cube:
     """Return the cube, not yet connected; `UserError` if the settings do not say how to reach it."""
-    return build_multiplexed_cube(settings, clock, build_multiplexer(settings), build_voltmeter(settings))
+    own = settings.instruments.cube
+    if own.driver == MULTIPLEXED:
+        return build_multiplexed_cube(settings, clock, build_multiplexer(settings), build_voltmeter(settings))
+    try:
+        return cast("Cube", plugins.load(plugins.CUBES, own.driver).build(own, cube_surroundings(settings, clock)))
+    except SettingsError as error:
+        raise UserError(str(error)) from None
+
+
+def cube_surroundings(settings: Settings, clock: Clock) -> CubeSurroundings:
+    """Return what a cube's driver is handed besides its settings."""
+    return CubeSurroundings(clock.utc, clock.monotonic, settings.cube.reading_deadline_s)
 
 
 def build_positioner(settings: Settings, clock: Clock) -> Positioner:

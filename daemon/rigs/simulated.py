@@ -22,24 +22,20 @@ from daemon.config.simulation import WeatherName
 from daemon.rigs.real import (
     build_cube,
     build_load,
-    build_multiplexed_cube,
     build_positioner,
     build_pozsol,
-    build_voltmeter,
     positioner_surroundings,
 )
+from daemon.rigs.simulated_cube import build_cube_cores, build_simulated_cube
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.service.rig import Rig, Role, TrackerInstruments
-from drivers.interfaces import Cube, ElectronicLoad, Positioner
+from drivers.interfaces import ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.connection import sweep_settings
-from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.load.core import LoadCore
-from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
-from sim_drivers.transports import InMemoryLine, InMemoryPort, InMemoryStream
-from sim_drivers.voltmeter.core import VoltmeterCore
+from sim_drivers.transports import InMemoryLine, InMemoryStream
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError, WeatherInParts
 from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
@@ -96,7 +92,7 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
     scene = _build_scene(settings, weather)
     rig = _under(scene, clock, weather)
     if role is not Role.TRACKER:
-        rig = replace(rig, cube=_build_cube(settings, clock, scene))
+        rig = replace(rig, cube=build_simulated_cube(settings, clock, scene))
     if role is not Role.CUBE:
         built = [
             _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
@@ -131,7 +127,7 @@ def build_simulated_pair(
 ) -> SimulatedPair:
     """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
     scene = _build_scene(settings, weather)
-    cube = _build_cube(settings, clock, scene)
+    cube = build_simulated_cube(settings, clock, scene)
     (one, first), (other, second) = (
         _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
         for number, module in enumerate(modules)
@@ -253,44 +249,6 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
     return core.truth, build_pozsol(settings, clock, InMemoryStream(core, clock.monotonic))
 
 
-def _build_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube:
-    switch, meter = _build_cube_cores(settings, clock, scene)
-    return build_multiplexed_cube(
-        settings,
-        clock,
-        # The simulated switch is wired one to one, whatever is configured for a real one.
-        NiMultiplexer(InMemoryPort(switch, clock.monotonic)),
-        build_voltmeter(settings, line=InMemoryLine("voltmeter", meter, clock.monotonic)),
-    )
-
-
-def _build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
-    face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
-
-    shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
-
-    def sensor(channel: int, now_s: float) -> float | None:
-        if channel in shorted:
-            return 0.0
-        face = face_of_channel.get(channel)
-        if face is None:
-            return None
-        try:
-            return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
-        except WeatherError as error:
-            raise UserError(str(error)) from error
-
-    meter = settings.instruments.voltmeter
-    switch = MultiplexerCore(inputs=sensor, latency_s=0.0)
-    core = VoltmeterCore(
-        input_voltage=switch.output_voltage,
-        random=np.random.default_rng([settings.simulation.seed, 1]),
-        line_frequency_hz=meter.line_frequency_hz,
-        terminator=meter.terminator,
-    )
-    return switch, core
-
-
 @contextlib.contextmanager
 def _weather_may_end() -> Iterator[None]:
     """Turn the end of a weather file in the middle of a run into a sentence for the user."""
@@ -352,7 +310,7 @@ async def run_bench(
         raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
 
     scene = _build_scene(settings, weather)
-    switch, meter = _build_cube_cores(settings, clock, scene)
+    switch, meter = build_cube_cores(settings, clock, scene)
     unit = build_unit(settings, clock)
     source = _build_source(clock, scene, unit.truth, Q_PEAK_G4_1_305)
     noise, now_s = _noise_of_load(settings), clock.monotonic()

@@ -1,0 +1,80 @@
+"""The simulated cube, built as the configuration says that the real one is."""
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+
+from daemon.base import plugins
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.config.plugged import MULTIPLEXED
+from daemon.config.settings import Settings
+from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
+from drivers.interfaces import Cube
+from drivers.switches.ni_usb6008 import NiMultiplexer
+from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.scene import Scene
+from sim_drivers.transports import InMemoryLine, InMemoryPort
+from sim_drivers.voltmeter.core import VoltmeterCore
+from sim_drivers.weather import WeatherError
+
+
+def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube:
+    """Return the cube on simulated sensors, not yet connected.
+
+    A driver of another package simulates its own instrument; `UserError` for one that cannot.
+    """
+    own = settings.instruments.cube
+    if own.driver == MULTIPLEXED:
+        switch, meter = build_cube_cores(settings, clock, scene)
+        return build_multiplexed_cube(
+            settings,
+            clock,
+            # The simulated switch is wired one to one, whatever is configured for a real one.
+            NiMultiplexer(InMemoryPort(switch, clock.monotonic)),
+            build_voltmeter(settings, line=InMemoryLine("voltmeter", meter, clock.monotonic)),
+        )
+    simulate = getattr(plugins.load(plugins.CUBES, own.driver), "simulate", None)
+    if simulate is None:
+        raise UserError(
+            f'instruments.cube.driver = "{own.driver}" cannot be simulated and instruments.kind is "simulated":'
+            f' set instruments.cube.driver to "{MULTIPLEXED}"'
+        )
+    return cast("Cube", simulate(own, cube_surroundings(settings, clock), _sensors(clock, scene)))
+
+
+def build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
+    """Return simulated multiplexer and voltmeter, the sensors of the scene wired as configured."""
+    face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
+    shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
+    sensor_v = _sensors(clock, scene)
+
+    def on_input(channel: int, now_s: float) -> float | None:
+        if channel in shorted:
+            return 0.0
+        face = face_of_channel.get(channel)
+        return None if face is None else sensor_v(face, now_s)
+
+    meter = settings.instruments.voltmeter
+    switch = MultiplexerCore(inputs=on_input, latency_s=0.0)
+    core = VoltmeterCore(
+        input_voltage=switch.output_voltage,
+        random=np.random.default_rng([settings.simulation.seed, 1]),
+        line_frequency_hz=meter.line_frequency_hz,
+        terminator=meter.terminator,
+    )
+    return switch, core
+
+
+def _sensors(clock: Clock, scene: Scene) -> Callable[[int, float], float]:
+    """Return what tells the voltage [V] of a face's sensor at a monotonic time."""
+
+    def sensor_v(face: int, now_s: float) -> float:
+        try:
+            return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+        except WeatherError as error:
+            raise UserError(str(error)) from error
+
+    return sensor_v

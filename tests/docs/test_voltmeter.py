@@ -1,0 +1,146 @@
+"""The worked example of docs/develop/add-voltmeter.md, installed as a package of somebody else."""
+
+import asyncio
+import math
+import re
+import sys
+
+import numpy as np
+import pytest
+
+import heliocube
+from daemon.base.clock import LoopClock, SystemClock
+from daemon.base.errors import UserError
+from daemon.base.plugins import load
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.file import load_settings
+from daemon.rigs.probe_cube import probe_multiplexer, probe_voltmeter
+from daemon.rigs.real import build_cube, cube_surroundings
+from drivers.errors import DeadlineError, IdentityError, LinkLostError
+from drivers.transcript import no_tap
+from tests.support import DOCS
+
+PAGE = (DOCS / "develop" / "add-voltmeter.md").read_text()
+(CODE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PYPROJECT, CONFIG = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+HALF_AN_HOUR = {"start": "2022-10-14T10:00Z", "days": 0.5 / 24, "weather": "clear", "seed": 3}
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    """A configuration that takes the example, which lies in a folder on the path as an installer leaves it."""
+    site = tmp_path / "site"
+    about = site / "acme-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
+    points = PYPROJECT.replace('[project.entry-points."heliocube.cube"]', "[heliocube.cube]")
+    (about / "entry_points.txt").write_text(points.replace('"', ""))
+    (site / "scanner.py").write_text(CODE)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setitem(sys.modules, "scanner", None)
+    monkeypatch.delitem(sys.modules, "scanner")
+    config = tmp_path / "heliocube.toml"
+    config.write_text(CONFIG)
+    return config
+
+
+def test_a_simulated_rig_reads_with_it_what_the_usual_cube_reads(file):
+    start = HALF_AN_HOUR["start"]
+    rest = {name: value for name, value in HALF_AN_HOUR.items() if name != "start"}
+    own, usual = heliocube.simulate(start, config=file, **rest), heliocube.simulate(start, **rest)
+    assert own["decisions"]["mode"].iloc[-1] == "tracking"
+    numbers = [name for name in own["scans"].columns if name.endswith("_w_m2")]
+    assert len(numbers) == 4
+    np.testing.assert_allclose(own["scans"][numbers].mean(), usual["scans"][numbers].mean(), rtol=0.01)
+
+
+class Answers:
+    """A line on which the meter gives these answers; an exception is raised."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+        self.asked = []
+
+    async def open(self):
+        pass
+
+    async def close(self):
+        pass
+
+    async def interrupt(self):
+        pass
+
+    async def drain(self, quiet_s):
+        pass
+
+    async def ask(self, text, within_s):
+        self.asked.append(text)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def reading_of(file, line):
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        settings = load_settings(file)
+        around = cube_surroundings(settings, LoopClock(runner.get_loop().time, 1665576000.0))
+        cube = load("heliocube.cube", "scanner").Scanner(line, settings.instruments.cube, around)
+
+        async def work():
+            await cube.open()
+            return await cube.read()
+
+        return runner.run(work())
+
+
+def test_a_face_without_a_voltage_costs_the_others_nothing(file):
+    line = Answers("HEWLETT-PACKARD,34970A,0,1", "+3.0E-02,+9.9E+37,NAN,-1.0E-05")
+    faces = reading_of(file, line).faces
+    assert [face.flaw for face in faces] == [None, "over-range", "missing", None]
+    assert [face.value for face in faces] == pytest.approx([0.03, math.nan, math.nan, -1e-5], nan_ok=True)
+    assert line.asked == ["*IDN?", "MEAS:VOLT:DC? (@201:204)"]
+
+
+@pytest.mark.parametrize("answer", ["+1.0E-02", "+1E-02,+1E-02,+1E-02,+1E-02,+1E-02", DeadlineError("scanner", "late")])
+def test_an_answer_in_doubt_ends_the_connection(file, answer):
+    with pytest.raises(LinkLostError):
+        reading_of(file, Answers("HEWLETT-PACKARD,34970A,0,1", answer))
+
+
+def test_another_instrument_is_not_read(file):
+    with pytest.raises(IdentityError, match="no 34970A"):
+        reading_of(file, Answers("KEITHLEY,2000"))
+
+
+def test_a_rig_without_its_address_says_so(file):
+    file.write_text(CONFIG + '[instruments]\nkind = "real"\n')
+    with pytest.raises(UserError, match=r"instruments\.cube\.resource is missing"):
+        build_cube(load_settings(file), SystemClock())
+
+
+def test_rules_of_the_multiplexer_do_not_hold_for_it(file):
+    file.write_text(CONFIG + "[cube]\nscan_every_s = 0.5\n[cube.south]\nchannel = 0\n")
+    assert load_settings(file).cube.scan_every_s == 0.5
+
+
+def test_its_mistakes_are_told_as_those_of_every_key(file):
+    file.write_text(CONFIG.replace("201", "7"))
+    with pytest.raises(
+        UserError, match=r"instruments\.cube\.first_channel = 7: must be a whole number from 101 to 316"
+    ):
+        load_settings(file)
+
+
+def test_an_unknown_name_lists_the_known_ones(file):
+    file.write_text(CONFIG.replace('"scanner"', '"scaner"'))
+    with pytest.raises(UserError, match=r'instruments\.cube\.driver = "scaner".*"multiplexed".*"scanner"'):
+        load_settings(file)
+
+
+def test_it_has_no_multiplexer_and_no_voltmeter_to_look_at(file):
+    settings = load_settings(file)
+    with pytest.raises(UserError, match='only the cube "multiplexed" has a multiplexer'):
+        asyncio.run(probe_multiplexer(settings, no_tap, print, write=False))
+    with pytest.raises(UserError, match='only the cube "multiplexed" has a voltmeter'):
+        asyncio.run(probe_voltmeter(settings, lambda: 0.0, no_tap, print, write=False))
