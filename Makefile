@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 ARGS   ?=
+# More than cores: many tests wait for something real.
+WORKERS ?= 3
 
 .PHONY: run test lint format clean help
 
@@ -28,7 +30,7 @@ run: $(BIN)/.runtime
 	@$(BIN)/heliocube run $(ARGS)
 
 test: $(BIN)/.dev
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
 lint: $(BIN)/.dev
 	$(BIN)/ruff check .

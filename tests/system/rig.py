@@ -139,10 +139,13 @@ listen = "127.0.0.1:0"
 send_to = [{send_to}]
 insecure = true
 [simulation]
-motor_speed_mm_s = 25.0
+motor_speed_mm_s = 12.8
 sensor_noise_mv = 0.005
 """
-"""The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors eight times as fast."""
+"""The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors four times as fast.
+
+Faster ones would come near to what counts as a jump when a busy machine shows the unit's screens half a second late.
+"""
 
 
 def brisk(folder, send_to=""):
