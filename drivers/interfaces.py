@@ -5,8 +5,8 @@ after ``close``; it always identifies and configures the instrument anew. Times 
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 AxisName = Literal["a", "b"]
@@ -113,12 +113,12 @@ class PositionerIdentity:
     Attributes
     ----------
     board, firmware, serial
-        As the unit prints them.
+        As the positioner tells them; empty where it does not.
     simulated
-        True for a simulated unit that is known to be one.
+        True for a simulated positioner that is known to be one.
     setup_conflicts
-        Where the unit's own geometry, offsets or ranges contradict the configuration, a sentence each; nothing may be
-        moved before they agree.
+        Where the positioner's own geometry, offsets or ranges contradict the configuration, a sentence each; nothing
+        may be moved before they agree.
     """
 
     board: str
@@ -130,43 +130,44 @@ class PositionerIdentity:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """One look at the positioner.
+    """One look at the positioner, in words that hold for any make.
 
     Attributes
     ----------
     time_monotonic_s
-        When the oldest fast value of this look was received.
+        When the oldest of angles, positions and destinations was received.
     a_deg, b_deg
         Measured angles: A -50 East .. +50 West, B 90 flat .. 15.
     position_a, position_b, destination_a, destination_b
-        In the unit's own position units (impulse, mm or degree).
-    supply_v
-        Motor supply.
+        Where the axes stand and where the drive sends them, both in what the drive counts in: the `position_unit` of
+        its settings. Standstill is judged by them, since they are finer than the angles.
     faults
-        Names of latched faults, such as ``a_overcurrent``; empty when there are none.
+        Latched faults in words, as people are shown them, such as ``a_overcurrent``; empty when there are none.
     was_reset
-        The unit reports that it restarted since its status was last cleared: its reference is in doubt.
+        The positioner reports that it restarted since its faults were last cleared: its reference is in doubt.
     button_pressed
-        A button on the box is being pressed: somebody stands at the unit.
+        The positioner is operated by hand: somebody stands beside it.
     homing
         A reference run is on; the driver says so until it has judged how the run ended.
+    aims_home
+        An axis has a destination that only a reference run gives it; where a make shows that before `homing`.
     reference_doubt
-        Why the driver does not trust the count: the unit restarted, the count jumped, or a reference run did not end
-        on its switch. Stays until reference runs of both axes have succeeded, or until `clear_faults`.
+        Why the driver does not trust the count, such as a restart, a jump of the count, or a reference run that did not
+        end where it should. Stays until reference runs of both axes have succeeded, or until `clear_faults`.
     autonomous
-        The unit's own sun tracking, wind or snow mode may move the axes.
-    mode_text
-        The unit's own words for its mode.
+        A mode of the positioner's own, such as sun tracking, may move the axes.
     own_moves
-        Settings of the unit that may move the axes at some time, in words; empty as long as none is known to be on.
+        Settings of the positioner that may move the axes at some time, in words; empty as long as none is known to be
+        on.
     status_monotonic_s
-        When the slow status word (faults, marks, homing, button, switches) was received.
+        When faults, `was_reset`, `button_pressed`, `homing` and `autonomous` were received.
+    supply_v
+        Motor supply; NaN where the positioner does not tell.
     a_motor_current_a, b_motor_current_a
-        Motor currents; NaN where the unit does not tell.
-    a_remain, b_remain
-        Position units left over when the axis met its end switch at the last reference run; NaN where not told.
-    end_switches
-        Closed end switches by name, such as ``a_low``.
+        Motor currents; NaN where the positioner does not tell.
+    details
+        What else the make tells of itself, for people alone: shown as it is, by name, and never decided by. A name is
+        lower-case words joined by underscores, with the unit at its end.
     """
 
     time_monotonic_s: float
@@ -176,21 +177,19 @@ class Telemetry:
     position_b: float
     destination_a: float
     destination_b: float
-    supply_v: float
     faults: tuple[str, ...] = ()
     was_reset: bool = False
     button_pressed: bool = False
     homing: bool = False
+    aims_home: bool = False
     autonomous: bool = False
-    mode_text: str = ""
     own_moves: tuple[str, ...] = ()
     reference_doubt: str = ""
     status_monotonic_s: float = 0.0
+    supply_v: float = math.nan
     a_motor_current_a: float = math.nan
     b_motor_current_a: float = math.nan
-    a_remain: float = math.nan
-    b_remain: float = math.nan
-    end_switches: tuple[str, ...] = ()
+    details: Mapping[str, str | float] = field(default_factory=dict, hash=False)
 
 
 class Positioner(Protocol):
@@ -203,16 +202,16 @@ class Positioner(Protocol):
         """Release the instrument. Never raises, and does not stop a move."""
 
     async def read_telemetry(self) -> Telemetry:
-        """Return the present state; `LinkLostError` when the unit has gone silent."""
+        """Return the present state; `LinkLostError` when the positioner has gone silent."""
 
     async def disable_autonomy(self) -> None:
-        """Switch the unit's own sun tracking off; `RefusedError` if it stays on."""
+        """Switch off what may move the axes of the positioner's own accord; `RefusedError` if it stays on."""
 
     async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
-        """Start a move, axis `first` before the other, and return once the unit has taken the target.
+        """Start a move, axis `first` before the other, and return once the positioner has taken the target.
 
-        Raises `ValueError` for a target outside the driver's own limits (NaN included) and `RefusedError` if the unit
-        does not take it; one of the axes may be on its way then, so `halt` has to follow.
+        Raises `ValueError` for a target outside the driver's own limits (NaN included) and `RefusedError` if it
+        is not taken; one of the axes may be on its way then, so `halt` has to follow.
         """
 
     async def stop(self) -> None:
@@ -222,10 +221,10 @@ class Positioner(Protocol):
         """Send stop again and again until telemetry shows both axes standing; `StillMovingError` if they do not."""
 
     async def home(self, axis: AxisName) -> None:
-        """Halt both axes, start a reference run of one to its low end switch, and return once it has begun."""
+        """Halt both axes, start a reference run of one, and return once it has begun."""
 
     async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
-        """Clear latched faults and the reset mark; return the last look before that, its status no older than the call.
+        """Clear latched faults and `was_reset`; return the last look before that, its status no older than the call.
 
         What shows in that look is what was cleared; whatever came later was not seen by anybody. Without `forgive` the
         doubts about the reference stay, as before a reference run: nobody has said that the count is right.

@@ -143,7 +143,8 @@ def _positioner(found: _Families, seen: PositionerState, name: str) -> None:
     if seen.pose is None or telemetry is None:
         return
     found.by_axis("angle_degrees", "Where the tracker stands.", seen.pose.a_deg, seen.pose.b_deg, tracker=name)
-    found.gauge("supply_volts", "Motor supply of the positioner.", telemetry.supply_v, tracker=name)
+    if math.isfinite(telemetry.supply_v):
+        found.gauge("supply_volts", "Motor supply of the positioner.", telemetry.supply_v, tracker=name)
     currents_a = (telemetry.a_motor_current_a, telemetry.b_motor_current_a)
     found.by_axis("motor_amperes", "Current of a motor.", *currents_a, tracker=name)
 

@@ -155,6 +155,9 @@ def _mode(own: dict[str, Any]) -> tuple[str, Text]:
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     yield from _wishes(own, time)
     yield "tracker", _tracker(own["tracker"])
+    # A service of an earlier version tells none.
+    if details := own["tracker"].get("details"):
+        yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
     if own["load"] is not None:
         yield "module", _module(own["load"])
@@ -184,6 +187,15 @@ def _tracker(tracker: dict[str, Any]) -> Text:
             text.append(f"  {why}", style=_BAD)
             break
     return text
+
+
+def _detail(name: str, value: str | float | None) -> str:
+    return f"{name.replace('_', ' ')} {value if isinstance(value, str) else _number(value, 'g')}"
+
+
+def _printable(text: str) -> str:
+    """Return a device's own words without what would steer the terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def _where(tracker: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record
 from daemon.motion.alarms import Currents, show
 from daemon.motion.reference import Doubts
-from daemon.motion.watch import Stray, Watch, aims_home
+from daemon.motion.watch import Stray, Watch
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Telemetry
 from drivers.settings import PositionerSettings
@@ -25,11 +25,11 @@ log = logging.getLogger("heliocube.motion")
 T = TypeVar("T")
 
 LOOK_MOVING_S = 0.5
-# Pauses between the tries to stop a unit that does not listen; they never end while it moves.
+# Pauses between the tries to stop a positioner that does not listen; they never end while it moves.
 _DEAF_AFTER_S = 5.0
 _DEAF_LOOKS = 2
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
-# A turn of the slow screens, in which the unit tells of buttons and restarts, and a little.
+# Within this time a positioner has told of buttons and restarts, however slow its status is.
 _STATUS_WITHIN_S = 4.0
 _STATUS_LATE_S = 1.0
 _POSE_EVERY_S = 5.0
@@ -241,7 +241,7 @@ class Guard:
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
         own_run = told and not self.watch.on_its_way
-        if not self.homing and (own_run or (stray is not None and (told or aims_home(telemetry)))):
+        if not self.homing and (own_run or (stray is not None and (told or telemetry.aims_home))):
             text = "the positioner made a reference run of its own"
             self.doubts.doubt("own run", f"{text}, its count may have changed: home it")
             stray = stray or Stray(text, telemetry.time_monotonic_s)
@@ -275,7 +275,7 @@ class Guard:
             await asyncio.sleep(LOOK_MOVING_S)
 
     def _note_own_moves(self, telemetry: Telemetry) -> None:
-        # Slow screens: it is known only some seconds after the connection.
+        # It may be known only some seconds after the connection.
         if telemetry.own_moves and telemetry.own_moves != self._own_moves:
             self._own_moves = telemetry.own_moves
             text = f"the positioner may move by itself: {', '.join(telemetry.own_moves)}"

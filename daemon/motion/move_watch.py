@@ -1,5 +1,6 @@
 """Judging a move in progress from telemetry alone: the positioner neither acknowledges nor complains."""
 
+import math
 from enum import StrEnum
 
 from daemon.base.records import Pose, Target
@@ -14,7 +15,7 @@ _STALLED_AFTER_S = 6.0
 _SPARE_S = 20.0
 # Telemetry comes several times a second: two looks closer than this may be of the same.
 _STANDS_AFTER_S = 0.3
-# An axis that is near enough may yet be taken up by the unit after the other one, to go all the way.
+# An axis that is near enough may yet be taken up by the positioner after the other one, to go all the way.
 _TAKES_UP_S = 3.0
 _AIMS_ELSEWHERE = 1.0
 
@@ -84,7 +85,8 @@ class MoveWatch:
             return (Progress.ARRIVED if stands else Progress.GOING), ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
         if now_s - self._moved_s > _STALLED_AFTER_S:
-            return Progress.STALLED, f"no movement for {now_s - self._moved_s:.0f} s at {where}; {_hint(telemetry)}"
+            text = f"no movement for {now_s - self._moved_s:.0f} s at {where}"
+            return Progress.STALLED, "; ".join((text, *_hints(telemetry)))
         if now_s - self._start_s > self._budget_s:
             return Progress.TIMED_OUT, f"not there after {now_s - self._start_s:.0f} s, at {where}"
         return Progress.GOING, ""
@@ -119,6 +121,8 @@ def _aims_elsewhere(telemetry: Telemetry) -> bool:
     )
 
 
-def _hint(telemetry: Telemetry) -> str:
-    text = f"supply {telemetry.supply_v:.1f} V"
-    return f"{text}, mode '{telemetry.mode_text}'" if telemetry.mode_text else text
+def _hints(telemetry: Telemetry) -> tuple[str, ...]:
+    """Return what else the positioner tells, for the person who looks for the cause."""
+    supply = (f"supply {telemetry.supply_v:.1f} V",) if math.isfinite(telemetry.supply_v) else ()
+    told = ", ".join((*supply, *(f"{name} {value}" for name, value in telemetry.details.items())))
+    return (told,) if told else ()

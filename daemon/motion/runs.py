@@ -25,7 +25,7 @@ log = logging.getLogger("heliocube.motion")
 T = TypeVar("T")
 
 _BETWEEN_ATTEMPTS_S = 1.0
-# The unit itself gives up after 10 min.
+# A positioner gives up a run by itself before that, and says why.
 _HOMING_WITHIN_S = 900.0
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 
@@ -194,7 +194,7 @@ class Runs:
             await wait_at_most(self._wake, self._poll_every_s)
 
     async def free(self) -> None:
-        """Switch the unit's own tracking off; that alone does not stop a motor."""
+        """Switch off what moves the axes of the positioner's own accord; that alone does not stop a motor."""
         try:
             await self._guard.attended(self._positioner.disable_autonomy())
         except RefusedError as error:
@@ -202,7 +202,7 @@ class Runs:
         await self._guard.halt()
 
     async def clear(self, shown: tuple[str, ...]) -> None:
-        """Clear the unit's marks, and forgive what a person was shown of them and of the doubts."""
+        """Clear the positioner's marks, and forgive what a person was shown of them and of the doubts."""
         guard = self._guard
         guard.clearing = True
         try:
@@ -293,7 +293,7 @@ class Runs:
             if not telemetry.homing:
                 break
             if self._clock.monotonic() > deadline_s:
-                raise _HomingFailedError(f"axis {axis.upper()} has not come to its end switch")
+                raise _HomingFailedError(f"axis {axis.upper()} has not ended its reference run in time")
             await wait_at_most(self._wake, self._poll_every_s)
         # A doubt about both axes stays until the other one has been homed as well.
         known = before.reference_doubt.split("; ")

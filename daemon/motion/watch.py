@@ -5,19 +5,17 @@ from dataclasses import dataclass
 
 from drivers.interfaces import AxisName, Telemetry
 
-# In the unit's own position units. Two Hall counts and a shake by the wind are no motion; what adds up to more than
+# In what the drive counts in. Two counts and a shake by the wind are no motion; what adds up to more than
 # the second number from where an axis came to rest is, however slowly.
 _JITTER = {"mm": 0.15, "deg": 0.035, "impulse": 2.0}
 _STRAY = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
 # A second look as late as this makes a standstill.
 _SHOWN_AFTER_S = 0.25
-# The unit may take up the second axis so long after the first stands near enough to count as arrived.
+# The positioner may take up the second axis so long after the first stands near enough to count as arrived.
 _SETTLES_S = 10.0
 # No drive of this kind turns so fast [deg/s]: the count has changed, and not the tracker.
 _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
-# While homing the unit aims so many of its position units inwards of where it is.
-_HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 
 
@@ -51,7 +49,7 @@ class Watch:
     Parameters
     ----------
     position_unit
-        What the unit counts in: ``mm``, ``deg`` or ``impulse``.
+        What the drive counts in: ``mm``, ``deg`` or ``impulse``.
     """
 
     def __init__(self, position_unit: str) -> None:
@@ -175,12 +173,6 @@ class Watch:
             if axis not in self._homing and not (low <= here <= high):
                 return _moved(axis.upper(), rest, telemetry)
         return None
-
-
-def aims_home(telemetry: Telemetry) -> bool:
-    """Whether an axis has the destination that a reference run gives it, which shows before the bit does."""
-    ways = (telemetry.position_a - telemetry.destination_a, telemetry.position_b - telemetry.destination_b)
-    return any(abs(way - _HOMES_AHEAD) <= _HOMES_WITHIN for way in ways)
 
 
 def _positions(telemetry: Telemetry) -> tuple[float, float]:

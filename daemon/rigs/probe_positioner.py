@@ -123,13 +123,13 @@ def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:
 def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> None:
     say(
         f"A {telemetry.a_deg:.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:.1f} deg at"
-        f" {telemetry.position_b:g}; supply {telemetry.supply_v:g} V; mode '{telemetry.mode_text}'"
+        f" {telemetry.position_b:g}; supply {telemetry.supply_v:g} V; mode '{telemetry.details['mode']}'"
     )
     states = {
         f"faults: {', '.join(telemetry.faults)}": bool(telemetry.faults),
         "it has restarted since its status was cleared: the reference is in doubt": telemetry.was_reset,
         "a button on the box is being pressed": telemetry.button_pressed,
-        f"end switches closed: {', '.join(telemetry.end_switches)}": bool(telemetry.end_switches),
+        f"end switches closed: {telemetry.details.get('end_switches')}": "end_switches" in telemetry.details,
         "its own tracking, wind or snow mode is ON: it may move by itself": telemetry.autonomous,
     }
     for text, present in states.items():

@@ -231,6 +231,7 @@ def _positioner(seen: PositionerState, tracker: str) -> dict[str, Any]:
             "b": None if telemetry is None else number(telemetry.b_motor_current_a),
         },
         "supply_v": None if telemetry is None else number(telemetry.supply_v),
+        "details": {} if telemetry is None else {name: number(value) for name, value in telemetry.details.items()},
         "last_move": None if last is None else record_json(replace(last, tracker=tracker)),
     }
 

@@ -68,6 +68,16 @@ def test_its_own_limits_hold(file, target):
     in_virtual_time(file, act)
 
 
+def test_what_it_tells_of_itself_is_told_by_its_name(file):
+    async def act(positioner, truth):
+        await positioner.open()
+        await positioner.home("a")
+        seen = await positioner.read_telemetry()
+        assert (seen.homing, dict(seen.details)) == (True, {"state": "homing"})
+
+    in_virtual_time(file, act)
+
+
 def test_a_halt_ends_a_move_where_it_is(file):
     async def act(positioner, truth):
         await positioner.open()

@@ -27,7 +27,7 @@ def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
             await positioner.home(axis)
             seen = await over(positioner)
             assert seen.reference_doubt == ""
-            assert f"{axis}_low" in seen.end_switches
+            assert f"{axis}_low" in seen.details["end_switches"]
             assert firmware.positions_mm()[index] == pytest.approx(-0.37, abs=0.3)
         await positioner.close()
 

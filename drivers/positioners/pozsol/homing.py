@@ -41,8 +41,8 @@ class HomingRun:
     ----------
     axis, setup
         Which one.
-    before
-        The look just before the command.
+    start
+        Position just before the command.
     sent_s
         Time from which telemetry may show the command's effect.
     trusted
@@ -60,7 +60,7 @@ class HomingRun:
 
     axis: AxisName
     setup: AxisSetup
-    before: AxisObservation
+    start: float
     sent_s: float
     trusted: bool
     begun: bool = False
@@ -87,7 +87,7 @@ class HomingRun:
             self._judge(seen)
 
     def _moved(self, seen: AxisObservation) -> bool:
-        return abs(seen.position - self.before.position) > _MOVED and not self._at_zero(seen)
+        return abs(seen.position - self.start) > _MOVED and not self._at_zero(seen)
 
     def _begins(self, seen: AxisObservation, fresh: bool) -> bool:
         inwards = seen.destination < seen.position - _AIMS_INWARDS
@@ -114,9 +114,9 @@ class HomingRun:
 
     def _mismatch(self, seen: AxisObservation) -> str:
         slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
-        if not self.travelled and abs(self.before.position) > slip:
+        if not self.travelled and abs(self.start) > slip:
             return (
-                f"axis {name} did not move on its reference run although it stood at {self.before.position:g}:"
+                f"axis {name} did not move on its reference run although it stood at {self.start:g}:"
                 " its low end switch may be stuck"
             )
         if f"{self.axis}_high" in seen.status.end_switches:

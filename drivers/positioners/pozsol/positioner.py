@@ -377,6 +377,6 @@ def _likely_cause(seen: Telemetry) -> str:
     if seen.supply_v < _LOWEST_SUPPLY_V:
         return f"its motor supply is {seen.supply_v:g} V"
     if seen.autonomous:
-        return f"its own mode is on ({seen.mode_text})"
+        return f"its own mode is on ({seen.details['mode']})"
     shown = f"destinations {seen.destination_a:g} and {seen.destination_b:g}"
     return f"it shows {shown} and no reason; is the geometry in instruments.positioner that of this unit?"

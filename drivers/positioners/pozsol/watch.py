@@ -12,7 +12,8 @@ from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.reference import Reference
-from drivers.positioners.pozsol.wire import OWN_MOVES, Field, StatusWord, own_moves, parse_status
+from drivers.positioners.pozsol.stream import Value
+from drivers.positioners.pozsol.wire import OWN_MOVES, Field, own_moves, parse_status
 
 _DEVICE = "positioner"
 AXES: tuple[AxisName, AxisName] = ("a", "b")
@@ -21,6 +22,8 @@ SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
 _SLOW_STALE_S = 8.0
 _JUMP_SHOWS_S = 1.0
+# On a reference run the unit aims so many of its position units inwards of where it is.
+_HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
 
 
 class PositionerWatch:
@@ -93,24 +96,8 @@ class PositionerWatch:
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
-        seen = AxisObservation(
-            position=before.position_a,
-            destination=before.destination_a,
-            remain=before.a_remain,
-            time_s=0.0,
-            status=_NO_STATUS,
-            status_s=0.0,
-        )
-        if axis == "b":
-            seen = AxisObservation(
-                position=before.position_b,
-                destination=before.destination_b,
-                remain=before.b_remain,
-                time_s=0.0,
-                status=_NO_STATUS,
-                status_s=0.0,
-            )
-        self.run = HomingRun(axis, self._setups[axis], seen, sent_s, trusted=not self.reference.doubts(axis))
+        start = before.position_a if axis == "a" else before.position_b
+        self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=not self.reference.doubts(axis))
         self._last = None
         return self.run
 
@@ -166,23 +153,21 @@ class PositionerWatch:
             position_b=b_at,
             destination_a=a_to,
             destination_b=b_to,
-            supply_v=known[Field.SUPPLY].number,
             faults=status.faults,
             was_reset=status.was_reset,
             button_pressed=status.button_pressed,
             homing=homing,
+            aims_home=any(abs(way - _HOMES_AHEAD) <= _HOMES_WITHIN for way in (a_at - a_to, b_at - b_to)),
             autonomous=status.autonomous,
-            mode_text=known[Field.MODE].text.decode("latin-1").strip(),
             own_moves=own_moves(
                 {code: known[code].text.decode("latin-1").strip() for code in known.keys() & OWN_MOVES}
             ),
             reference_doubt=self.reference.text,
             status_monotonic_s=status_s,
+            supply_v=known[Field.SUPPLY].number,
             a_motor_current_a=a_amps,
             b_motor_current_a=b_amps,
-            a_remain=a_left,
-            b_remain=b_left,
-            end_switches=status.end_switches,
+            details=_details(known[Field.MODE], status.end_switches, a_left, b_left),
         )
 
     def _require_fresh(self, fast_s: float, slow_s: float) -> None:
@@ -224,6 +209,17 @@ class PositionerWatch:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
 
 
+def _details(mode: Value, end_switches: tuple[str, ...], a_left: float, b_left: float) -> dict[str, str | float]:
+    """Return what people are shown: the mode, closed end switches, and the counts at which they were met last."""
+    found: dict[str, str | float] = {"mode": mode.text.decode("latin-1").strip()}
+    if end_switches:
+        found["end_switches"] = ", ".join(end_switches)
+    for axis, left in (("a", a_left), ("b", b_left)):
+        if not math.isnan(left):
+            found[f"{axis}_count_at_switch"] = left
+    return found
+
+
 class _Standing:
     """A unit at rest says the same every time."""
 
@@ -242,6 +238,3 @@ class _Standing:
             self._fields = {field.name: getattr(self._telemetry, field.name) for field in fields(Telemetry)}
         self._fields["time_monotonic_s"] = self._fields["status_monotonic_s"] = time_s
         return Telemetry(**self._fields)
-
-
-_NO_STATUS: StatusWord = parse_status("0")

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -386,6 +387,32 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
         assert "heliocube_angle_degrees{" not in metrics
         assert "heliocube_motor_amperes{" not in metrics
         assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": None, "b": None}
+
+    serve(scenario)
+
+
+def test_what_a_make_tells_beyond_the_interface_is_shown_as_it_is_and_a_supply_it_does_not_tell_is_left_out(serve):
+    async def scenario(rig, call):
+        read = rig.positioner.read_telemetry
+        await tracking(rig)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["details"], tracker["supply_v"]) == ({"mode": "tracker ok"} | tracker["details"], 24.0)
+        assert "heliocube_supply_volts{" in (await call.get("/metrics")).body.decode()
+
+        async def of_another_make():
+            return replace(
+                await read(), supply_v=math.nan, details={"oil_degc": 41.5, "brake": "off", "tilt": math.inf}
+            )
+
+        rig.positioner.read_telemetry = of_another_make
+        await asyncio.sleep(20)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert tracker["details"] == {"oil_degc": 41.5, "brake": "off", "tilt": None}
+        assert tracker["supply_v"] is None
+        assert "heliocube_supply_volts{" not in (await call.get("/metrics")).body.decode()
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 15, "the loss")
+        assert (await call.get("/api/state")).json["tracker"]["details"] == {}
 
     serve(scenario)
 

@@ -2,6 +2,8 @@
 
 import asyncio
 import io
+import math
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -65,6 +67,22 @@ def test_alarms_are_in_plain_sight_on_every_display(run_rig):
         await asyncio.gather(*viewing, return_exceptions=True)
         assert "stow is wanted (wind 20.0 m/s" in out.getvalue()
         assert "ALARM stow-wanted" in plain.getvalue().splitlines()[-1]
+
+    run_rig(scenario)
+
+
+def test_what_a_make_tells_is_shown_and_cannot_steer_the_terminal(run_rig):
+    async def scenario(rig):
+        read = rig.positioner.read_telemetry
+
+        async def of_another_make():
+            return replace(await read(), details={"oil_degc": 41.5, "brake_state": "\x1b[2Joff", "tilt_deg": math.nan})
+
+        rig.positioner.read_telemetry = of_another_make
+        await rig.until_mode(Mode.TRACKING, 120)
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(state_json(rig.see())))
+        assert "oil degc 41.5, brake state ?[2Joff, tilt deg -" in console.file.getvalue()
 
     run_rig(scenario)
 

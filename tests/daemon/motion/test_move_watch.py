@@ -10,7 +10,7 @@ from drivers.settings import PositionerSettings
 from solar.frames import Limits
 
 
-def look(a, b, faults=(), pending=0.0):
+def look(a, b, faults=(), pending=0.0, **more):
     return Telemetry(
         time_monotonic_s=0.0,
         a_deg=a,
@@ -19,8 +19,8 @@ def look(a, b, faults=(), pending=0.0):
         position_b=b * 3.7,
         destination_a=a * 3.7 + 200 + pending,
         destination_b=b * 3.7,
-        supply_v=24.0,
         faults=faults,
+        **more,
     )
 
 
@@ -53,10 +53,14 @@ def test_standing_still_short_of_the_target_is_a_stall():
     move = follow()
     move.judge(look(5, 90), 1)
     assert move.judge(look(5, 90), 6)[0] is Progress.GOING
-    verdict, why = move.judge(look(5, 90), 8)
-    assert verdict is Progress.STALLED
-    assert "no movement" in why
-    assert "24.0 V" in why
+    assert move.judge(look(5, 90), 8) == (Progress.STALLED, "no movement for 7 s at A 5.0, B 90.0 deg")
+
+
+def test_a_stall_is_told_with_what_the_positioner_says_of_itself():
+    move = follow()
+    move.judge(look(5, 90), 1)
+    why = move.judge(look(5, 90, supply_v=23.96, details={"mode": "tracker ok"}), 8)[1]
+    assert why == "no movement for 7 s at A 5.0, B 90.0 deg; supply 24.0 V, mode tracker ok"
 
 
 def test_going_past_the_target_is_seen():

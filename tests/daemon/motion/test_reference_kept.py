@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -313,6 +314,22 @@ def test_a_reference_run_of_the_units_own_is_a_doubt(run_rig):
         await asyncio.sleep(10)
         assert "a reference run of its own" in rig.motion.doubt
         assert rig.motion.unexplained
+
+    run_rig(scenario)
+
+
+def test_a_destination_of_a_reference_run_is_enough_for_the_doubt(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        read = rig.positioner.read_telemetry
+
+        async def without_the_run_itself():
+            return replace(await read(), homing=False)
+
+        rig.positioner.read_telemetry = without_the_run_itself
+        rig.unit.inject("re_reference", now(rig))
+        await asyncio.sleep(10)
+        assert "a reference run of its own" in rig.motion.doubt
 
     run_rig(scenario)
 

@@ -5,7 +5,7 @@ from drivers.interfaces import Telemetry
 
 
 def look(time_s, b, to_b):
-    return Telemetry(time_s, 0.0, b / 3, 50.0, b, 50.0, to_b, 24.0)
+    return Telemetry(time_s, 0.0, b / 3, 50.0, b, 50.0, to_b)
 
 
 def test_what_an_axis_makes_up_after_its_arrival_is_no_part_of_the_next_way():

@@ -68,7 +68,7 @@ class Turntable:
 
     async def read_telemetry(self):
         a, b = self.angles
-        return Telemetry(self._now(), a, b, a, b, a, b, 24.0, status_monotonic_s=self._now())
+        return Telemetry(self._now(), a, b, a, b, a, b, status_monotonic_s=self._now())
 
     async def disable_autonomy(self):
         pass

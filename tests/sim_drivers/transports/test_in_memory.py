@@ -471,7 +471,27 @@ def test_a_move_returns_once_the_unit_has_taken_both_targets():
         seen = await tracker.positioner.read_telemetry()
         assert (seen.a_deg, seen.b_deg) == pytest.approx((-30.0, 45.0), abs=0.5)
         assert seen.time_monotonic_s == now()
-        assert (seen.faults, seen.supply_v, seen.mode_text) == ((), 24.0, "tracker ok")
+        assert (seen.faults, seen.supply_v, seen.details["mode"]) == ((), 24.0, "tracker ok")
+
+    virtually(scene)
+
+
+def test_the_destination_of_a_reference_run_is_told_from_that_of_a_move_and_its_switch_is_named():
+    async def scene(now):
+        tracker = Tracker(now)
+        await tracker.positioner.open()
+        assert not (await tracker.positioner.read_telemetry()).aims_home
+        await tracker.positioner.move_to(-30.0, 45.0)
+        assert not (await tracker.positioner.read_telemetry()).aims_home
+        await tracker.rest()
+        await tracker.positioner.home("a")
+        assert (await tracker.positioner.read_telemetry()).aims_home
+        # The driver judges a run by its looks.
+        for _ in range(240):
+            await asyncio.sleep(0.5)
+            seen = await tracker.positioner.read_telemetry()
+        assert (seen.homing, seen.aims_home, seen.details["end_switches"]) == (False, False, "a_low")
+        assert abs(seen.details["a_count_at_switch"]) < 1.0
 
     virtually(scene)
 

@@ -33,7 +33,7 @@ def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
 
 
 def run(*looks, before=100.0, trusted=True):
-    homing = HomingRun("a", A, AxisObservation(before, before, 0.0, 0.0, QUIET, 0.0), 1.0, trusted)
+    homing = HomingRun("a", A, before, 1.0, trusted)
     for time_s, position, destination, remain, status in looks:
         homing.update(AxisObservation(position, destination, remain, time_s, status, time_s))
     return homing
