@@ -25,6 +25,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema
 
+from drivers.interfaces import Multiplexer, Voltmeter
 from drivers.transcript import Tap, no_tap
 
 # Linux numbers these anew at every plug: after a replug the name may belong to another instrument.
@@ -157,6 +158,36 @@ class CubeDriverSettings(DriverSettings):
 
 
 @dataclass(frozen=True, slots=True)
+class CubeWiring:
+    """How the sensors are wired to the multiplexer.
+
+    Attributes
+    ----------
+    channels
+        Inputs of east, south, west and zenith.
+    settle_s
+        Time between switching the multiplexer and the start of a conversion.
+    self_test_channels
+        Short-circuited inputs, read before the faces; none of them: nothing is tested.
+    self_test_limit_mv
+        Largest voltage of such an input that proves switch and meter.
+    """
+
+    channels: tuple[int, int, int, int]
+    settle_s: float
+    self_test_channels: tuple[int, ...] = ()
+    self_test_limit_mv: float = 0.5
+
+
+class SwitchedMeter(NamedTuple):
+    """One voltmeter for several sensors, and what leads to each of them."""
+
+    multiplexer: Multiplexer
+    voltmeter: Voltmeter
+    wiring: CubeWiring
+
+
+@dataclass(frozen=True, slots=True)
 class CubeSurroundings:
     """What a cube's driver is handed besides its settings.
 
@@ -166,6 +197,9 @@ class CubeSurroundings:
         Return the service's time.
     deadline_s
         Longest wait for one reading.
+    switched_meter
+        Builds multiplexer and voltmeter of the sections of these names, with the inputs of `[cube]`; raises where these
+        do not say how to reach them.
     tap
         To be told what goes over the line.
     """
@@ -173,6 +207,7 @@ class CubeSurroundings:
     utc_s: Callable[[], float]
     monotonic_s: Callable[[], float]
     deadline_s: float
+    switched_meter: Callable[[], SwitchedMeter]
     tap: Tap = no_tap
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, cast
 from pydantic import BaseModel, ValidationError, create_model
 
 from daemon.base import plugins
-from drivers.settings import CubeDriverSettings, LoadSettings
+from drivers.settings import LoadSettings
 
 DEFAULT_LAW = "mu-prime"
 FALLBACK_LAW = "chronometric"
@@ -157,10 +157,6 @@ class NoLoadSettings(LoadSettings):
     """none: the module is in open circuit."""
 
 
-class MultiplexedSettings(CubeDriverSettings):
-    """multiplexed: one voltmeter behind a multiplexer, each with its own section."""
-
-
 class SimulatedLoadSettings(LoadSettings):
     """simulated: goes with simulated instruments."""
 
@@ -199,7 +195,7 @@ CUBE = Plugged(
     default=MULTIPLEXED,
     title="What reads the cube's four faces.",
     about="Which driver that is; gains, plausibility and rhythm are those of [cube] for all of them.",
-    built_in={MULTIPLEXED: MultiplexedSettings},
+    built_in={},
 )
 
 SECTIONS = {each.path: each for each in (LAW, CUBE, POSITIONER, LOAD)}

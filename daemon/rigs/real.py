@@ -1,5 +1,6 @@
 """The drivers, built from the settings: on the ports that these name, or on a line that is given."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import cast
 
@@ -9,7 +10,6 @@ from daemon.base.errors import UserError
 from daemon.config.plugged import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
-from drivers.cube.multiplexed import CubeWiring, MultiplexedCube
 from drivers.interfaces import Cube, ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
@@ -19,7 +19,7 @@ from drivers.positioners.pozsol.driver import PozsolSettings
 from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.scpi import ScpiLine
-from drivers.settings import CubeSurroundings, PositionerSurroundings, SettingsError
+from drivers.settings import CubeSurroundings, CubeWiring, PositionerSurroundings, SettingsError, SwitchedMeter
 from drivers.switches.digital_port import DigitalPort
 from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
@@ -68,35 +68,48 @@ def build_voltmeter(settings: Settings, tap: Tap = no_tap, line: ScpiLine | None
     )
 
 
-def build_multiplexed_cube(
-    settings: Settings, clock: Clock, multiplexer: Multiplexer, voltmeter: Voltmeter
-) -> MultiplexedCube:
-    """Return the cube of a multiplexer and a voltmeter, wired as configured, not yet connected."""
-    cube = settings.cube
-    tests = [getattr(cube, name) for name in SELF_TESTS]
-    wiring = CubeWiring(
-        channels=(cube.east.channel, cube.south.channel, cube.west.channel, cube.zenith.channel),
-        settle_s=settings.instruments.multiplexer.settle_s,
-        self_test_channels=tuple(channel for channel in tests if channel is not None),
-        self_test_limit_mv=cube.self_test_limit_mv,
-    )
-    return MultiplexedCube(multiplexer, voltmeter, wiring, clock.utc, clock.monotonic)
+def build_multiplexed_cube(settings: Settings, clock: Clock, multiplexer: Multiplexer, voltmeter: Voltmeter) -> Cube:
+    """Return the cube of a multiplexer and a voltmeter that are given, wired as configured, not yet connected."""
+    driver = plugins.load(plugins.CUBES, MULTIPLEXED)
+    own = driver.SETTINGS(driver=MULTIPLEXED)
+    around = cube_surroundings(settings, clock, lambda: SwitchedMeter(multiplexer, voltmeter, _wiring(settings)))
+    return cast("Cube", driver.build(own, around))
 
 
 def build_cube(settings: Settings, clock: Clock) -> Cube:
     """Return the cube, not yet connected; `UserError` if the settings do not say how to reach it."""
     own = settings.instruments.cube
-    if own.driver == MULTIPLEXED:
-        return build_multiplexed_cube(settings, clock, build_multiplexer(settings), build_voltmeter(settings))
     try:
         return cast("Cube", plugins.load(plugins.CUBES, own.driver).build(own, cube_surroundings(settings, clock)))
     except SettingsError as error:
         raise UserError(str(error)) from None
 
 
-def cube_surroundings(settings: Settings, clock: Clock) -> CubeSurroundings:
-    """Return what a cube's driver is handed besides its settings."""
-    return CubeSurroundings(clock.utc, clock.monotonic, settings.cube.reading_deadline_s)
+def cube_surroundings(
+    settings: Settings, clock: Clock, switched_meter: Callable[[], SwitchedMeter] | None = None
+) -> CubeSurroundings:
+    """Return what a cube's driver is handed besides its settings; the meter is the configured one unless given."""
+
+    def configured() -> SwitchedMeter:
+        return SwitchedMeter(build_multiplexer(settings), build_voltmeter(settings), _wiring(settings))
+
+    return CubeSurroundings(
+        utc_s=clock.utc,
+        monotonic_s=clock.monotonic,
+        deadline_s=settings.cube.reading_deadline_s,
+        switched_meter=switched_meter or configured,
+    )
+
+
+def _wiring(settings: Settings) -> CubeWiring:
+    cube = settings.cube
+    tests = [getattr(cube, name) for name in SELF_TESTS]
+    return CubeWiring(
+        channels=(cube.east.channel, cube.south.channel, cube.west.channel, cube.zenith.channel),
+        settle_s=settings.instruments.multiplexer.settle_s,
+        self_test_channels=tuple(channel for channel in tests if channel is not None),
+        self_test_limit_mv=cube.self_test_limit_mv,
+    )
 
 
 def build_positioner(settings: Settings, clock: Clock) -> Positioner:

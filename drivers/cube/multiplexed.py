@@ -3,32 +3,17 @@
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from drivers.errors import DeadlineError, OverRangeError, ProtocolError
 from drivers.interfaces import CubeReading, FaceFlaw, FaceSample, Multiplexer, Voltmeter
+from drivers.settings import CubeDriverSettings, CubeSurroundings, CubeWiring
 
 
-@dataclass(frozen=True, slots=True)
-class CubeWiring:
-    """How the sensors are wired to the multiplexer.
+class MultiplexedSettings(CubeDriverSettings):
+    """multiplexed: one voltmeter behind a multiplexer, each with its own section."""
 
-    Attributes
-    ----------
-    channels
-        Inputs of east, south, west and zenith.
-    settle_s
-        Time between switching the multiplexer and the start of a conversion.
-    self_test_channels
-        Short-circuited inputs, read before the faces; none of them: nothing is tested.
-    self_test_limit_mv
-        Largest voltage of such an input that proves switch and meter.
-    """
 
-    channels: tuple[int, int, int, int]
-    settle_s: float
-    self_test_channels: tuple[int, ...] = ()
-    self_test_limit_mv: float = 0.5
+SETTINGS = MultiplexedSettings
 
 
 class MultiplexedCube:
@@ -108,3 +93,11 @@ class MultiplexedCube:
         except ProtocolError:
             flaw = "missing"
         return FaceSample(voltage_v, self._utc_s(), self._monotonic_s(), flaw)
+
+
+def build(_settings: MultiplexedSettings, surroundings: CubeSurroundings) -> MultiplexedCube:
+    """Return the cube of the configured multiplexer and voltmeter, not yet connected."""
+    parts = surroundings.switched_meter()
+    return MultiplexedCube(
+        parts.multiplexer, parts.voltmeter, parts.wiring, surroundings.utc_s, surroundings.monotonic_s
+    )

@@ -3,6 +3,7 @@
 import asyncio
 import math
 import re
+import subprocess
 import sys
 
 import numpy as np
@@ -144,3 +145,14 @@ def test_it_has_no_multiplexer_and_no_voltmeter_to_look_at(file):
         asyncio.run(probe_multiplexer(settings, no_tap, print, write=False))
     with pytest.raises(UserError, match='only the cube "multiplexed" has a voltmeter'):
         asyncio.run(probe_voltmeter(settings, lambda: 0.0, no_tap, print, write=False))
+
+
+def test_with_another_cube_ours_is_not_imported(file, tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path;"
+        "from daemon.config.file import load_settings; load_settings(Path(sys.argv[2])); import daemon.rigs.simulated;"
+        "print(*(name for name in sys.modules if name.startswith(('scanner', 'drivers.cube.'))))"
+    )
+    command = [sys.executable, "-c", code, tmp_path / "site", file]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["scanner"]
