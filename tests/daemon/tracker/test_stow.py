@@ -59,7 +59,7 @@ def test_a_sensor_that_never_spoke_counts_as_strong_wind_after_its_time():
 def test_an_operators_stow_is_latched_until_released():
     stow = OperatorStow()
     assert stow.reason(0) is None
-    stow.ask("storm coming")
+    stow.request("storm coming")
     assert stow.reason(1e9) == "storm coming"
     stow.release()
     assert stow.reason(1e9) is None
