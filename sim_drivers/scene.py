@@ -7,7 +7,7 @@ asked before. Only the sensors' noise is drawn reading by reading.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from math import isnan
+from math import inf, isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -149,6 +149,8 @@ class Scene:
         self._shade = [1.0] * 4
         self._broken_v: list[float | None] = [None] * 4
         self._chunks: dict[int, _Chunk] = {}
+        self._latest: _Chunk
+        self._latest_utc_s = inf
 
     def sensor_voltage(self, face: int, utc_s: float) -> float:
         """Return what the sensor of `face` (0 east, 1 south, 2 west, 3 zenith) gives at `utc_s` [V]."""
@@ -215,6 +217,11 @@ class Scene:
 
     def _locate(self, utc_s: float) -> tuple[_Chunk, int, float]:
         """Find the chunk of an instant, the whole second before it there, and the share of the next that has gone."""
+        # Nearly every question is about the chunk of the one before.
+        offset = utc_s - self._latest_utc_s
+        if 0.0 <= offset < CHUNK_S:
+            index = int(offset)
+            return self._latest, index, offset - index
         number, offset = divmod(utc_s, CHUNK_S)
         chunk = self._chunks.get(int(number))
         if chunk is None:
@@ -222,6 +229,7 @@ class Scene:
             self._chunks[int(number)] = chunk
             if len(self._chunks) > KEPT_CHUNKS:
                 del self._chunks[next(iter(self._chunks))]
+        self._latest, self._latest_utc_s = chunk, number * CHUNK_S
         index = int(offset)
         return chunk, index, offset - index
 

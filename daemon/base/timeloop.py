@@ -107,12 +107,13 @@ class _VirtualSelector(_DelegatingSelector):
             beat = min(self.beats, key=_due_s) if len(self.beats) > 1 else self.beats[0]
             if beat.due_s >= until_s:
                 break
-            self.skip(max(beat.due_s - self.now_s, 0.0))
+            if beat.due_s > self.now_s:
+                self.skip(beat.due_s - self.now_s)
             beat.due_s = self.now_s + beat.every_s
             if beat.call() or timeout is None:
                 return
-        if timeout is not None:
-            self.skip(max(until_s - self.now_s, 0.0))
+        if timeout is not None and until_s > self.now_s:
+            self.skip(until_s - self.now_s)
 
     def skip(self, duration_s: float) -> None:
         # Counted in whole nanoseconds, so that nothing is lost to rounding in a year.
