@@ -46,76 +46,26 @@ def status(
         Console(highlight=False).print(render(state))
 
 
-@app.command(rich_help_panel=OPERATION)
-def stow(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Go to the stow position now and stay there until 'auto'."""
-    _command("stow", config, api, token_file, why, tracker)
+def _plain(name: str, meaning: str) -> None:
+    """Offer a command that takes nothing but the options that all of them have."""
+
+    @app.command(name, help=meaning, rich_help_panel=OPERATION)
+    def command(
+        config: ConfigOption = None,
+        api: ApiOption = None,
+        token_file: TokenOption = None,
+        why: WhyOption = _AN_OPERATOR,
+        tracker: TrackerOption = None,
+    ) -> None:
+        _command(name, config, api, token_file, why, tracker)
 
 
-@app.command(rich_help_panel=OPERATION)
-def hold(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Stay where the tracker is until 'auto'."""
-    _command("hold", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def auto(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Track again: end what stop, maintenance, stow, snow, hold or goto asked for."""
-    _command("auto", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def stop(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Stop the axes at once; nothing moves them until 'auto'."""
-    _command("stop", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def snow(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Go to the steep position that sheds snow and hail and stay there until 'auto'."""
-    _command("snow", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def maintenance(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Let nothing move and no alarm sound until 'auto'."""
-    _command("maintenance", config, api, token_file, why, tracker)
+_plain("stow", "Go to the stow position now and stay there until 'auto'.")
+_plain("hold", "Stay where the tracker is until 'auto'.")
+_plain("auto", "Track again: end what stop, maintenance, stow, snow, hold or goto asked for.")
+_plain("stop", "Stop the axes at once; nothing moves them until 'auto'.")
+_plain("snow", "Go to the steep position that sheds snow and hail and stay there until 'auto'.")
+_plain("maintenance", "Let nothing move and no alarm sound until 'auto'.")
 
 
 @app.command(rich_help_panel=OPERATION, context_settings={"ignore_unknown_options": True})
@@ -132,40 +82,9 @@ def goto(
     _command("goto", config, api, token_file, why, tracker, a_deg=a_deg, b_deg=b_deg)
 
 
-@app.command(rich_help_panel=OPERATION)
-def home(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Clear faults and start a reference run of both axes."""
-    _command("home", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def clear(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Clear the faults and doubts that are shown, without a reference run."""
-    _command("clear", config, api, token_file, why, tracker)
-
-
-@app.command(rich_help_panel=OPERATION)
-def relearn(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    token_file: TokenOption = None,
-    why: WhyOption = _AN_OPERATOR,
-    tracker: TrackerOption = None,
-) -> None:
-    """Forget what the law has learned of the site."""
-    _command("relearn", config, api, token_file, why, tracker)
+_plain("home", "Clear faults and start a reference run of both axes.")
+_plain("clear", "Clear the faults and doubts that are shown, without a reference run.")
+_plain("relearn", "Forget what the law has learned of the site.")
 
 
 def _command(
