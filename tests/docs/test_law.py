@@ -1,7 +1,6 @@
 """The worked example of docs/develop/add-law.md, installed as a package of somebody else."""
 
 import re
-import sys
 import tomllib
 
 import pytest
@@ -11,6 +10,7 @@ from daemon.base.errors import UserError
 from daemon.base.plugins import LAWS, load, names
 from daemon.config.file import load_settings
 from tests.support import DOCS
+from tests.support.packages import install
 
 PAGE = (DOCS / "develop" / "add-law.md").read_text()
 (CODE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -21,14 +21,7 @@ PYPROJECT, CONFIG = (tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)
 def installed(tmp_path, monkeypatch):
     """The example in a folder on the path, as an installer leaves it; returns its module's name."""
     ((name, module),) = PYPROJECT["project"]["entry-points"][LAWS].items()
-    about = tmp_path / "acme-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[{LAWS}]\n{name} = {module}\n")
-    (tmp_path / f"{module}.py").write_text(CODE)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.delitem(sys.modules, module)
+    install(monkeypatch, tmp_path / "site", f"[{LAWS}]\n{name} = {module}\n", {module: CODE})
     return name
 
 

@@ -3,7 +3,6 @@
 import asyncio
 import math
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from daemon.config.file import load_settings
 from daemon.rigs.real import build_positioner
 from daemon.rigs.simulated import build_simulated_positioner
 from tests.support import DOCS
+from tests.support.packages import install
 
 PAGE = (DOCS / "develop" / "add-positioner.md").read_text()
 (CODE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -25,16 +25,8 @@ PYPROJECT, CONFIG = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     """A configuration that takes the example, which lies in a folder on the path as an installer leaves it."""
-    site = tmp_path / "site"
-    about = site / "acme-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
     points = PYPROJECT.replace('[project.entry-points."heliocube.positioner"]', "[heliocube.positioner]")
-    (about / "entry_points.txt").write_text(points.replace('"', ""))
-    (site / "gimbal.py").write_text(CODE)
-    monkeypatch.syspath_prepend(site)
-    monkeypatch.setitem(sys.modules, "gimbal", None)
-    monkeypatch.delitem(sys.modules, "gimbal")
+    install(monkeypatch, tmp_path / "site", points.replace('"', ""), {"gimbal": CODE})
     config = tmp_path / "heliocube.toml"
     config.write_text(CONFIG)
     return config

@@ -20,6 +20,7 @@ from daemon.rigs.real import build_cube, cube_surroundings
 from drivers.errors import DeadlineError, IdentityError, LinkLostError
 from drivers.transcript import no_tap
 from tests.support import DOCS
+from tests.support.packages import install
 
 PAGE = (DOCS / "develop" / "add-voltmeter.md").read_text()
 (CODE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -30,16 +31,8 @@ HALF_AN_HOUR = {"start": "2022-10-14T10:00Z", "days": 0.5 / 24, "weather": "clea
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     """A configuration that takes the example, which lies in a folder on the path as an installer leaves it."""
-    site = tmp_path / "site"
-    about = site / "acme-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
     points = PYPROJECT.replace('[project.entry-points."heliocube.cube"]', "[heliocube.cube]")
-    (about / "entry_points.txt").write_text(points.replace('"', ""))
-    (site / "scanner.py").write_text(CODE)
-    monkeypatch.syspath_prepend(site)
-    monkeypatch.setitem(sys.modules, "scanner", None)
-    monkeypatch.delitem(sys.modules, "scanner")
+    install(monkeypatch, tmp_path / "site", points.replace('"', ""), {"scanner": CODE})
     config = tmp_path / "heliocube.toml"
     config.write_text(CONFIG)
     return config

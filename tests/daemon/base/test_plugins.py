@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from daemon.base.plugins import LAWS, PluginError, load, names
+from tests.support.packages import install
 
 
 def test_an_unknown_name_lists_the_known_ones():
@@ -31,16 +32,8 @@ def offered(tmp_path, monkeypatch):
     """Return a function that installs a package with one law in a folder of its own."""
 
     def offer(package, name, source):
-        folder = tmp_path / package
-        about = folder / f"{package}-1.0.dist-info"
-        about.mkdir(parents=True)
-        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-        (about / "entry_points.txt").write_text(f"[heliocube.law]\n{name} = {package}_law\n")
-        (folder / f"{package}_law.py").write_text(source)
-        monkeypatch.syspath_prepend(folder)
-        # What the package put into memory must not outlive its folder.
-        monkeypatch.setitem(sys.modules, f"{package}_law", None)
-        monkeypatch.delitem(sys.modules, f"{package}_law")
+        module = f"{package}_law"
+        install(monkeypatch, tmp_path / package, f"[{LAWS}]\n{name} = {module}\n", {module: source}, name=package)
 
     return offer
 

@@ -14,6 +14,7 @@ from daemon.config.file import ConfigError
 from daemon.rigs.real import build_positioner
 from daemon.studies.simulate import simulate
 from daemon.tracker.pointing import build_pointing
+from tests.support.packages import install
 
 LAW = '''
 from pydantic import Field
@@ -108,19 +109,8 @@ def simulate(settings, surroundings):
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    folder = tmp_path / "site"
-    about = folder / "acme-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(
-        "[heliocube.law]\nbearing = acme_law\n\n[heliocube.positioner]\nturntable = acme_turntable\n"
-    )
-    (folder / "acme_law.py").write_text(LAW)
-    (folder / "acme_turntable.py").write_text(POSITIONER)
-    monkeypatch.syspath_prepend(folder)
-    yield
-    for name in ("acme_law", "acme_turntable"):
-        sys.modules.pop(name, None)
+    points = "[heliocube.law]\nbearing = acme_law\n\n[heliocube.positioner]\nturntable = acme_turntable\n"
+    install(monkeypatch, tmp_path / "site", points, {"acme_law": LAW, "acme_turntable": POSITIONER})
 
 
 @pytest.fixture
