@@ -9,10 +9,11 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands import calibrate, compare, energy, export, gain, operate, probe, tools
 from daemon.commands import config as config_commands
+from daemon.commands import export, operate, probe, tools
 from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, LawOption, RoleChoice, TableFormat
-from daemon.commands.simulate import progress_bar, replay, report
+from daemon.commands.studies import calibrate, compare, energy, gain
+from daemon.commands.studies.simulate import progress_bar, replay, report
 from daemon.studies.inputs import instant, settings_for, site_values
 
 if TYPE_CHECKING:

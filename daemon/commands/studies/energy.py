@@ -29,7 +29,7 @@ def energy(
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
     from daemon.base.errors import UserError
-    from daemon.commands.simulate import progress_bar
+    from daemon.commands.studies.simulate import progress_bar
     from daemon.studies.energy import (
         IDEAL,
         Terms,

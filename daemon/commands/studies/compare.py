@@ -60,7 +60,7 @@ def simulate(
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
     from contextlib import ExitStack
 
-    from daemon.commands.simulate import progress_bar
+    from daemon.commands.studies.simulate import progress_bar
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings
     from daemon.rigs.simulated import build_simulated_pair, build_weather
@@ -209,7 +209,7 @@ def paper(
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
     from typing import get_args
 
-    from daemon.commands.simulate import progress_bar
+    from daemon.commands.studies.simulate import progress_bar
     from daemon.config.plugged import law_names
     from daemon.config.settings import Settings
     from daemon.config.simulation import WeatherName

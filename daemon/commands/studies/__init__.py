@@ -1,0 +1,1 @@
+"""Commands over a span of time: simulate, replay, energy, gain, calibrate, compare."""
