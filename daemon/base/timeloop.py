@@ -19,6 +19,7 @@ Arguments = TypeVarTuple("Arguments")
 
 _DEADLOCK_AFTER_S = 10.0
 _LOOK_EVERY_ROUNDS = 16
+_RESOLUTION_S = 1e-9
 
 
 class _DelegatingSelector(selectors.BaseSelector):
@@ -127,6 +128,19 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     def __init__(self) -> None:
         self._virtual = _VirtualSelector()
         super().__init__(self._virtual)
+
+    @property
+    def _clock_resolution(self) -> float:
+        """How far ahead of its time asyncio takes a timer for due.
+
+        asyncio adds this to the time. With the machine's own resolution the sum is the time itself from 2^24 s on, and
+        a timer that is due now never runs.
+        """
+        return max(_RESOLUTION_S, math.ulp(self._virtual.now_s))
+
+    @_clock_resolution.setter
+    def _clock_resolution(self, resolution_s: float) -> None:
+        """Leave the machine's resolution aside, which asyncio sets."""
 
     def time(self) -> float:
         """Virtual seconds since construction."""

@@ -116,3 +116,35 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+@pytest.mark.parametrize("years", [0.5, 0.54, 1.0, 2.0, 20.0])
+def test_timers_run_after_so_many_years(years):
+    async def main():
+        loop = asyncio.get_running_loop()
+        loop.skip(years * 365.25 * 86400.0)
+        beaten = []
+        end = loop.call_every(1.0, lambda: beaten.append(loop.time()))
+        begun_s = loop.time()
+        for _ in range(100):
+            before_s = loop.time()
+            await asyncio.sleep(0.05)
+            assert loop.time() - before_s == pytest.approx(0.05, abs=1e-6)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(3.3):
+                await asyncio.sleep(1e9)
+        end()
+        assert loop.time() - begun_s == pytest.approx(8.3, abs=1e-5)
+        assert len(beaten) == 8
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(main())
+
+
+def test_a_timer_can_be_years_away():
+    async def main():
+        await asyncio.sleep(20 * 365.25 * 86400.0)
+        return asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(main()) == pytest.approx(20 * 365.25 * 86400.0)
