@@ -2,7 +2,8 @@
 
 Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped.
 ``time`` is ISO 8601; without an offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty
-cell is a missing value. Negative irradiance at night (a pyranometer's thermal offset) becomes zero.
+cell is a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a pyranometer's
+thermal offset) becomes zero.
 
 A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
 are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
@@ -12,7 +13,7 @@ years, is laid in one calendar year.
 import gzip
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
@@ -54,6 +55,8 @@ class MeasuredWeather:
         all three irradiances are there.
     site
         Where it was measured, if the file tells.
+    impossible
+        Numbers out of their quantity's range, taken as missing, each with its place.
 
     Raises
     ------
@@ -61,15 +64,29 @@ class MeasuredWeather:
         If no record counts.
     """
 
-    def __init__(self, name: str, utc_s: Array, values: dict[str, Array], site: Site | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        utc_s: Array,
+        values: dict[str, Array],
+        site: Site | None = None,
+        impossible: Sequence[str] = (),
+    ) -> None:
         complete = np.all([np.isfinite(values[quantity]) for quantity in IRRADIANCES], axis=0)
         if not complete.any():
             raise WeatherFileError(f"{name} has no record with ghi, dni and dhi all present")
         self.name = name
         self.site = site
+        self.impossible = tuple(impossible)
         self.utc_s = utc_s[complete]
         self.irradiance_w_m2 = {key: np.maximum(values[key][complete], 0.0) for key in IRRADIANCES}
         self._others = {key: _present(utc_s, values[key]) for key in OPTIONAL}
+
+    def note(self) -> str | None:
+        """Return what a person should know of values that were taken as missing, in a sentence, or None."""
+        if not self.impossible:
+            return None
+        return f"{self.name} has {len(self.impossible)} impossible values, taken as missing; first {self.impossible[0]}"
 
     @property
     def start_utc_s(self) -> float:
@@ -125,7 +142,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
     ------
     WeatherFileError
         In one sentence: no file, no data, a missing column (with those found), an unreadable time (with its line), a
-        time that repeats or goes backwards (with its line and both times), a cell that is not a plausible number.
+        time that repeats or goes backwards (with its line and both times), a cell that is not a number.
     """
     try:
         return _read(path, typical_year)
@@ -217,18 +234,22 @@ def _csv(path: Path) -> MeasuredWeather:
     utc_s = _seconds(pd.DatetimeIndex(times))
     _check_order(utc_s, lambda row: f"weather file {path}, line {line[row]}")
     values = {key: np.full(utc_s.size, np.nan) for key in (*IRRADIANCES, *OPTIONAL)}
+    impossible: list[str] = []
     for column in [name for name in values if name in found]:
         text = cells[column].mask(cells[column].str.lower() == "nan", "")
         numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-        low, high = _plausible(column)
-        bad = _first((text != "") & ~((numbers >= low) & (numbers <= high)))
+        bad = _first((text != "") & np.isnan(numbers))
         if bad is not None:
             raise WeatherFileError(
-                f"weather file {path}, line {line[bad]}: {column} is {text.iloc[bad]!r}, not a number in "
-                f"{low:g}..{high:g}; leave the cell empty where the value is missing"
+                f"weather file {path}, line {line[bad]}: {column} is {text.iloc[bad]!r}, not a number; "
+                "leave the cell empty where the value is missing"
             )
-        values[column] = numbers
-    return MeasuredWeather(f"weather file {path}", utc_s, values)
+        low, high = _plausible(column)
+        possible = (numbers >= low) & (numbers <= high)
+        wrong = np.flatnonzero(~possible & ~np.isnan(numbers))
+        impossible += [f"in line {line[row]}: {column} {text.iloc[row]}, not in {low:g}..{high:g}" for row in wrong]
+        values[column] = np.where(possible, numbers, np.nan)
+    return MeasuredWeather(f"weather file {path}", utc_s, values, impossible=impossible)
 
 
 def _bsrn(path: Path) -> MeasuredWeather:

@@ -51,7 +51,7 @@ _WIND_EVERY_S = 1800.0
 
 
 def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
-    """Return the simulated weather for a span of time, and a warning if a file does not fit the site.
+    """Return the simulated weather for a span of time, and a warning about a file or None.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
     try:
         weather = load_weather(choice)
         weather.at(np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s))
-        return weather, site_mismatch(weather, site)
+        return weather, "; ".join(weather_notes(weather, site)) or None
     except WeatherError as error:
         raise UserError(str(error)) from error
 
@@ -284,9 +284,9 @@ def measured_weather(path: Path) -> MeasuredWeather:
         raise UserError(str(error)) from error
 
 
-def weather_misfit(weather: MeasuredWeather, site: Site) -> str | None:
-    """Tell in one sentence that `weather` was not measured at `site`, or return None if it may have been."""
-    return site_mismatch(weather, site)
+def weather_notes(weather: MeasuredWeather, site: Site) -> list[str]:
+    """Return what a person should know of a file: impossible values in it, and that it was not measured at `site`."""
+    return [note for note in (weather.note(), site_mismatch(weather, site)) if note]
 
 
 async def run_bench(

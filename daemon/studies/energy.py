@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.rigs.simulated import measured_weather, weather_misfit
+from daemon.rigs.simulated import measured_weather, weather_notes
 from solar.energy import (
     DAY_TYPES,
     SKIES,
@@ -247,7 +247,8 @@ def _laws() -> Iterator[tuple[str, ModuleType]]:
 def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:
     """Read weather files: UTC [s] of whole minutes, DNI and DHI [W/m2], each of shape (n,), and warnings.
 
-    Between records up to an hour apart the weather is linear. Where files overlap, the first counts.
+    Between records up to an hour apart the weather is linear. Where files overlap, the first counts. Impossible values
+    are missing ones, and a warning counts them.
 
     Raises
     ------
@@ -262,8 +263,7 @@ def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, A
         minutes = minutes[weather.covers(minutes)]
         conditions = weather.at(minutes)
         parts.append((minutes, conditions.dni_w_m2, conditions.dhi_w_m2))
-        warning = weather_misfit(weather, site)
-        warnings += [warning] if warning else []
+        warnings += weather_notes(weather, site)
     utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
     utc_s, first = np.unique(utc_s, return_index=True)
     return utc_s, dni[first], dhi[first], warnings

@@ -107,14 +107,15 @@ def read_faces(path: Path | str) -> pd.DataFrame:
     Parameters
     ----------
     path
-        CSV file, plain or ``.gz``, with the columns time,east,south,west,zenith. A face without a reading is NaN.
+        CSV file, plain or ``.gz``, with the columns time,east,south,west,zenith. A face without a
+        possible reading is NaN.
 
     Raises
     ------
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
-    rows = read_csv(Path(path))
+    rows = read_csv(Path(path)).rows
     # Seconds since 1970 in a float are good for a microsecond, and no more is written.
     times = pd.to_datetime([row.time_utc_s for row in rows], unit="s", utc=True).round("us")
     index = pd.DatetimeIndex(times, name="time")

@@ -34,20 +34,55 @@ class RecordedScan:
     irradiances_w_m2: tuple[float, float, float, float]
 
 
-def read_csv(path: Path) -> list[RecordedScan]:
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The rows of a file, and what is missing in them.
+
+    Attributes
+    ----------
+    rows
+        In rising time.
+    missing
+        Readings that are not there: empty cells and `impossible` ones.
+    impossible
+        Numbers that no face can read, taken as missing.
+    first_impossible
+        Where the first of them stands, and what it says; empty without any.
+    """
+
+    rows: list[RecordedScan]
+    missing: int
+    impossible: int
+    first_impossible: str
+
+    def notes(self) -> list[str]:
+        """Return what a person should know of the missing readings, a sentence each."""
+        found = []
+        if self.missing:
+            found.append(f"{self.missing} of {len(FACES) * len(self.rows)} readings are missing")
+        if self.impossible:
+            found.append(
+                f"{self.impossible} of the missing readings are numbers beyond {LARGEST_W_M2:g} W/m2, "
+                f"the first at {self.first_impossible}"
+            )
+        return found
+
+
+def read_csv(path: Path) -> Recording:
     """Return the rows of a CSV file, plain or ``.gz``, with the columns time, east, south, west and zenith.
 
-    ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell or ``nan`` is a face
-    without a reading. Other columns are ignored.
+    ``time`` is ISO 8601, UTC where it names no zone, and rises from line to line. An empty cell, ``nan`` and a number
+    that no face can read are a face without a reading. Other columns are ignored.
 
     Raises
     ------
     UserError
         One sentence with the file, the line, the value and what is expected.
     """
+    impossible: list[str] = []
     try:
         with _opened(path) as file:
-            rows = list(_rows(path, file))
+            rows = list(_rows(path, file, impossible))
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
@@ -56,7 +91,8 @@ def read_csv(path: Path) -> list[RecordedScan]:
         raise UserError(f"{path} is not text: a CSV file in UTF-8, plain or .gz, is expected") from None
     if not rows:
         raise UserError(f"{path} has no readings below its header")
-    return rows
+    missing = sum(map(math.isnan, (value for row in rows for value in row.irradiances_w_m2)))
+    return Recording(rows, missing, len(impossible), impossible[0] if impossible else "")
 
 
 def rows_of_store(directory: Path) -> list[RecordedScan]:
@@ -98,7 +134,7 @@ def _opened(path: Path) -> TextIO:
     return path.open(encoding="utf-8-sig", newline="")
 
 
-def _rows(path: Path, file: TextIO) -> Iterator[RecordedScan]:
+def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedScan]:
     reader = csv.reader(file)
     try:
         header = [name.strip() for name in next(reader, [])]
@@ -114,7 +150,10 @@ def _rows(path: Path, file: TextIO) -> Iterator[RecordedScan]:
                 continue
             row = _row(cells, len(header), places, before_s)
             before_s = row.time_utc_s
-            yield row
+            for name, place, value in zip(FACES, places[1:], row.irradiances_w_m2, strict=True):
+                if not (abs(value) <= LARGEST_W_M2 or math.isnan(value)):
+                    impossible.append(f"line {reader.line_num}: {name} {cells[place].strip()}")
+            yield row if not impossible else _possible(row)
     except UnicodeDecodeError:
         raise
     except ValueError as error:
@@ -143,10 +182,15 @@ def _utc(text: str) -> float:
 
 
 def _irradiance(name: str, text: str) -> float:
+    if not text:
+        return math.nan
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        value = math.inf if text else math.nan
-    if not (abs(value) <= LARGEST_W_M2) and not math.isnan(value):
-        raise ValueError(f"{name} is {text!r}, not a number of W/m2 from {-LARGEST_W_M2:g} to {LARGEST_W_M2:g}")
-    return value
+        raise ValueError(f"{name} is {text!r}, not a number of W/m2; leave the cell empty without a reading") from None
+
+
+def _possible(row: RecordedScan) -> RecordedScan:
+    """Return the row without the numbers that no face can read."""
+    east, south, west, zenith = (value if abs(value) <= LARGEST_W_M2 else math.nan for value in row.irradiances_w_m2)
+    return RecordedScan(row.time_utc_s, (east, south, west, zenith))

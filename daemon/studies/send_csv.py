@@ -57,7 +57,7 @@ async def send_csv(
     if not (0 < speed < math.inf):
         raise BridgeError(f"the speed must be a number greater than 0, not {speed:g}")
     sender = BridgeSender(settings, key, clock)
-    rows = read_csv(path)
+    rows = read_csv(path).rows
     session = f"{rng.getrandbits(64):016x}"
     await sender.open()
     try:

@@ -97,15 +97,7 @@ def test_columns_may_come_in_any_order_with_a_byte_order_mark_and_blank_lines_at
         ),
         (
             CSV.replace("920.0", "cloud"),
-            "{path}, line 4: dni is 'cloud', not a number in -50..2500; " + EMPTY,
-        ),
-        (
-            CSV.replace("-1.5", "-9999"),
-            "{path}, line 5: ghi is '-9999', not a number in -50..2500; " + EMPTY,
-        ),
-        (
-            CSV.replace("7.0", "inf"),
-            "{path}, line 5: wind_speed is 'inf', not a number in 0..100; " + EMPTY,
+            "{path}, line 4: dni is 'cloud', not a number; " + EMPTY,
         ),
         (
             "time,ghi,dni,dhi\n2016-06-05T12:00:00Z,1,2,3,4\n",
@@ -116,6 +108,15 @@ def test_columns_may_come_in_any_order_with_a_byte_order_mark_and_blank_lines_at
 def test_a_bad_csv_is_refused_with_one_sentence_that_names_the_place(tmp_path, text, expected):
     path = written(tmp_path, text)
     assert reason(path) == "weather file " + expected.format(path=path)
+
+
+def test_an_impossible_value_is_a_missing_one_and_is_counted(tmp_path):
+    path = written(tmp_path, CSV.replace("-1.5", "-9999").replace("7.0", "inf"))
+    weather = load_weather(path)
+    assert weather.utc_s.size == load_weather(written(tmp_path, CSV, "good.csv")).utc_s.size - 1
+    assert weather.note() == (
+        f"weather file {path} has 2 impossible values, taken as missing; first in line 5: ghi -9999, not in -50..2500"
+    )
 
 
 def test_a_missing_file_a_folder_and_a_broken_archive_are_refused(tmp_path):

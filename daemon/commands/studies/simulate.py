@@ -86,7 +86,10 @@ def replay(
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
     if faces is not None:
-        rows = read_csv(faces)
+        recording = read_csv(faces)
+        rows = recording.rows
+        for note in recording.notes():
+            typer.echo(f"{faces}: {note}", err=True)
     else:
         assert store is not None  # noqa: S101 - narrowing; one of the two is there
         rows = rows_of_store(store)

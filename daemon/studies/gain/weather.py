@@ -100,7 +100,7 @@ def file_sky_source(
     UserError
         The file cannot be used, does not say its longitude and none is given, or has no daylight on the `days`.
     """
-    from daemon.rigs.simulated import measured_weather, weather_misfit  # noqa: PLC0415 - brings in the whole rig
+    from daemon.rigs.simulated import measured_weather, weather_notes  # noqa: PLC0415 - brings in the whole rig
 
     weather = measured_weather(path)
     if longitude_deg is None and weather.site is None:
@@ -122,7 +122,7 @@ def file_sky_source(
         raise UserError(f"weather file {path} has no daylight at {latitude_deg:g} N, {site.longitude_deg:g} E")
     spans = [np.datetime_as_string(np.datetime64(int(end), "s"), unit="D") for end in (steps[0], steps[-1])]
     label = f"{path.name}, {spans[0]} to {spans[1]}, {instants.size / lit.size:.0%} of its daylight"
-    warning = weather_misfit(weather, site)
+    warning = "; ".join(weather_notes(weather, site)) or None
     covered = np.unique(series.day).size
     if warning is None and days is None and covered < _NEARLY_A_YEAR:
         warning = f"{path.name} has {covered} days: ratios under its sky are theirs, beside the theory's whole year"

@@ -128,6 +128,25 @@ def test_a_gap_by_day_is_bridged_by_the_sun_and_one_by_night_at_the_night_positi
         assert modes[first + 100] == "tracking"
 
 
+def test_a_gap_of_230_days_and_a_span_of_two_years_are_replayed(replayed):
+    begins = NOON + 86400.0 * np.array([0.0, 230.0, 500.0, 731.0])
+    found = replayed(readings(np.concatenate([begin + np.arange(0, 900, 5.0) for begin in begins])), "optimal")
+    for end in (180, 360, 540, 720):
+        assert found[end - 1]["mode"] == "tracking"
+        assert off_sun_deg(found[end - 1]) < 6.0
+
+
+def test_an_impossible_value_is_a_missing_reading_and_is_counted(heliocube, tmp_path):
+    lines = readings(NOON + np.arange(0, 600, 5.0))
+    lines[60][2] = "13949"
+    source, out = write(tmp_path / "faces.csv", lines), tmp_path / "positions.csv"
+    code, said = heliocube("replay", source, "--site", PLACE, "--law", "optimal", "--out", out)
+    assert code == 0
+    assert "1 of 480 readings are missing" in said
+    assert "the first at line 62: south 13949" in said
+    assert out.read_text().count("tracking") > 100
+
+
 def test_a_night_in_the_readings_is_a_night(replayed):
     dusk = datetime(2022, 10, 12, 17, tzinfo=UTC).timestamp()
     times = dusk + np.arange(0, 7200, 30.0)
