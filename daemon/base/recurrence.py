@@ -1,4 +1,4 @@
-"""The one policy of telling what keeps happening: the first few times, then ever more seldom that it does."""
+"""The one policy for what keeps happening: reported the first few times, then by its number; and how often it may."""
 
 import math
 from collections import deque
@@ -99,3 +99,73 @@ class Recurrence:
             return REMIND_AFTER_S[-1]
         before_s = REMIND_AFTER_S[self._reminders - 1] if self._reminders else 0.0
         return REMIND_AFTER_S[self._reminders] - before_s
+
+
+class LogBudget:
+    """How much of the log one outside source may fill, however fast it sends: the first few lines, then numbers.
+
+    Parameters
+    ----------
+    subject
+        What comes from it, in the plural, as a sentence begins: ``requests that are not HTTP``.
+    few
+        How many are logged each for itself.
+    """
+
+    def __init__(self, subject: str, few: int = 5) -> None:
+        self._subject = subject
+        self._recurrence = Recurrence(few)
+        self._unreported = 0
+        self._last_s = -math.inf
+        self.count = 0
+
+    def spend(self, now_s: float, sentence: str) -> str:
+        """Take note of one more at a monotonic time [s]; return the line that the log may have, empty without one.
+
+        After the first few there is a line with the number of those since the last one, at the times of `Recurrence`:
+        a flood that lasts a whole day makes about six of those.
+        """
+        self.count += 1
+        self._unreported += 1
+        self._last_s = now_s
+        wording = self._recurrence.note(now_s)
+        if wording is Wording.QUIETLY:
+            return ""
+        number, self._unreported = self._unreported, 0
+        if wording is Wording.PLAINLY and number == 1:
+            return sentence
+        return f"{self._subject}: {number} more, and only their number is logged while they go on; latest: {sentence}"
+
+    def settle(self, now_s: float) -> str:
+        """Return the line that ends a flood once it has been over for half an hour, else nothing; to be polled."""
+        if not self._recurrence.over(now_s, self._last_s) or not self._unreported:
+            return ""
+        number, self._unreported = self._unreported, 0
+        return f"{self._subject}: {number} more, the last {(now_s - self._last_s) / 60.0:.0f} min ago"
+
+
+class RateLimit:
+    """How often something may be done: so many at once, and then one every so often.
+
+    Parameters
+    ----------
+    per_s
+        How many a second in the long run.
+    burst
+        How many at once after a rest.
+    """
+
+    def __init__(self, per_s: float, burst: int) -> None:
+        self._per_s = per_s
+        self._burst = burst
+        self._left = float(burst)
+        self._at_s = -math.inf
+
+    def admit(self, now_s: float) -> bool:
+        """Return whether one more may be done at a monotonic time [s], and count it if so."""
+        self._left = min(self._left + (now_s - self._at_s) * self._per_s, float(self._burst))
+        self._at_s = now_s
+        if not self._left >= 1.0:
+            return False
+        self._left -= 1.0
+        return True

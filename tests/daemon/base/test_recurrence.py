@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.base.recurrence import Recurrence, Wording
+from daemon.base.recurrence import LogBudget, RateLimit, Recurrence, Wording
 
 HOUR_S = 3600.0
 PLAINLY, OFTEN, QUIETLY = Wording.PLAINLY, Wording.OFTEN, Wording.QUIETLY
@@ -71,3 +71,50 @@ def test_what_is_told_elsewhere_too_is_told_by_its_number_only_once():
     recurrence = Recurrence(3, reminds=False)
     told_s = [time_s for time_s in range(0, 86400, 20) if recurrence.note(float(time_s)) is not QUIETLY]
     assert told_s == [0, 20, 40, 60]
+
+
+def test_a_flood_is_logged_a_few_times_and_then_by_its_number():
+    budget = LogBudget("bad greetings", few=2)
+    lines = [budget.spend(turn / 1000.0, f"greeting {turn} is bad") for turn in range(700_000)]
+    said = [line for line in lines if line]
+    assert said[:2] == ["greeting 0 is bad", "greeting 1 is bad"]
+    rest = "more, and only their number is logged while they go on; latest: greeting"
+    assert said[2:] == [f"bad greetings: 1 {rest} 2 is bad", f"bad greetings: 600000 {rest} 600002 is bad"]
+    assert budget.count == 700_000
+
+
+def test_what_a_flood_left_unsaid_is_said_when_it_has_been_over_for_half_an_hour():
+    budget = LogBudget("bad greetings", few=2)
+    for turn in range(1000):
+        budget.spend(turn / 1000.0, "a greeting is bad")
+    assert budget.settle(1700.0) == ""
+    assert budget.settle(1860.0) == "bad greetings: 997 more, the last 31 min ago"
+    assert budget.settle(9000.0) == ""
+    assert budget.spend(9001.0, "a greeting is bad") == "a greeting is bad"
+
+
+@given(
+    bursts=st.lists(
+        st.tuples(st.integers(1, 200), st.sampled_from((0.001, 1.0, 61.0, 700.0, 1900.0, 4000.0, 8000.0))),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_no_rhythm_of_a_day_makes_a_source_more_than_100_lines_and_none_is_left_uncounted(bursts):
+    budget, now_s, sent, lines = LogBudget("bad greetings"), 0.0, 0, []
+    while now_s < 86400.0 and sent < 20_000:
+        for number, pause_s in bursts:
+            lines += [budget.spend(now_s, "a greeting is bad") for _ in range(number)]
+            sent += number
+            now_s += pause_s
+            lines.append(budget.settle(now_s))
+    lines = [line for line in lines if line]
+    assert len(lines) <= 100
+    assert budget.count == sent
+
+
+def test_a_rate_limit_lets_a_burst_pass_and_then_so_many_a_second():
+    limit = RateLimit(2.0, 5)
+    assert [limit.admit(100.0) for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [limit.admit(100.0 + 0.25 * turn) for turn in range(1, 9)] == [False, True] * 4
+    assert [limit.admit(1e6) for _ in range(7)] == [True] * 5 + [False] * 2
