@@ -6,13 +6,14 @@ import math
 import shutil
 from datetime import UTC, datetime
 
-from daemon.base.records import Bus
+from daemon.base.records import Bus, Event
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
 from tests.support.rig import HandWeather, ServiceRig
 
+HOMED = "homing finished"
 UNIT_GOES_TO = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 
@@ -103,6 +104,10 @@ class Plant(ServiceRig):
     def kept_files(self):
         """Return what the service has kept for its next start."""
         return sorted(path for path in self._lasting.store.directory.rglob("*") if path.is_file())
+
+    def has_homed(self, since_s):
+        """Tell whether a reference run of both axes has ended well since then."""
+        return any(record.text == HOMED and record.time_monotonic_s >= since_s for record in self.of(Event))
 
     def plug(self, device, *, up):
         self.plugged[device] = up
