@@ -22,6 +22,7 @@ _REFUSALS = (
     "oversized",
     "refused_sender",
     "other_source",
+    "second_cube",
     "replayed",
 )
 

@@ -77,6 +77,11 @@ class BridgeReceiver(asyncio.DatagramProtocol):
         """A snapshot of all counts."""
         return self._tally.statistics(self._guard.lost)
 
+    @property
+    def refused_since_accepted(self) -> str:
+        """What was refused since the last scan that was passed on, in words; empty for nothing."""
+        return self._tally.since_accepted
+
     async def open(self) -> None:
         """Bind the port and join the group; `BridgeError` says in one sentence why that is not possible."""
         bound = self._bind()

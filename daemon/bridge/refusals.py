@@ -20,6 +20,7 @@ class Refusal(StrEnum):
     FORGED = "forged"
     MALFORMED = "malformed"
     OTHER_SOURCE = "other_source"
+    SECOND_CUBE = "second_cube"
     DUPLICATE = "duplicate"
     REORDERED = "reordered"
     REPLAYED = "replayed"
@@ -56,6 +57,8 @@ class Statistics:
         Sequence numbers that a session left out and that did not come afterwards.
     duplicate, reordered, late, skewed, malformed, forged, oversized, refused_sender, other_source, replayed
         Datagrams refused, each counted once.
+    second_cube
+        Likewise: of a second program under the same cube's name and key.
     last_refusal
         The latest refusal in one sentence; empty when there was none.
     last_refusal_utc_s
@@ -73,6 +76,7 @@ class Statistics:
     oversized: int = 0
     refused_sender: int = 0
     other_source: int = 0
+    second_cube: int = 0
     replayed: int = 0
     last_refusal: str = ""
     last_refusal_utc_s: float | None = None
@@ -101,7 +105,7 @@ class Tally:
         self._summary_at_s = 0.0
         self._summary_every_s = HOUR_S
         self._gap_began_s: float | None = None
-        self._gap_refusals = 0
+        self._gap: Counter[Refusal] = Counter()
         self._recovery_reported = False
 
     def accept(self, now_monotonic_s: float) -> None:
@@ -111,7 +115,7 @@ class Tally:
             gap_s = now_monotonic_s - self._gap_began_s
             if gap_s >= SILENCE_S and not self._recovery_reported:
                 self._recovery_reported = True
-                _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap_refusals)
+                _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap.total())
             self._gap_began_s = None
 
     def refuse(self, refused: ScanRefusedError, sender: str, utc_s: float, now_monotonic_s: float) -> None:
@@ -120,8 +124,9 @@ class Tally:
         if self._last_utc_s is None or now_monotonic_s - self._last_monotonic_s >= QUIET_S:
             self._begin_stretch(now_monotonic_s)
         if self._gap_began_s is None:
-            self._gap_began_s, self._gap_refusals = now_monotonic_s, 0
-        self._gap_refusals += 1
+            self._gap_began_s = now_monotonic_s
+            self._gap.clear()
+        self._gap[kind] += 1
         self._refused[kind] += 1
         self._last = f"{kind.replace('_', ' ')}: a datagram from {sender} {refused.reason}"
         self._last_utc_s = utc_s
@@ -133,6 +138,13 @@ class Tally:
         self._unreported[kind] += 1
         if now_monotonic_s >= self._summary_at_s:
             self._summarise(now_monotonic_s)
+
+    @property
+    def since_accepted(self) -> str:
+        """What was refused since the last scan that was passed on, in words; empty for nothing."""
+        if self._gap_began_s is None:
+            return ""
+        return f"the bridge refused {_listed(self._gap)} since; the latest is {self._last}"
 
     def statistics(self, lost: int) -> Statistics:
         """Return the counts so far; `lost` is counted where the order is known."""
@@ -153,9 +165,13 @@ class Tally:
         self._summary_at_s = now_monotonic_s + HOUR_S
 
     def _summarise(self, now_monotonic_s: float) -> None:
-        counts = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(self._unreported.items()))
+        counts = _listed(self._unreported)
         _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last)
         self._unreported.clear()
         # Doubling keeps a day of refusals under twenty lines, however many datagrams there are.
         self._summary_every_s *= 2
         self._summary_at_s = now_monotonic_s + self._summary_every_s
+
+
+def _listed(counts: Counter[Refusal]) -> str:
+    return ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in sorted(counts.items()))

@@ -1,20 +1,25 @@
-"""Which scan comes next: one source, one session, numbers that only rise, no old news. No sockets and no clock."""
+"""Which scan comes next: one cube, one session, numbers that only rise, no old news. No sockets and no clock."""
 
-from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 from daemon.base.records import FaceReading, Scan
 from daemon.bridge.refusals import Refusal, ScanRefusedError
 
-SOURCE_HELD_S = 60.0
+# A cube is there for so long after its last scan, and no other takes its place.
+HELD_S = 60.0
 DELAY_WINDOW_S = 300.0
 SEQUENCE_WINDOW = 64
 SESSIONS_REMEMBERED = 64
 
 
 class SequenceGuard:
-    """Follows one source at a time and brings its scans to the receiver's monotonic clock.
+    """Follows one session of one source at a time and brings its scans to the receiver's monotonic clock.
+
+    A session that nobody knows is taken for the restart of the one that is followed. Should that one send again, it
+    was none but a second cube under the same name: then the elder is followed, and the other one only when the elder
+    has been silent for `HELD_S`. What comes back must be new: a higher number than its session's last, and a stamp
+    later than that of every scan accepted before.
 
     Parameters
     ----------
@@ -28,10 +33,9 @@ class SequenceGuard:
         self._clock_skew_s = clock_skew_s
         self._late_after_s = late_after_s
         self._source: str | None = None
-        self._session = ""
-        self._superseded: deque[str] = deque(maxlen=SESSIONS_REMEMBERED)
-        self._numbers = _Numbers(0)
-        self._delays = _SlidingMinimum(DELAY_WINDOW_S)
+        # The sessions of the source, by trust: the elder one first, and a restart next to what it replaced.
+        self._sessions: list[_Session] = []
+        self._followed: _Session | None = None
         self._lost_before = 0
         self._accepted_utc_s = -inf
         self._accepted_at_s = -inf
@@ -40,36 +44,69 @@ class SequenceGuard:
     @property
     def lost(self) -> int:
         """Sequence numbers that never came, over all sessions."""
-        return self._lost_before + self._numbers.lost
+        return self._lost_before + sum(session.numbers.lost for session in self._sessions)
 
     def admit(self, scan: Scan, arrival_utc_s: float, arrival_monotonic_s: float) -> Scan:
         """Return `scan` with its monotonic times on the receiver's clock, never decreasing from scan to scan.
 
         Raises
         ------
-        RefusedError
-            Of kind ``other_source``, ``duplicate``, ``reordered``, ``replayed``, ``skewed`` or ``late``.
+        ScanRefusedError
+            Of kind ``other_source``, ``second_cube``, ``duplicate``, ``reordered``, ``replayed``, ``skewed`` or
+            ``late``.
         """
-        followed = scan.source == self._source
-        if not followed and arrival_monotonic_s - self._accepted_at_s < SOURCE_HELD_S:
+        head = ScanHead(scan.source, scan.session, scan.sequence, scan.time_utc_s)
+        self.screen(head, arrival_utc_s, arrival_monotonic_s)
+        session = self._session(head)
+        if session is not None:
+            # First of all, so that a number counts as having come even where its scan is then refused.
+            session.numbers.note(scan.sequence)
+            self._refuse_second(session, arrival_monotonic_s)
+        self._check_skew(head, arrival_utc_s)
+        if session is None:
+            session = self._begin(head)
+        self._followed = session
+        return self._rebase(scan, session, arrival_monotonic_s)
+
+    def screen(self, head: "ScanHead", arrival_utc_s: float, arrival_monotonic_s: float) -> None:
+        """Refuse what its head alone gives away, and change nothing; raises like `admit`, which does this first."""
+        if head.source != self._source and arrival_monotonic_s - self._accepted_at_s < HELD_S:
             raise ScanRefusedError(
                 Refusal.OTHER_SOURCE,
-                f"is from the cube {scan.source} while {self._source} is followed: give each cube a port of its own,"
+                f"is from the cube {head.source} while {self._source} is followed: give each cube a port of its own,"
                 " or name the right sender in bridge.accept_from",
             )
-        continued = followed and scan.session == self._session
-        if continued:
-            # First of all, so that a number counts as having come even where its scan is then refused.
-            self._numbers.note(scan.sequence)
-        elif followed and scan.session in self._superseded:
-            raise ScanRefusedError(Refusal.REPLAYED, f"belongs to the session {scan.session}, which has been replaced")
-        self._check_skew(scan, arrival_utc_s)
-        if not continued:
-            self._begin(scan, arrival_utc_s, followed=followed)
-        return self._rebase(scan, arrival_monotonic_s)
+        session = self._session(head)
+        if session is None:
+            self._check_skew(head, arrival_utc_s)
+            self._check_stamp(head, arrival_utc_s, "begins")
+            return
+        if session is self._followed:
+            session.numbers.refuse_old(head.sequence)
+            return
+        if not head.sequence > session.numbers.highest:
+            raise ScanRefusedError(Refusal.REPLAYED, f"belongs to the session {head.session}, which has been replaced")
+        self._check_stamp(head, arrival_utc_s, "returns to")
 
-    def _check_skew(self, scan: Scan, arrival_utc_s: float) -> None:
-        skew_s = scan.time_utc_s - arrival_utc_s
+    def _session(self, head: "ScanHead") -> "_Session | None":
+        if head.source != self._source:
+            return None
+        return next((session for session in self._sessions if session.name == head.session), None)
+
+    def _refuse_second(self, session: "_Session", now_s: float) -> None:
+        """Refuse a session while one that is elder is there."""
+        followed = self._followed
+        if followed is None or session is followed or not now_s - followed.accepted_at_s < HELD_S:
+            return
+        if self._sessions.index(followed) < self._sessions.index(session):
+            raise ScanRefusedError(
+                Refusal.SECOND_CUBE,
+                f"is of the session {session.name}, a second cube under the name {self._source}, while the session"
+                f" {followed.name} is followed: stop one of the two, or give it a name and a port of its own",
+            )
+
+    def _check_skew(self, head: "ScanHead", arrival_utc_s: float) -> None:
+        skew_s = head.time_utc_s - arrival_utc_s
         if not (abs(skew_s) <= self._clock_skew_s):
             side = "ahead of" if skew_s > 0 else "behind"
             raise ScanRefusedError(
@@ -78,25 +115,31 @@ class SequenceGuard:
                 " keep both clocks by NTP",
             )
 
-    def _begin(self, scan: Scan, arrival_utc_s: float, *, followed: bool) -> None:
+    def _check_stamp(self, head: "ScanHead", arrival_utc_s: float, does: str) -> None:
         # A stamp beyond any that could be accepted now is from before this machine's clock was set back.
         comparable = self._accepted_utc_s <= arrival_utc_s + self._clock_skew_s
-        if comparable and not (scan.time_utc_s > self._accepted_utc_s):
+        if comparable and not (head.time_utc_s > self._accepted_utc_s):
             raise ScanRefusedError(
-                Refusal.REPLAYED, f"begins the session {scan.session} with a scan older than one accepted before"
+                Refusal.REPLAYED, f"{does} the session {head.session} with a scan older than one accepted before"
             )
-        if followed:
-            self._superseded.append(self._session)
-        else:
-            self._superseded.clear()
-        self._lost_before += self._numbers.lost
-        self._source, self._session = scan.source, scan.session
-        self._numbers = _Numbers(scan.sequence)
-        self._delays = _SlidingMinimum(DELAY_WINDOW_S)
 
-    def _rebase(self, scan: Scan, arrival_monotonic_s: float) -> Scan:
+    def _begin(self, head: "ScanHead") -> "_Session":
+        if head.source != self._source:
+            self._lost_before = self.lost
+            self._source, self._followed = head.source, None
+            self._sessions.clear()
+        session = _Session(head.session, _Numbers(head.sequence))
+        place = 0 if self._followed is None else self._sessions.index(self._followed) + 1
+        self._sessions.insert(place, session)
+        if len(self._sessions) > SESSIONS_REMEMBERED:
+            oldest = min((one for one in self._sessions if one is not session), key=_accepted_at_s)
+            self._lost_before += oldest.numbers.lost
+            self._sessions.remove(oldest)
+        return session
+
+    def _rebase(self, scan: Scan, session: "_Session", arrival_monotonic_s: float) -> Scan:
         delay_s = arrival_monotonic_s - scan.time_monotonic_s
-        offset_s = self._delays.add(arrival_monotonic_s, delay_s)
+        offset_s = session.delays.add(arrival_monotonic_s, delay_s)
         lateness_s = delay_s - offset_s
         if not (lateness_s <= self._late_after_s):
             raise ScanRefusedError(
@@ -109,7 +152,7 @@ class SequenceGuard:
                 Refusal.LATE, "is older by its sender's steady clock than the scan before: that clock must not step"
             )
         self._latest_scan_s = time_s
-        self._accepted_at_s = arrival_monotonic_s
+        self._accepted_at_s = session.accepted_at_s = arrival_monotonic_s
         self._accepted_utc_s = scan.time_utc_s
         east, south, west, zenith = (
             FaceReading(face.irradiance_w_m2, face.quality, face.time_utc_s, face.time_monotonic_s + offset_s)
@@ -118,32 +161,46 @@ class SequenceGuard:
         return replace(scan, time_monotonic_s=time_s, east=east, south=south, west=west, zenith=zenith)
 
 
+@dataclass(frozen=True, slots=True)
+class ScanHead:
+    """What tells one scan from another: cube, session, number, and UTC [s]."""
+
+    source: str
+    session: str
+    sequence: int
+    time_utc_s: float
+
+
 class _Numbers:
     """The sequence numbers of one session: the highest, and which of the 64 up to it have come."""
 
     def __init__(self, first: int) -> None:
         self._first = first
-        self._highest = first
+        self.highest = first
         self._seen = 1
         self.lost = 0
 
     def note(self, number: int) -> None:
         """Take a higher number; raise `ScanRefusedError` for any other."""
-        ahead = number - self._highest
+        ahead = number - self.highest
         if ahead > 0:
             self.lost += ahead - 1
             self._seen = (self._seen << ahead | 1) & (1 << SEQUENCE_WINDOW) - 1 if ahead < SEQUENCE_WINDOW else 1
-            self._highest = number
+            self.highest = number
             return
-        if -ahead >= SEQUENCE_WINDOW:
-            raise ScanRefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self._highest}")
-        bit = 1 << -ahead
-        if self._seen & bit:
-            raise ScanRefusedError(Refusal.DUPLICATE, f"repeats the number {number}")
-        self._seen |= bit
+        self.refuse_old(number)
+        self._seen |= 1 << -ahead
         if number > self._first:
             self.lost -= 1
-        raise ScanRefusedError(Refusal.REORDERED, f"has the number {number}, after {self._highest}")
+        raise ScanRefusedError(Refusal.REORDERED, f"has the number {number}, after {self.highest}")
+
+    def refuse_old(self, number: int) -> None:
+        """Raise `ScanRefusedError` for a number that has come before, or is too far behind for anybody to know."""
+        behind = self.highest - number
+        if behind >= SEQUENCE_WINDOW:
+            raise ScanRefusedError(Refusal.REPLAYED, f"has the number {number}, long after {self.highest}")
+        if behind >= 0 and self._seen >> behind & 1:
+            raise ScanRefusedError(Refusal.DUPLICATE, f"repeats the number {number}")
 
 
 class _SlidingMinimum:
@@ -164,3 +221,17 @@ class _SlidingMinimum:
             self._began_s = now_s
         self._current = min(self._current, value)
         return min(self._current, self._previous)
+
+
+@dataclass(slots=True, eq=False)
+class _Session:
+    """One run of a cube's program."""
+
+    name: str
+    numbers: _Numbers
+    delays: _SlidingMinimum = field(default_factory=lambda: _SlidingMinimum(DELAY_WINDOW_S))
+    accepted_at_s: float = -inf
+
+
+def _accepted_at_s(session: _Session) -> float:
+    return session.accepted_at_s

@@ -139,10 +139,15 @@ class Service:
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
                 alone=len(wanted) == 1,
+                refused=self._refused,
                 muted=self._mute_cube,
             )
             self.bus.subscribe(tracker.note)
             yield tracker
+
+    def _refused(self) -> str:
+        """Return what the bridge has refused since the last scan, in words."""
+        return "" if self.receiver is None else self.receiver.refused_since_accepted
 
     def _mute_cube(self) -> None:
         """Keep the cube's alarms silent while nobody is left who would want to hear them: all trackers are muted."""

@@ -59,6 +59,8 @@ class Tracker:
         Reasons to stow besides the rig's wind sensor and the operator.
     alone
         Whether it is the process' only tracker: then a driver that hangs for good ends the process.
+    refused
+        Returns what the bridge has refused since the last scan, in words; empty for nothing.
     muted
         Called when its alarms are silenced or heard again.
     """
@@ -77,6 +79,7 @@ class Tracker:
         stow_sources: Sequence[StowSource],
         *,
         alone: bool,
+        refused: Callable[[], str],
         muted: Callable[[], None],
     ) -> None:
         self.name = name
@@ -114,6 +117,7 @@ class Tracker:
             self.publish,
             self.alarms,
             ClockWatch(clock, self.alarms, rig.clock_synchronised),
+            refused,
         )
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:

@@ -92,6 +92,8 @@ class Control(Doors):
         Where what a person has to know is raised.
     clock_watch
         Tells whether the time of day may be used.
+    refused
+        Returns what the bridge has refused since the last scan, in words; empty for nothing.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Control(Doors):
         publish: Callable[[Record], None],
         alarms: Alarms,
         clock_watch: ClockWatch | None = None,
+        refused: Callable[[], str] = str,
     ) -> None:
         super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order))
         self.pointing = pointing
@@ -118,7 +121,7 @@ class Control(Doors):
         self.budget = DayBudget(
             settings.motion, settings.site.longitude_deg, settings.store.directory, alarms, clock.utc()
         )
-        self._readings = Readings(settings, clock, sun_elevation_deg, pointing.law)
+        self._readings = Readings(settings, clock, sun_elevation_deg, pointing.law, refused)
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
         self._decision: Decision | None = None

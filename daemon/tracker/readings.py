@@ -24,6 +24,8 @@ class Readings:
         Of UTC [s], to tell night from day.
     law
         Says how many faces it needs, and whether the zenith face can be believed.
+    refused
+        Returns what the bridge has refused since the last scan, in words; empty for nothing.
 
     Attributes
     ----------
@@ -39,12 +41,14 @@ class Readings:
         clock: Clock,
         sun_elevation_deg: Callable[[float], float],
         law: Law,
+        refused: Callable[[], str] = str,
     ) -> None:
         self._safety = settings.safety
         self._minimum_coverage = settings.windows.minimum_coverage
         self._clock = clock
         self._sun_elevation_deg = sun_elevation_deg
         self._law = law
+        self._refused = refused
         self._faces_needed = law.faces_needed
         self._window = Window(
             settings.windows.mean_s,
@@ -88,8 +92,12 @@ class Readings:
             return Data.FRESH, "the cube's readings are good"
         since_s = now_s - max(self.good_s, self._started_s)
         if since_s > self._safety.fallback_after_s:
-            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}"
-        return Data.WAITING, "waiting for the cube's readings"
+            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._refusals()}"
+        return Data.WAITING, f"waiting for the cube's readings{self._refusals()}"
+
+    def _refusals(self) -> str:
+        refused = self._refused()
+        return f"; {refused}" if refused else ""
 
     def _bad_faces(self) -> str:
         if self.newest is None or self.newest.ok:

@@ -259,9 +259,10 @@ def test_a_leap_to_the_largest_number_is_counted_and_takes_no_memory():
     assert desk.counts == {"accepted": 2, "lost": 2**53 - 2}
 
 
-def test_a_restarted_cube_is_followed_at_once_and_its_old_session_no_more():
+def test_a_restarted_cube_is_followed_at_once_and_what_is_left_of_its_old_session_is_not():
     desk = Desk()
-    desk.follow(scan(7, time_s=0.0), scan(0, time_s=5.0, session="second"), scan(8, time_s=10.0))
+    desk.follow(scan(7, time_s=0.0), scan(0, time_s=5.0, session="second"))
+    desk.take(signed(scan(7, time_s=0.0)), time_s=10.0)
     assert [got.session for got in desk.scans] == ["first", "second"]
     assert desk.counts == {"accepted": 2, "replayed": 1}
     assert "has been replaced" in desk.reason

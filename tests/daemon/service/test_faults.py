@@ -4,6 +4,7 @@ import asyncio
 import itertools
 import logging
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,6 +68,25 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert len(told) == 2
     assert told[0].startswith("the cube is down")
     assert told[1] == "the cube is back"
+
+
+def test_the_reason_for_fallback_names_what_the_bridge_refuses_and_says_so_no_more_afterwards(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        sender = rig.service.sender
+        key, sender._key = sender._key, bytes(32)
+        await rig.until_mode(Mode.FALLBACK, 90)
+        change = rig.of(ModeChange)[-1]
+        assert re.search(r"no good scan for \d+ s; the bridge refused \d+ forged since; the latest is", change.why)
+        assert change.why.endswith("was not signed with this receiver's key: give both sides the same key file")
+        assert rig.control.state.why.startswith("no good scan")
+        sender._key = key
+        await rig.until_mode(Mode.TRACKING, 90)
+        rig.cables.voltmeter.link_up = False
+        await rig.until_mode(Mode.FALLBACK, 90)
+        assert "refused" not in rig.control.why
+
+    run_rig(scenario)
 
 
 @pytest.mark.parametrize("out_s", [1, 70])
