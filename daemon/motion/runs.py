@@ -142,7 +142,9 @@ class Runs:
         outcome, why = MoveOutcome.REFUSED, target.why
         for attempt in range(self._settings.attempts):
             if attempt:
-                await wait_at_most(self._wake, _BETWEEN_ATTEMPTS_S)
+                await self._pause()
+            if guard.stray is not None:
+                return await self._quell()
             if self._is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
             try:
@@ -159,6 +161,19 @@ class Runs:
             if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._hopeless():
                 break
         return outcome, why
+
+    async def _pause(self) -> None:
+        """Let time pass between two attempts and watch meanwhile: what stands may begin to move by itself."""
+        until_s = self._clock.monotonic() + _BETWEEN_ATTEMPTS_S
+        while self._clock.monotonic() < until_s and self._guard.stray is None and not self._is_interrupted():
+            await wait_at_most(self._wake, min(self._poll_every_s, _BETWEEN_ATTEMPTS_S))
+            await self._guard.poll(moving=True)
+
+    async def _quell(self) -> tuple[MoveOutcome, str]:
+        """Stop what strays and return how the move ends with it."""
+        stray = self._guard.stray
+        text = stray.text if stray is not None else ""
+        return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, text
 
     def _hopeless(self) -> bool:
         telemetry = self._guard.telemetry
@@ -179,8 +194,7 @@ class Runs:
                 await guard.halt()
                 return MoveOutcome.INTERRUPTED, target.why
             if guard.stray is not None:
-                text = guard.stray.text
-                return MoveOutcome.INTERRUPTED if await guard.quell() else MoveOutcome.OVERSHOT, text
+                return await self._quell()
             if (doubt := self._doubt()) is not None:
                 await guard.halt()
                 return MoveOutcome.STALLED, doubt

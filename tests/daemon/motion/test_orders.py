@@ -200,6 +200,27 @@ def test_a_stop_between_two_attempts_ends_the_move(run_rig, monkeypatch):
     run_rig(scenario)
 
 
+def test_what_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.order(Target(0, 60, "test"))
+        await rig.until(lambda: len(targets(sent)) == 2, 3, "the first attempt")
+        await rig.until(lambda: rig.motion.stands_since_s is None, 3, "the stop after it")
+        await rig.until(lambda: rig.motion.stands_since_s is not None, 3, "standstill")
+        drive_b(rig, 20)
+        begun_s = now(rig)
+        await rig.until(lambda: rig.motion.target is None, 12, "the end of the move")
+        assert len(targets(sent)) == 2
+        assert rig.motion.last_move.outcome is MoveOutcome.OVERSHOT
+        assert "B moved" in rig.motion.unexplained
+        stopped_s = next(at_s for at_s, data in sent if at_s > begun_s and data[:3] == STOP_PACKET)
+        assert stopped_s - begun_s < 1.6
+
+    run_rig(scenario)
+
+
 def test_an_order_that_cannot_be_carried_out_any_more_is_told_and_dropped(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
