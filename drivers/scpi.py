@@ -17,6 +17,8 @@ POWER_ON = 128
 ERRORS = 4 | 8 | 16 | 32
 """Event bits of commands that were not carried out."""
 
+# No register has more digits, and Python turns no text of thousands of them into a number.
+_WHOLE = re.compile(r"[0-9]{1,10}")
 _NO_ERROR = re.compile(r"[+-]?0+,")
 _QUIET_S = 0.1
 _MOST_STALE_LINES = 20
@@ -101,16 +103,19 @@ class ScpiSession:
         await self._line.send(f"*ESE {self._number}")
         answer = await self.ask("*ESE?")
         for _ in range(_MOST_STALE_LINES):
-            if answer.isdecimal() and int(answer) == self._number:
+            if _WHOLE.fullmatch(answer) and int(answer) == self._number:
                 return
             answer = (await self._line.receive(self._deadline_s)).strip()
         raise ProtocolError(self._device, f"keeps answering {answer[:80]!r} to *ESE?")
 
     async def events(self) -> int:
         """Return the standard event register, which that clears; `ProtocolError` if the answer is no number."""
-        answer = await self.ask("*ESR?")
-        if not answer.isdecimal():
-            raise ProtocolError(self._device, f"answers {answer[:80]!r} to *ESR?")
+        return self.whole("*ESR?", await self.ask("*ESR?"))
+
+    def whole(self, query: str, answer: str) -> int:
+        """Return the whole number that a question was answered by; `ProtocolError` if it is none of ten digits."""
+        if not _WHOLE.fullmatch(answer):
+            raise ProtocolError(self._device, f"answers {answer[:80]!r} to {query}")
         return int(answer)
 
     async def command(self, command: str) -> None:

@@ -102,12 +102,14 @@ def read_calibration(path: Path) -> CubeCalibration:
         calibration = CubeCalibration.model_validate(values)
     except FileNotFoundError:
         raise UserError(f"there is no calibration file at {path}; make one with 'heliocube calibrate'") from None
-    except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(f"calibration file {path} cannot be read: {error}") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate anew") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"calibration file {path} cannot be read: {error}") from None
+    except RecursionError:
+        raise UserError(f"calibration file {path} cannot be read: its brackets are nested too deeply") from None
     if calibration.identifier != _identifier(calibration):
         raise UserError(
             f"calibration file {path} has been edited: its contents are not those of {calibration.identifier}, which"

@@ -11,6 +11,7 @@ from drivers.scpi import ERRORS, ScpiLine, ScpiSession, opening
 
 DEVICE = "load"
 OVERFLOW = 9.9e37
+_MOST_BITS = 2.0**32
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _OFF = ("0", "OFF")
 
@@ -202,8 +203,8 @@ class LoadSession(ScpiSession):
             raise ProtocolError(DEVICE, f"did not take {what}: *ESR? is {events}")
 
     async def _protection(self) -> str:
-        answer = await self.ask(self._dialect.protection)
-        return self._tripped(self._whole(answer))
+        query = self._dialect.protection
+        return self._tripped(self.whole(query, await self.ask(query)))
 
     async def _measure(self) -> Measured:
         if self._in_one_line:
@@ -215,6 +216,8 @@ class LoadSession(ScpiSession):
         if len(numbers) != len(self._dialect.measure_one_by_one):
             raise ProtocolError(DEVICE, "answered no voltage, current and protection where they were asked for")
         voltage_v, current_a, bits = numbers
+        if not 0.0 <= bits < _MOST_BITS:
+            raise ProtocolError(DEVICE, f"answered {bits:g} where its protections were asked for")
         beyond = not (abs(voltage_v) < OVERFLOW and abs(current_a) < OVERFLOW)
         return Measured(None if beyond else (voltage_v, current_a), self._tripped(int(bits)))
 
@@ -222,11 +225,6 @@ class LoadSession(ScpiSession):
         """Return the numbers of a reply; none at all where one of its parts is not a number."""
         parts = [part.strip() for part in reply.split(";")]
         return [float(part) for part in parts] if all(_NUMBER.fullmatch(part) for part in parts) else []
-
-    def _whole(self, answer: str) -> int:
-        if not answer.isdecimal():
-            raise ProtocolError(DEVICE, f"answered {answer[:80]!r} where its protections were asked for")
-        return int(answer)
 
     def _tripped(self, bits: int) -> str:
         return ", ".join(name for bit, name in self._dialect.protections.items() if bits & bit)
