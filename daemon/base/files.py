@@ -4,6 +4,9 @@ import contextlib
 import logging
 import os
 import stat
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -12,6 +15,10 @@ from daemon.base.errors import UserError
 if TYPE_CHECKING:
     # A stop reads its token by this module, and waits for no large library.
     from pydantic import BaseModel
+
+log = logging.getLogger("heliocube.state")
+
+_CLOSE_WITHIN_S = 3.0
 
 State = TypeVar("State", bound="BaseModel")
 
@@ -24,13 +31,180 @@ class UnreadableStateError(Exception):
         self.path = path
 
 
+def replace_file(path: Path, text: str) -> None:
+    """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
+    part = path.with_suffix(".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
+
+
+@dataclass(slots=True)
+class _Content:
+    """What one file is to hold: `tried` once it has been attempted, `slow` once that took longer than it should."""
+
+    text: str
+    forgotten: str
+    logger: logging.Logger
+    tried: bool = False
+    slow: bool = False
+
+
+class StateFolder:
+    """The small files that one tracker keeps over a restart; nothing that moves it waits for their disk.
+
+    Of each file the newest content counts. What cannot be written is kept in memory and tried again.
+
+    Parameters
+    ----------
+    directory
+        Of the files, made if it is missing; None keeps everything in memory only.
+    behind
+        Whether a thread writes, as a service in real time needs; without it, `put` writes before it returns.
+    replace
+        Writes a text to a path so that a crash leaves the whole old or the whole new file; raises `OSError`.
+    """
+
+    def __init__(
+        self, directory: Path | None, *, behind: bool = False, replace: Callable[[Path, str], None] = replace_file
+    ) -> None:
+        self.directory = directory
+        self._behind = behind
+        self._replace = replace
+        self._changed = threading.Condition()
+        self._waiting: dict[Path, _Content] = {}
+        self._failed: dict[Path, str] = {}
+        self._working = False
+
+    def put(self, path: Path, text: str, forgotten: str, logger: logging.Logger) -> None:
+        """Have a file replaced as a whole.
+
+        Parameters
+        ----------
+        path, text
+            The file and its new content.
+        forgotten
+            What a restart would forget without it, as the end of a sentence.
+        logger
+            Where a disk that fails is reported, once until it works again.
+        """
+        with self._changed:
+            # At the end of the queue: the files are written in the order of their latest contents.
+            self._waiting.pop(path, None)
+            self._waiting[path] = _Content(text, forgotten, logger)
+        self._write()
+
+    @property
+    def at_work(self) -> bool:
+        """Whether something is being written that has not failed yet."""
+        with self._changed:
+            return self._working
+
+    @property
+    def unsaved(self) -> str | None:
+        """What a restart now would forget, and why, in a sentence; None if all is on the disk."""
+        with self._changed:
+            return self._sentence(self._waiting)
+
+    @property
+    def trouble(self) -> str | None:
+        """What is unsaved because the disk fails or does not answer, or None; a disk at work is no trouble."""
+        with self._changed:
+            return self._sentence([path for path, kept in self._waiting.items() if path in self._failed or kept.slow])
+
+    def retry(self) -> None:
+        """Try again what could not be written; to be called every few seconds."""
+        with self._changed:
+            if not self._waiting:
+                return
+            for path, kept in self._waiting.items():
+                if path in self._failed:
+                    kept.tried = False
+                else:
+                    kept.slow = True
+        self._write()
+
+    def settle(self, within_s: float) -> bool:
+        """Wait until everything has been tried once, and return whether all is on the disk; blocks."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._working, within_s)
+            return not self._waiting
+
+    def close(self) -> None:
+        """Try once more what waits, for a few seconds at most, and report what a restart will have forgotten."""
+        self.retry()
+        self.settle(_CLOSE_WITHIN_S)
+        unsaved = self.unsaved
+        if unsaved is not None:
+            log.error("%s", unsaved)
+
+    def _write(self) -> None:
+        with self._changed:
+            if self._working:
+                return
+            self._working = True
+        if self._behind:
+            # Not waited for at the end of the process: a disk may never answer.
+            threading.Thread(target=self._work, name="kept state", daemon=True).start()
+        else:
+            self._work()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                found = next(((path, kept) for path, kept in self._waiting.items() if not kept.tried), None)
+                if found is None:
+                    self._working = False
+                    self._changed.notify_all()
+                    return
+                path, kept = found
+                kept.tried = True
+            reason = self._attempt(path, kept.text)
+            with self._changed:
+                self._note(path, kept, reason)
+
+    def _attempt(self, path: Path, text: str) -> str | None:
+        try:
+            self._replace(path, text)
+        except OSError as error:
+            return error.strerror or str(error)
+        return None
+
+    def _note(self, path: Path, kept: _Content, reason: str | None) -> None:
+        if reason is None:
+            if self._waiting.get(path) is kept:
+                del self._waiting[path]
+            if self._failed.pop(path, None) is not None:
+                kept.logger.info("%s is written again", path)
+            return
+        if path not in self._failed:
+            kept.logger.warning("%s cannot be written (%s): a restart would forget %s", path, reason, kept.forgotten)
+        self._failed[path] = reason
+
+    def _sentence(self, paths: Iterable[Path]) -> str | None:
+        chosen = list(paths)
+        if not chosen:
+            return None
+        forgotten = " and ".join(self._waiting[path].forgotten for path in chosen)
+        reason = self._failed.get(chosen[0], "the disk has not answered yet")
+        return f"a restart would forget {forgotten}: {chosen[0]} cannot be written ({reason})"
+
+
 class StateFile(Generic[State]):
     """What must outlive a restart, in a small JSON file; without a folder it lives in memory only.
 
     Parameters
     ----------
-    directory, name
-        Of the file; no directory, no file.
+    folder, name
+        Of the file; a folder without a directory, no file.
     model
         What the file holds. A file with anything else in it is unreadable.
     logger
@@ -45,13 +219,13 @@ class StateFile(Generic[State]):
     """
 
     def __init__(
-        self, directory: Path | None, name: str, model: type[State], logger: logging.Logger, forgotten: str
+        self, folder: StateFolder, name: str, model: type[State], logger: logging.Logger, forgotten: str
     ) -> None:
-        self.path = None if directory is None else directory / name
+        self.path = None if folder.directory is None else folder.directory / name
+        self._folder = folder
         self._model = model
         self._logger = logger
         self._forgotten = forgotten
-        self._failed = False
 
     def load(self) -> State | None:
         """Return what was kept, None if nothing was.
@@ -64,27 +238,16 @@ class StateFile(Generic[State]):
         if self.path is None:
             return None
         try:
-            return self._model.model_validate_json(self.path.read_text())
+            return self._model.model_validate_json(self.path.read_bytes())
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as error:
             raise UnreadableStateError(self.path) from error
 
-    def save(self, state: State) -> bool:
-        """Replace the file as a whole, and return whether that went well; a disk that fails is reported once."""
-        if self.path is None:
-            return True
-        try:
-            replace_file(self.path, state.model_dump_json(exclude_none=True))
-        except OSError as error:
-            if not self._failed:
-                self._logger.warning(
-                    "%s cannot be written (%s): a restart would forget %s", self.path, error, self._forgotten
-                )
-            self._failed = True
-            return False
-        self._failed = False
-        return True
+    def save(self, state: State) -> None:
+        """Have the file replaced as a whole; whether that goes well is the folder's to say."""
+        if self.path is not None:
+            self._folder.put(self.path, state.model_dump_json(exclude_none=True), self._forgotten, self._logger)
 
 
 def write_secret(path: Path, content: bytes, called: str, error: type[UserError]) -> None:
@@ -138,19 +301,3 @@ def read_secret(
             reason = f"can be read by others than its owner: run chmod 600 {path}"
         raise error(f"{called} {reason}")
     return content
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
-    part = path.with_suffix(".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise

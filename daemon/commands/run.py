@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC
+from functools import partial
 from importlib.metadata import version
 from random import SystemRandom
 
@@ -18,6 +19,7 @@ from daemon.api.token import generate_token, load_token
 from daemon.base import process
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
+from daemon.base.files import StateFolder
 from daemon.base.process import Notifier, on_signals
 from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
@@ -73,6 +75,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             calibration,
             stow_sources={name: link.stow_sources() for name, link in mqtt.items()},
             send_beyond=_sender(settings, mqtt),
+            kept_in=partial(StateFolder, behind=True),
         )
         if rig.simulated:
             fields = {"role": role, "speed": speed}

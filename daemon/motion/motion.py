@@ -11,11 +11,11 @@ import contextlib
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from random import Random
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
+from daemon.base.files import StateFolder
 from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.timeloop import wait_at_most
@@ -69,10 +69,10 @@ class Motion(MotionState):
         control looks again at once.
     alarms
         Where the alarms about the positioner are raised.
+    folder
+        Where doubts are kept over a restart.
     polling
         How often to look at the positioner.
-    directory
-        Where doubts are kept over a restart, or None.
     """
 
     def __init__(
@@ -86,8 +86,8 @@ class Motion(MotionState):
         publish: Callable[[Record], None],
         changed: Callable[[], None],
         alarms: Alarms,
+        folder: StateFolder,
         polling: Polling = OFTEN,
-        directory: Path | None = None,
     ) -> None:
         self._positioner = positioner
         self._limits = limits
@@ -95,7 +95,7 @@ class Motion(MotionState):
         self._publish = publish
         self._changed = changed
         self._polling = polling
-        guard = Guard(positioner, expected, Doubts(directory), clock, publish, alarms, self._note_readiness)
+        guard = Guard(positioner, expected, Doubts(folder), clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
         self._rehoming = Rehoming(enabled=settings.rehome == "automatic")
         self._wake = wake = asyncio.Event()

@@ -5,11 +5,10 @@ Kept beside the store, so that a restart of the service forgets none of it.
 
 import logging
 from collections.abc import Collection, Iterable
-from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from drivers.interfaces import Telemetry
 
 log = logging.getLogger("heliocube.motion")
@@ -47,12 +46,12 @@ class Doubts:
 
     Parameters
     ----------
-    directory
-        Of the file, or None to keep it in memory only.
+    folder
+        Of the file.
     """
 
-    def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, FILE_NAME, _Kept, log, "what is in doubt")
+    def __init__(self, folder: StateFolder) -> None:
+        self._file = StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
         kept = self._load()
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)

@@ -19,6 +19,8 @@ log = logging.getLogger("heliocube.operator")
 _WAIT_S = 3.0
 _WAIT_FOR_MOTION_S = 6.0
 _LOOK_EVERY_S = 0.02
+# A disk at work takes milliseconds; a person is not kept waiting for a bad one.
+_WAIT_FOR_DISK_S = 0.4
 # Telemetry tells tenths of a degree.
 _NEARER_DEG = 0.15
 
@@ -115,12 +117,13 @@ class Operator:
         control.tick()
         if lost is not None:
             noted = "" if name == "stop" else f"{name} is noted, but "
-            raise CommandError(f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}")
+            unsent = f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}"
+            raise CommandError(f"{unsent}{await self._unsaved()}")
         seen = await self._until(lambda: Seen.DONE if _stands(motion, asked_s) else None)
         way = ""
         if seen is Seen.DONE and heading is not None:
             way = f"stopped on the way to A {heading.a_deg:+.1f}, B {heading.b_deg:.1f} deg; "
-        return Answer(seen, f"{way}{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(seen, f"{way}{self._seen()}{_replaced(before, control.wishes)}")
 
     async def stow(self, why: str, by: str = "") -> Answer:
         """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
@@ -165,7 +168,7 @@ class Operator:
                 return Seen.UNDER_WAY
             return Seen.DONE if control.mode is Mode.HOLD and _stands(motion, asked_s) else None
 
-        return Answer(await self._until(seen), f"{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(await self._until(seen), f"{self._seen()}{_replaced(before, control.wishes)}")
 
     async def goto(self, a_deg: float, b_deg: float, why: str, by: str = "") -> Answer:
         """Go to a position inside the limits and hold there."""
@@ -190,7 +193,7 @@ class Operator:
         self._note("auto", why, by)
         control.tick()
         ended = "; ".join(before.gone_in(control.wishes))
-        return Answer(Seen.DONE, f"{self._seen()}{f'; released: {ended}' if ended else ''}")
+        return await self._answer(Seen.DONE, f"{self._seen()}{f'; released: {ended}' if ended else ''}")
 
     async def home(self, why: str, by: str = "") -> Answer:
         """Start a reference run of both axes."""
@@ -246,7 +249,17 @@ class Operator:
         control, motion = self._control, self._motion
         approach = _Approach(motion, Target(a_deg, b_deg, ""), self._tracker.settings.motion.tolerance_deg)
         found = await self._until(approach.seen, _WAIT_FOR_MOTION_S)
-        return Answer(found, f"{self._seen()}{_replaced(before, control.wishes)}")
+        return await self._answer(found, f"{self._seen()}{_replaced(before, control.wishes)}")
+
+    async def _answer(self, seen: Seen, text: str) -> Answer:
+        """Return what came of a command that changes what is kept, and whether a restart would forget it."""
+        return Answer(seen, f"{text}{await self._unsaved()}")
+
+    async def _unsaved(self) -> str:
+        """Give the disk a moment, and return what it has not taken by then, as the end of an answer."""
+        folder = self._tracker.folder
+        await self._until(lambda: None if folder.at_work else Seen.DONE, _WAIT_FOR_DISK_S)
+        return "" if folder.unsaved is None else f"; not kept yet: {folder.unsaved}"
 
     async def _until(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
         clock = self._clock

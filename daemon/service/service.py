@@ -3,6 +3,7 @@
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from pathlib import Path
 from random import Random
 from types import MappingProxyType
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
+from daemon.base.files import StateFolder
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Event, Scan
 from daemon.bridge.receiver import BridgeReceiver
@@ -57,6 +59,8 @@ class Service:
         Reasons to stow besides the rig's wind sensor and the operator, by the name of the tracker.
     send_beyond
         Takes each signed scan of the cube to trackers that UDP does not reach, or None.
+    kept_in
+        Makes the folder of a tracker's kept state; in real time one whose disk is never waited for.
     """
 
     def __init__(
@@ -74,6 +78,7 @@ class Service:
         polling: Polling = OFTEN,
         stow_sources: Mapping[str, Sequence[StowSource]] = MappingProxyType({}),
         send_beyond: Callable[[bytes], None] | None = None,
+        kept_in: Callable[[Path | None], StateFolder] = StateFolder,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -82,6 +87,7 @@ class Service:
         self.bus = bus
         self.cube_alarms = Alarms(clock, bus.publish)
         self._random = random
+        self._kept_in = kept_in
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
@@ -138,6 +144,7 @@ class Service:
                 sun_elevation_deg=self.sun_elevation_deg if same_place else SunElevation(settings.site.place()),
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
+                folder=self._kept_in(settings.store.directory),
                 alone=len(wanted) == 1,
                 refused=self._refused,
                 muted=self._mute_cube,
@@ -202,6 +209,8 @@ class Service:
                 await self.receiver.close()
             for companion in companions:
                 companion.close()
+            for tracker in self.trackers:
+                tracker.folder.close()
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge

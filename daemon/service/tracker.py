@@ -8,6 +8,7 @@ from random import Random
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
+from daemon.base.files import StateFolder
 from daemon.base.process import TRACKER
 from daemon.base.records import Event, Pose, Record, Scan, stamped
 from daemon.config.settings import Settings
@@ -57,6 +58,8 @@ class Tracker:
         How often to poll the positioner.
     stow_sources
         Reasons to stow besides the rig's wind sensor and the operator.
+    folder
+        Where its state is kept over a restart.
     alone
         Whether it is the process' only tracker: then a driver that hangs for good ends the process.
     refused
@@ -77,6 +80,7 @@ class Tracker:
         sun_elevation_deg: SunElevation,
         polling: Polling,
         stow_sources: Sequence[StowSource],
+        folder: StateFolder,
         *,
         alone: bool,
         refused: Callable[[], str],
@@ -88,11 +92,12 @@ class Tracker:
         self.publish = stamped(publish, name)
         self.alarms = Alarms(clock, self.publish, muted)
         self._rig = rig
+        self.folder = folder
         self.alone = alone
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
-        self.stow_watch = StowWatch(sources, SafetyFile(settings.store.directory), clock, self._decide_again)
+        self.stow_watch = StowWatch(sources, SafetyFile(folder), clock, self._decide_again)
         self.motion = Motion(
             instruments.positioner,
             settings.limits.limits(),
@@ -103,19 +108,20 @@ class Tracker:
             self.publish,
             self._decide_again,
             self.alarms,
+            folder,
             polling,
-            settings.store.directory,
         )
         self.control = Control(
             settings,
             clock,
             self.motion,
-            build_pointing(settings, clock.utc()),
+            build_pointing(settings, clock.utc(), folder),
             sun_elevation_deg,
             self.stow_watch,
-            Orders(clock, WishFile(settings.store.directory)),
+            Orders(clock, WishFile(folder)),
             self.publish,
             self.alarms,
+            folder,
             ClockWatch(clock, self.alarms, rig.clock_synchronised),
             refused,
         )

@@ -1,12 +1,11 @@
 """How far and how often the laws may move the tracker in a day: a drive wears by the metre and by the start."""
 
 import logging
-from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms import Alarms
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.config.sections import MotionSettings
 from solar.ephemeris import DAY_S
 
@@ -35,8 +34,8 @@ class DayBudget:
         The limits.
     longitude_deg
         Of the site, east positive: a day is the sun's, from midnight to midnight.
-    directory
-        Where the count is kept over a restart, or None.
+    folder
+        Where the count is kept over a restart.
     alarms
         Where the end of the budget is told.
     utc_s
@@ -44,11 +43,11 @@ class DayBudget:
     """
 
     def __init__(
-        self, settings: MotionSettings, longitude_deg: float, directory: Path | None, alarms: Alarms, utc_s: float
+        self, settings: MotionSettings, longitude_deg: float, folder: StateFolder, alarms: Alarms, utc_s: float
     ) -> None:
         self._settings = settings
         self._longitude_deg = longitude_deg
-        self._file = StateFile(directory, FILE_NAME, Used, log, "the moves of the day")
+        self._file = StateFile(folder, FILE_NAME, Used, log, "the moves of the day")
         self._alarms = alarms
         # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
         self.used = self._load() or Used(day=self._day_of(utc_s))

@@ -10,6 +10,7 @@ import numpy as np
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
+from daemon.base.files import StateFolder
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Wording
 from daemon.base.timeloop import wait_at_most
@@ -90,6 +91,8 @@ class Control(Doors):
         Called with decisions, mode changes and events.
     alarms
         Where what a person has to know is raised.
+    folder
+        Where all of it is kept over a restart.
     clock_watch
         Tells whether the time of day may be used.
     refused
@@ -107,6 +110,7 @@ class Control(Doors):
         orders: Orders,
         publish: Callable[[Record], None],
         alarms: Alarms,
+        folder: StateFolder,
         clock_watch: ClockWatch | None = None,
         refused: Callable[[], str] = str,
     ) -> None:
@@ -118,9 +122,8 @@ class Control(Doors):
         self._publish = publish
         self._alarms = alarms
         self._reminders = Reminders(clock, settings.site, alarms, publish)
-        self.budget = DayBudget(
-            settings.motion, settings.site.longitude_deg, settings.store.directory, alarms, clock.utc()
-        )
+        self._folder = folder
+        self.budget = DayBudget(settings.motion, settings.site.longitude_deg, folder, alarms, clock.utc())
         self._readings = Readings(settings, clock, sun_elevation_deg, pointing.law, refused)
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
@@ -205,6 +208,8 @@ class Control(Doors):
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
         self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)
+        self._folder.retry()
+        self._alarms.set("not-kept", self._folder.trouble)
         self.last_tick_s = now_s
 
     def _turn_days(self, utc_s: float) -> None:

@@ -2,12 +2,11 @@
 
 import logging
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from pydantic import RootModel
 
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.law")
 
@@ -19,16 +18,16 @@ class _Kept(RootModel[dict[str, Any]]):
 
 
 class LawFile:
-    """A small file beside the store; without a folder what is learned lives in memory only.
+    """A small file beside the store; in a folder without a directory what is learned lives in memory only.
 
     Parameters
     ----------
-    directory
-        Of the file, or None.
+    folder
+        Of the file.
     """
 
-    def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, FILE_NAME, _Kept, log, "what was learned")
+    def __init__(self, folder: StateFolder) -> None:
+        self._file = StateFile(folder, FILE_NAME, _Kept, log, "what was learned")
 
     def load(self) -> dict[str, Any] | None:
         """Return what was kept, or None; a file that cannot be read is reported and learning begins anew."""
@@ -44,6 +43,6 @@ class LawFile:
         log.warning("%s cannot be used: what was learned of the site is learned anew", self._file.path)
 
     def save(self, kept: Mapping[str, Any] | None) -> None:
-        """Replace the file as a whole; a disk that fails is reported and does not hinder tracking."""
+        """Have the file replaced as a whole; no disk hinders tracking."""
         if kept is not None:
             self._file.save(_Kept(dict(kept)))

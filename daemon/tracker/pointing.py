@@ -6,6 +6,7 @@ from typing import NamedTuple, cast
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
+from daemon.base.files import StateFolder
 from daemon.base.records import FACES, Irradiances, Quality, Scan
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
@@ -79,9 +80,9 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
     return law.aim(Moment(utc_s, faces, heading, sun_known))
 
 
-def build_pointing(settings: Settings, utc_s: float) -> Pointing:
+def build_pointing(settings: Settings, utc_s: float, folder: StateFolder) -> Pointing:
     """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
-    file = LawFile(settings.store.directory)
+    file = LawFile(folder)
     tracker = TrackerFacts(
         site=settings.site.place(),
         limits=settings.limits.limits(),

@@ -7,12 +7,11 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Sequence, Set
-from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import call_every
 from daemon.tracker.stow import StowSource, StowStatus
 
@@ -21,7 +20,6 @@ log = logging.getLogger("heliocube.stow")
 FILE_NAME = "safety.json"
 # Shorter than a gust.
 _POLL_EVERY_S = 1.0
-_SAVE_AGAIN_S = 60.0
 
 
 class KeptSafety(BaseModel):
@@ -34,16 +32,16 @@ class KeptSafety(BaseModel):
 
 
 class SafetyFile:
-    """State of safety in a small file beside the store; without a folder it lives in memory only.
+    """State of safety in a small file beside the store; in a folder without a directory it lives in memory only.
 
     Parameters
     ----------
-    directory
-        Of the file, or None.
+    folder
+        Of the file.
     """
 
-    def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, FILE_NAME, KeptSafety, log, "the storm")
+    def __init__(self, folder: StateFolder) -> None:
+        self._file = StateFile(folder, FILE_NAME, KeptSafety, log, "the storm")
 
     def load(self) -> str | None:
         """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""
@@ -56,9 +54,9 @@ class SafetyFile:
             return None
         return f"stowed before the restart, since {kept.since_utc}: {'; '.join(kept.stowing.values())}"
 
-    def save(self, stowing: dict[str, str], utc_s: float) -> bool:
-        """Replace the file as a whole and return whether that went well; a disk that fails is reported once."""
-        return self._file.save(KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)))
+    def save(self, stowing: dict[str, str], utc_s: float) -> None:
+        """Have the file replaced as a whole; no disk hinders the stow."""
+        self._file.save(KeptSafety(stowing=stowing, since_utc=iso_utc(utc_s)))
 
 
 class StowWatch:
@@ -84,7 +82,6 @@ class StowWatch:
         self._clock = clock
         self._wake = wake
         self._kept: Set[str] | None = None
-        self._save_s = -math.inf
         self._pending = {source.name for source in self._sources}
         before = file.load()
         if before is not None and self._sources:
@@ -101,7 +98,7 @@ class StowWatch:
         """Poll every source at this monotonic time and return all reasons to stow, none of them twice."""
         found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
         if found.keys() != self._kept:
-            self._keep(found, now_s)
+            self._keep(found)
         return tuple(dict.fromkeys(found.values())) if found else ()
 
     def waiting_why(self, now_s: float) -> str | None:
@@ -142,10 +139,7 @@ class StowWatch:
         finally:
             end()
 
-    def _keep(self, found: dict[str, str], now_s: float) -> None:
-        if not self._sources or now_s < self._save_s:
-            return
-        if self._file.save(found, self._clock.utc()):
-            self._kept, self._save_s = found.keys(), -math.inf
-        else:
-            self._save_s = now_s + _SAVE_AGAIN_S
+    def _keep(self, found: dict[str, str]) -> None:
+        if self._sources:
+            self._file.save(found, self._clock.utc())
+        self._kept = found.keys()

@@ -5,13 +5,12 @@ A service that is killed in a storm or under repair and comes back must not go t
 
 import logging
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.control")
 
@@ -92,16 +91,16 @@ class Wishes(BaseModel):
 
 
 class WishFile:
-    """Wishes in a small file beside the store; without a folder they live in memory only.
+    """Wishes in a small file beside the store; in a folder without a directory they live in memory only.
 
     Parameters
     ----------
-    directory
-        Of the file, or None.
+    folder
+        Of the file.
     """
 
-    def __init__(self, directory: Path | None) -> None:
-        self._file = StateFile(directory, FILE_NAME, Wishes, log, "what was asked")
+    def __init__(self, folder: StateFolder) -> None:
+        self._file = StateFile(folder, FILE_NAME, Wishes, log, "what was asked")
 
     def load(self) -> Wishes:
         """Return what was wished before the restart; a file that cannot be read counts as a stop."""
@@ -112,7 +111,7 @@ class WishFile:
             return Wishes(stop=Wish(why=f"{error}: nobody knows what was asked before the restart"))
 
     def save(self, wishes: Wishes) -> None:
-        """Replace the file as a whole; a disk that fails is reported and does not hinder the command."""
+        """Have the file replaced as a whole; no disk hinders the command."""
         self._file.save(wishes)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import LoopClock
+from daemon.base.files import StateFolder
 from daemon.base.records import Event, Move, MoveOutcome, Target
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
@@ -36,6 +37,7 @@ def test_a_target_that_falls_into_the_braking_of_the_move_before_is_reached_with
             records.append,
             lambda: None,
             alarms,
+            StateFolder(None),
         )
         running = asyncio.create_task(motion.run())
         try:

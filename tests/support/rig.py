@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from daemon.base.clock import LoopClock
+from daemon.base.files import StateFolder
 from daemon.base.process import Notifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
@@ -66,6 +67,7 @@ class ServiceRig:
     """One service, its instruments, and everything it has published."""
 
     polling = OFTEN
+    kept_in = StateFolder
 
     def __init__(self, loop, settings, start, weather, role, setup=None, polling=OFTEN):
         self.polling = polling
@@ -125,6 +127,7 @@ class ServiceRig:
             KEY,
             Notifier({}, 0),
             polling=self.polling,
+            kept_in=self.kept_in,
         )
 
     def _sensor(self, channel, now_s):

@@ -1,11 +1,12 @@
 """Kept state: what is saved comes back, what cannot be read is said and never guessed, and a full disk is no end."""
 
 import logging
+import threading
 
 import pytest
 from pydantic import BaseModel, ConfigDict
 
-from daemon.base.files import StateFile, UnreadableStateError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError, replace_file
 
 LOG = logging.getLogger("heliocube.test")
 
@@ -18,18 +19,18 @@ class Kept(BaseModel):
 
 
 def state_file(directory):
-    return StateFile(directory, "kept.json", Kept, LOG, "the count")
+    return StateFile(StateFolder(directory), "kept.json", Kept, LOG, "the count")
 
 
 def test_what_is_saved_comes_back_in_another_process(tmp_path):
-    assert state_file(tmp_path / "new").save(Kept(count=3))
+    state_file(tmp_path / "new").save(Kept(count=3))
     assert state_file(tmp_path / "new").load() == Kept(count=3)
     assert (tmp_path / "new" / "kept.json").read_text() == '{"count":3}'
 
 
 def test_nothing_kept_is_none():
     assert state_file(None).load() is None
-    assert state_file(None).save(Kept(count=1))
+    state_file(None).save(Kept(count=1))
 
 
 def test_a_folder_that_is_not_there_holds_nothing(tmp_path):
@@ -46,18 +47,71 @@ def test_what_cannot_be_read_is_the_callers_to_judge(tmp_path, content):
     assert caught.value.path == tmp_path / "kept.json"
 
 
-def test_a_disk_that_fails_is_reported_once_until_it_works_again(tmp_path, caplog):
-    kept = state_file(tmp_path / "folder")
-    (tmp_path / "folder").touch()
-    assert not kept.save(Kept(count=1))
-    assert not kept.save(Kept(count=2))
-    assert [record.getMessage().partition("): ")[2] for record in caplog.records] == [
-        "a restart would forget the count"
+def test_a_disk_that_fails_is_reported_once_until_it_works_again_and_gets_the_newest_content(tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    directory = tmp_path / "folder"
+    folder = StateFolder(directory)
+    kept = StateFile(folder, "kept.json", Kept, LOG, "the count")
+    why = f"a restart would forget the count: {directory / 'kept.json'} cannot be written (File exists)"
+    directory.touch()
+    kept.save(Kept(count=1))
+    kept.save(Kept(count=2))
+    folder.retry()
+    assert folder.unsaved == folder.trouble == why
+    directory.unlink()
+    folder.retry()
+    assert folder.unsaved is folder.trouble is None
+    assert kept.load() == Kept(count=2)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{directory / 'kept.json'} cannot be written (File exists): a restart would forget the count",
+        f"{directory / 'kept.json'} is written again",
     ]
-    (tmp_path / "folder").unlink()
-    assert kept.save(Kept(count=3))
-    (tmp_path / "folder" / "kept.json").unlink()
-    (tmp_path / "folder").rmdir()
+
+
+class SlowDisk:
+    """A disk that takes one file when it is let, and remembers the order."""
+
+    def __init__(self):
+        self.begun, self.let, self.written = threading.Semaphore(0), threading.Semaphore(0), []
+
+    def replace(self, path, text):
+        self.begun.release()
+        assert self.let.acquire(timeout=60)
+        self.written.append((path.name, text))
+        replace_file(path, text)
+
+
+def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order(tmp_path):
+    disk = SlowDisk()
+    folder = StateFolder(tmp_path, behind=True, replace=disk.replace)
+    first, second = (StateFile(folder, name, Kept, LOG, f"the {name}") for name in ("a.json", "b.json"))
+    first.save(Kept(count=1))
+    assert disk.begun.acquire(timeout=60)
+    second.save(Kept(count=2))
+    for count in (3, 4, 5):
+        first.save(Kept(count=count))
+    assert disk.written == []
+    assert folder.at_work
+    assert folder.unsaved.startswith("a restart would forget the b.json and the a.json: ")
+    assert folder.trouble is None, "a disk at work is no trouble yet"
+    folder.retry()
+    assert folder.trouble == folder.unsaved
+    assert folder.trouble.endswith("b.json cannot be written (the disk has not answered yet)")
+    disk.let.release(3)
+    assert folder.settle(60)
+    assert disk.written == [("a.json", '{"count":1}'), ("b.json", '{"count":2}'), ("a.json", '{"count":5}')]
+    assert folder.unsaved is None
+    assert first.load() == Kept(count=5)
+
+
+def test_the_end_of_the_service_tries_once_more_and_says_what_is_lost(tmp_path, caplog):
+    folder = StateFolder(tmp_path / "folder", behind=True)
     (tmp_path / "folder").touch()
-    assert not kept.save(Kept(count=4))
-    assert len(caplog.records) == 2
+    StateFile(folder, "kept.json", Kept, LOG, "the count").save(Kept(count=1))
+    folder.close()
+    assert "a restart would forget the count" in caplog.messages[-1]
+    (tmp_path / "folder").unlink()
+    caplog.clear()
+    folder.close()
+    assert (tmp_path / "folder" / "kept.json").is_file()
+    assert not caplog.records

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from daemon.base.files import StateFolder
 from daemon.base.records import Decision, Event, Mode, Move, Scan
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.budget import DayBudget
@@ -214,7 +215,7 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
 def test_a_day_is_the_suns_and_not_utcs(run_rig):
     async def scenario(rig):
         settings, alarms_ = rig.service.settings.motion, rig.tracker.alarms
-        budget = DayBudget(settings, 150.0, None, alarms_, 0.0)
+        budget = DayBudget(settings, 150.0, StateFolder(None), alarms_, 0.0)
         budget.book(10.0)
         budget.turn(13.9 * 3600)
         assert budget.used.moves == 1

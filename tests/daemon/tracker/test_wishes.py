@@ -2,12 +2,13 @@
 
 import pytest
 
+from daemon.base.files import StateFolder
 from daemon.tracker.wishes import Wish, Wishes, WishFile
 
 
 def loaded(tmp_path, text):
     (tmp_path / "operator.json").write_text(text)
-    return WishFile(tmp_path).load()
+    return WishFile(StateFolder(tmp_path)).load()
 
 
 @pytest.mark.parametrize(
@@ -39,8 +40,8 @@ def test_the_form_of_earlier_versions_is_read(tmp_path):
 
 def test_what_was_written_is_read_back(tmp_path):
     wishes = Wishes(maintenance=Wish(why="greasing", by="ana@lab", since_utc_s=1665568803.25))
-    WishFile(tmp_path).save(wishes)
-    assert WishFile(tmp_path).load() == wishes
+    WishFile(StateFolder(tmp_path)).save(wishes)
+    assert WishFile(StateFolder(tmp_path)).load() == wishes
     assert wishes.stillness == "in maintenance by ana@lab since 2022-10-12 10:00:03 UTC: greasing"
 
 

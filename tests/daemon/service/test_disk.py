@@ -1,0 +1,105 @@
+"""A disk that is slow, full or gone: motion does not wait for it, and whoever commands is not left in the belief."""
+
+import asyncio
+import threading
+from functools import partial
+
+import pytest
+
+from daemon.base.files import StateFolder, replace_file
+from daemon.base.records import Mode
+from daemon.service.operator import CommandError, Operator, Seen
+from daemon.tracker.wishes import WishFile
+from tests.daemon.api.test_api import serve
+from tests.daemon.service.test_faults import under_way
+from tests.daemon.store.test_store import fill, small_disk
+from tests.support.rig import ServiceRig
+
+__all__ = ["serve", "small_disk"]
+
+
+def operator(rig):
+    return Operator(rig.tracker, 1.0)
+
+
+def kept(directory):
+    return WishFile(StateFolder(directory)).load()
+
+
+@pytest.fixture
+def stuck_disk(monkeypatch):
+    """Let the service's disk answer nothing before the event that is returned is set."""
+    released = threading.Event()
+
+    def replace(path, text):
+        assert released.wait(60)
+        replace_file(path, text)
+
+    made = partial(StateFolder, behind=True, replace=replace)
+    monkeypatch.setattr(ServiceRig, "kept_in", staticmethod(made))
+    yield released
+    released.set()
+
+
+@pytest.mark.parametrize("name", ["stop", "maintenance", "stow"])
+def test_no_stop_and_no_stow_waits_for_the_disk(run_rig, stuck_disk, tmp_path, name):
+    async def scenario(rig):
+        await under_way(rig)
+        commands = operator(rig)
+        # The writing of this one is what a later command would have to wait for.
+        await commands.hold("first", "ana")
+        asked_s = rig.clock.monotonic()
+        answer = await getattr(commands, name)("a hand near the actuator", "ana")
+        assert answer.seen in (Seen.DONE, Seen.UNDER_WAY)
+        assert rig.clock.monotonic() - asked_s < 7.0
+        unsaved = answer.text.partition("; not kept yet: a restart would forget ")[2]
+        assert "what was asked" in unsaved
+        assert unsaved.endswith(" cannot be written (the disk has not answered yet)")
+        assert not (tmp_path / "operator.json").exists()
+        await asyncio.sleep(20)
+        assert any("the disk has not answered yet" in alarm.text for alarm in rig.tracker.alarms.active) is (
+            name != "maintenance"
+        )
+        stuck_disk.set()
+        assert rig.tracker.folder.settle(60)
+        assert getattr(kept(tmp_path), name).why == "a hand near the actuator"
+        await asyncio.sleep(10)
+        assert "not-kept" not in {alarm.name for alarm in rig.tracker.alarms.active}
+
+    run_rig(scenario, store={"directory": tmp_path})
+
+
+def test_a_stop_that_a_full_disk_cannot_take_says_so_and_is_kept_when_there_is_room(serve, small_disk):
+    filler = small_disk / "filler"
+
+    async def scenario(rig, call):
+        await rig.until_mode(Mode.TRACKING, 120)
+        fill(filler)
+        answer = (await call.post("stop")).json
+        assert answer["done"] is True
+        assert answer["text"].endswith(
+            f"; not kept yet: a restart would forget what was asked: {small_disk / 'operator.json'} cannot be written"
+            " (No space left on device)"
+        )
+        await asyncio.sleep(10)
+        (alarm,) = [one for one in (await call.get("/api/state")).json["alarms"] if one["name"] == "not-kept"]
+        assert alarm["text"] == answer["text"].partition("not kept yet: ")[2]
+        filler.unlink()
+        await asyncio.sleep(10)
+        assert kept(small_disk).stop is not None
+        assert "not-kept" not in {one["name"] for one in (await call.get("/api/state")).json["alarms"]}
+        assert "not kept" not in (await call.post("stop")).json["text"]
+
+    serve(scenario, store={"directory": small_disk})
+
+
+def test_a_stop_that_neither_reaches_the_positioner_nor_the_disk_says_both(run_rig, tmp_path):
+    (tmp_path / "file").touch()
+
+    async def scenario(rig):
+        await under_way(rig)
+        rig.cables.positioner.link_up = False
+        with pytest.raises(CommandError, match=r"stop could not be sent, .*; not kept yet: a restart would forget"):
+            await operator(rig).stop("a hand", "ana")
+
+    run_rig(scenario, store={"directory": tmp_path / "file" / "folder"})
