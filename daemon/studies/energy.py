@@ -10,6 +10,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
@@ -217,6 +218,8 @@ def _choice(name: str) -> _Choice:
                 return _Choice(module, module.SETTINGS())
             if module.SETTINGS.knob is not None:
                 return _Choice(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
+    except ValidationError as error:
+        raise UserError(f"--laws: {name}: {error.errors()[0]['msg'].lower()}") from None
     except ValueError:
         pass
     known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))

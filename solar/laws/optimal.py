@@ -23,6 +23,9 @@ from solar.laws.site import Learned, SiteLearning
 
 Flags = NDArray[np.bool_]
 
+THRIFT_RANGE = (0.1, 100.0)
+"""Least and greatest weight of wear against harvest."""
+
 _FACES_NEEDED = 3
 _SUNNY_W_M2 = 500.0
 _LEAST_LEFT = 1e-3
@@ -45,8 +48,8 @@ class OptimalSettings:
     price_per_degree_w_m2, price_per_move_w_m2
         Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
     thrift
-        What both prices are multiplied by: the one knob between harvest and wear. A varying sky is also taken at its
-        slower mean, the more so the thriftier.
+        What both prices are multiplied by, 0.1 to 100: the one knob between harvest and wear. A varying sky is
+        also taken at its slower mean, the more so the thriftier.
     travel_per_day_deg, moves_per_day
         The day's budget.
     pacing
@@ -67,6 +70,12 @@ class OptimalSettings:
     moves_per_day: int = 250
     pacing: float = 6.0
     forget_after_s: float = 900.0
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for a thrift that is no price: at 0 the tracker runs after every flicker of the light."""
+        low, high = THRIFT_RANGE
+        if not (low <= self.thrift <= high):
+            raise ValueError(f"thrift is {self.thrift:g}, not in {low:g}..{high:g}")
 
 
 class Expectation(NamedTuple):

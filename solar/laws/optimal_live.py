@@ -15,7 +15,7 @@ from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, 
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import light_from_faces, usable_faces
-from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.optimal import THRIFT_RANGE, OptimalLaw, OptimalSettings
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 
 DECIDE_EVERY_S = 60.0
@@ -40,7 +40,10 @@ class LiveOptimalSettings(LawSettings):
         description="Share of the irradiance that the ground reflects; optimal begins with it and learns its own.",
     )
     thrift: float = Field(
-        1.0, ge=0.1, le=100, description="Weight of wear against harvest; 2 travels less for a little energy."
+        1.0,
+        ge=THRIFT_RANGE[0],
+        le=THRIFT_RANGE[1],
+        description="Weight of wear against harvest; 2 travels less for a little energy.",
     )
     travel_per_day_deg: float = Field(
         1300.0, gt=0, le=100000, description="Degrees of travel in a day, A and B added, that are never exceeded."

@@ -1,5 +1,6 @@
 """The law `optimal` over time."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,12 @@ def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
     assert np.abs(blink[121] - steady[121]).sum() < 5.0
     cloud, _ = day(lambda minute: 0.0 if minute >= 120 else 800.0)
     assert cloud[-1][1] > 80.0
+
+
+@pytest.mark.parametrize("thrift", [0.0, 0.09, -1.0, 101.0, math.nan])
+def test_a_thrift_that_is_no_price_is_refused(thrift):
+    with pytest.raises(ValueError, match=r"not in 0\.1\.\.100"):
+        OptimalSettings(thrift=thrift)
 
 
 def test_the_thriftier_the_less_it_travels():

@@ -48,7 +48,8 @@ def test_it_writes_table_csv_and_picture(monkeypatch, weather, tmp_path, capsys)
     [
         (("--laws", "fastest"), "there is no law 'fastest'"),
         (("--laws", "fixed:95"), "there is no law 'fixed:95'"),
-        (("--laws", "optimal:nan"), "there is no law 'optimal:nan'"),
+        (("--laws", "optimal:nan"), "optimal:nan: input should be a finite number"),
+        (("--laws", "optimal:0"), "optimal:0: input should be greater than or equal to 0.1"),
         (("--sky", "green"), "there is no sky 'green'"),
         (("--site", "91,0"), "is not on Earth"),
     ],
