@@ -159,8 +159,12 @@ class SafetySettings(Section):
     """When not to track."""
 
     scan_stale_s: Duration = Field(15.0, description="Age from which the newest scan is not used any more.")
-    fallback_after_s: Duration = Field(
-        60.0, description="Time without good readings after which the sun is followed by ephemeris."
+    fallback_after_s: Duration = Field(60.0, description="Time without good readings after which the mode is fallback.")
+    keep_pose_s: NotNegative = Field(
+        300.0,
+        le=900,
+        description="Time since the last good readings for which a tracker in fallback stays where they put it, before "
+        "it follows the sun by ephemeris: a short gap is not worth a swing to the sun and back.",
     )
     night_below_w_m2: NotNegative = Field(5.0, le=200, description="Zenith irradiance below which night begins.")
     night_above_w_m2: NotNegative = Field(10.0, le=200, description="Zenith irradiance above which night ends.")

@@ -260,9 +260,10 @@ class Control(Doors):
         utc_s = self._clock.utc()
         self._log_mode(mode, why, now_s)
         self._publish(ModeChange(time_utc_s=utc_s, time_monotonic_s=now_s, before=self.mode, after=mode, why=why))
+        kept_s = self._settings.safety.keep_pose_s if (self.mode, mode) == (Mode.TRACKING, Mode.FALLBACK) else 0.0
         self.mode = mode
         self._since_utc_s = utc_s
-        self._due_s = now_s
+        self._due_s = max(now_s, self._readings.good_s + kept_s)
         self._parking.forget()
         if mode is Mode.FAULT:
             # Where an operator wanted to go before the fault may be a wrong place to go to after it.

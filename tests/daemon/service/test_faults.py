@@ -70,6 +70,24 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, in
     assert told[1] == "the cube is back"
 
 
+@pytest.mark.parametrize(("silence_s", "moves"), [(150, 0), (285, 0), (420, 1)])
+def test_a_short_gap_is_not_worth_a_swing_to_the_sun(run_rig, silence_s, moves):
+    async def scenario(rig):
+        await tracking(rig)
+        await asyncio.sleep(900)
+        await at_rest(rig)
+        before = len(rig.of(Move))
+        rig.cables.voltmeter.link_up = False
+        await asyncio.sleep(silence_s)
+        assert rig.mode is Mode.FALLBACK
+        rig.cables.voltmeter.link_up = True
+        await rig.until_mode(Mode.TRACKING, 60)
+        swung = [move for move in rig.of(Move)[before:] if move.target_b_deg < 75]
+        assert len(swung) == moves
+
+    run_rig(scenario, law={"driver": "optimal"}, weather=HandWeather(dni=0, dhi=150), start="2022-12-21T11:00")
+
+
 def test_the_reason_for_fallback_names_what_the_bridge_refuses_and_says_so_no_more_afterwards(run_rig):
     async def scenario(rig):
         await tracking(rig)
