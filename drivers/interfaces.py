@@ -75,6 +75,10 @@ class CubeReading:
         that apply their own.
     proven
         False if a test of the way from sensor to number has failed; True if it has passed, or there is none.
+    rounded
+        The values come in steps, so that a steady light gives the same one again and again.
+    notes
+        What the instruments have against themselves, and why a face gives nothing for longer: sentences for people.
     """
 
     east: FaceSample
@@ -83,6 +87,8 @@ class CubeReading:
     zenith: FaceSample
     unit: Literal["V", "W/m2"]
     proven: bool = True
+    rounded: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def faces(self) -> tuple[FaceSample, FaceSample, FaceSample, FaceSample]:

@@ -50,7 +50,8 @@ def with_defaults(section: type[BaseModel], value: Any, info: ValidationInfo) ->
     return {**section.model_fields[info.field_name].default.model_dump(), **value}
 
 
-def _port(text: str) -> str:
+def stable_port(text: str) -> str:
+    """Return the name of a port; `ValueError` for one that another instrument may have after a replug."""
     if not _STABLE_PORT.fullmatch(text) or _UNSTABLE_PORT.fullmatch(text):
         raise ValueError("not a name that stays the same")
     return text
@@ -64,7 +65,7 @@ def _visa(text: str) -> str:
 
 
 Positive = Annotated[float, Field(gt=0)]
-PortPath = Annotated[str, AfterValidator(_port), text_of("port")]
+PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
 VisaResource = Annotated[str, AfterValidator(_visa), text_of("visa")]
 
 
@@ -155,6 +156,10 @@ class CubeDriverSettings(DriverSettings):
     """How what reads the cube's faces is connected; their gains and the rhythm are those of every cube, in [cube]."""
 
     driver: str = Field("", description="Name of the driver.")
+
+    def conflicts(self) -> Iterator[SettingsConflict]:
+        """Yield the keys that cannot be as they are."""
+        yield from ()
 
 
 @dataclass(frozen=True, slots=True)

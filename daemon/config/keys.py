@@ -74,6 +74,9 @@ _FORMS = {
     "ip": 'a numeric address such as "192.168.1.10"',
     "port": 'a port whose name outlives a replug: "/dev/serial/by-id/...", a link made by a udev rule, or "COM5";'
     " not /dev/ttyACM0, which may be another instrument after the next replug",
+    "modbus-line": 'a serial port whose name outlives a replug, such as "/dev/serial/by-id/..." or "COM5",'
+    ' "tcp:192.168.1.40:502" for Modbus TCP, or "rtu-over-tcp:192.168.1.40:4001"; not /dev/ttyUSB0, which may be'
+    " another adapter after the next replug",
     "visa": 'a VISA name that outlives a replug, such as "ASRL/dev/serial/by-id/...::INSTR", "ASRLCOM5::INSTR" or'
     ' "GPIB0::16::INSTR"; not ASRL/dev/ttyUSB0, which may be another instrument after the next replug',
     "server": 'a host and a port, such as "192.168.1.30:31763"',

@@ -22,6 +22,7 @@ FALLBACK_LAW = "chronometric"
 DRIVER = "driver"
 MULTIPLEXED = "multiplexed"
 """The cube whose keys stand in sections of their own."""
+PYRANOMETERS = "modbus-pyranometers"
 Loc = tuple[int | str, ...]
 
 

@@ -104,6 +104,13 @@ def the_positioner_reaches_its_limits(settings: Sections) -> Iterator[Conflict]:
         yield Conflict(f"{section}.{key}", reason, where)
 
 
+def the_faces_can_be_told_apart(settings: Sections) -> Iterator[Conflict]:
+    """No two sensors of `instruments.cube` share what tells them apart, and what is said of their registers fits."""
+    section = "instruments.cube"
+    for key, reason, others in settings.instruments.cube.conflicts():
+        yield Conflict(f"{section}.{key}", reason, tuple(f"{section}.{other}" for other in others))
+
+
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
     settle_s = settings.instruments.multiplexer.settle_s
@@ -259,6 +266,7 @@ _OF_MULTIPLEXED = (
 )
 RULES = (
     *_OF_MULTIPLEXED,
+    the_faces_can_be_told_apart,
     windows_hold_scans,
     limits_are_ordered,
     positions_are_inside_limits,

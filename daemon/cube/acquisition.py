@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
+from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage, Reconnection, Rhythm
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
@@ -20,6 +21,9 @@ log = logging.getLogger("heliocube.acquisition")
 
 # A six-and-a-half-digit meter on a live sensor does not give the very same digits this many times in a row.
 _STUCK_AFTER = 6
+# Values in steps of up to 1 W/m2 stand still at noon for a quarter of an hour, and in the dark for a night.
+_ROUNDED_STUCK_AFTER_S = 1800.0
+_ROUNDED_STUCK_ABOVE_W_M2 = 20.0
 _OF_FLAW: dict[FaceFlaw, Quality] = {
     "over-range": Quality.OVER_RANGE,
     "late": Quality.LATE,
@@ -50,6 +54,8 @@ class Acquisition:
         Mark every scan; the identifier is empty where the gains are the settings' own.
     face_watch
         Finds faces that cannot be true, or None.
+    alarms
+        Takes what the instruments have against themselves, or None.
     """
 
     def __init__(
@@ -64,8 +70,10 @@ class Acquisition:
         simulated: bool,
         calibration: str = "",
         face_watch: FaceWatch | None = None,
+        alarms: Alarms | None = None,
     ) -> None:
         self._face_watch = face_watch
+        self._alarms = alarms
         self._settings = settings
         self._cube = cube
         self._clock = clock
@@ -130,6 +138,8 @@ class Acquisition:
     async def scan(self) -> Scan:
         """Read and judge the four faces once; raises `DeviceError` when the link is gone."""
         reading = await self._cube.read()
+        if self._alarms is not None:
+            self._alarms.set("cube-sensor", "; ".join(reading.notes) or None)
         faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
         east, south, west, zenith = self._believed(faces, reading.proven)
         scan = Scan(
@@ -158,7 +168,7 @@ class Acquisition:
         else:
             irradiance = self._irradiance(index, sample, reading)
             self._read_w_m2[index] = irradiance
-            quality = self._judge(index, sample.value, irradiance, reading.proven)
+            quality = self._judge(index, sample.value, irradiance, reading)
         return FaceReading(irradiance, quality, sample.time_utc_s, sample.time_monotonic_s)
 
     def _irradiance(self, index: int, sample: FaceSample, reading: CubeReading) -> float:
@@ -183,17 +193,21 @@ class Acquisition:
             for index, face in enumerate(faces)
         ]
 
-    def _judge(self, index: int, value: float, irradiance: float, proven: bool) -> Quality:
+    def _judge(self, index: int, value: float, irradiance: float, reading: CubeReading) -> Quality:
         repeated = value == self._last_value[index] and value != 0.0
         self._repeats[index] = self._repeats[index] + 1 if repeated else 0
         self._last_value[index] = value
-        if not proven:
+        if not reading.proven:
             return Quality.SELF_TEST_FAILED
         if not (self._settings.minimum_w_m2 <= irradiance <= self._settings.maximum_w_m2):
             return Quality.IMPLAUSIBLE
-        if self._repeats[index] >= _STUCK_AFTER:
-            return Quality.STALE
-        return Quality.OK
+        return Quality.STALE if self._frozen(index, irradiance, rounded=reading.rounded) else Quality.OK
+
+    def _frozen(self, index: int, irradiance: float, *, rounded: bool) -> bool:
+        if not rounded:
+            return self._repeats[index] >= _STUCK_AFTER
+        stood_s = self._repeats[index] * self._settings.scan_every_s
+        return stood_s >= _ROUNDED_STUCK_AFTER_S and irradiance > _ROUNDED_STUCK_ABOVE_W_M2
 
     def _notify(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))

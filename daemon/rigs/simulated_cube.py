@@ -9,7 +9,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import MULTIPLEXED
+from daemon.config.plugged import MULTIPLEXED, PYRANOMETERS
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
 from drivers.interfaces import Cube
@@ -36,6 +36,10 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
             NiMultiplexer(InMemoryPort(switch, clock.monotonic)),
             build_voltmeter(settings, line=InMemoryLine("voltmeter", meter, clock.monotonic)),
         )
+    if own.driver == PYRANOMETERS:
+        from daemon.rigs.simulated_modbus import simulated_pyranometers  # noqa: PLC0415 - loads the driver
+
+        return simulated_pyranometers(settings, clock, _sensors(clock, scene))
     simulate = getattr(plugins.load(plugins.CUBES, own.driver), "simulate", None)
     if simulate is None:
         raise UserError(

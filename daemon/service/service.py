@@ -121,6 +121,7 @@ class Service:
             rig.simulated,
             self.calibration.identifier if self.calibration else "",
             FaceWatch(settings.site, cube, self.clock, self.cube_alarms),
+            self.cube_alarms,
         )
 
     def _build_trackers(

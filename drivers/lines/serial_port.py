@@ -10,10 +10,12 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from drivers.errors import ConnectError, LinkLostError
 from drivers.transcript import Tap, no_tap
+
+SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
 _WRITE_S = 0.5
@@ -33,6 +35,10 @@ class SerialPort:
         Raises `ValueError` for bytes that are no command that may be sent: the last gate before the wire.
     tap
         Told what is sent and received.
+    baud_rate, form
+        Speed; data bits, parity and stop bits. A USB device that is its own port goes by neither.
+    read_s
+        How long a read waits for something to come.
     dtr, rts
         Levels of the two modem lines from opening on. Linux raises both for an instant at every open, whatever is
         wanted here. A port without such lines, a pseudo-terminal say, is used as it is: `has_lines` tells.
@@ -52,6 +58,9 @@ class SerialPort:
         *,
         dtr: bool = True,
         rts: bool = True,
+        baud_rate: int = 9600,
+        form: SerialForm = "8N1",
+        read_s: float = _READ_S,
     ) -> None:
         import serial  # noqa: PLC0415 - loaded only where there is a port; it needs termios or Windows
 
@@ -62,11 +71,13 @@ class SerialPort:
         first = _open_raw(device, path) if os.name == "posix" else None
         # Windows opens every port exclusively and knows no such option.
         exclusive = True if os.name == "posix" else None
+        unusable: tuple[type[BaseException], ...] = (OSError, ValueError, *terminal_errors())
         try:
-            self._port: Any = serial.Serial(None, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=exclusive)
+            self._port: Any = serial.Serial(None, timeout=read_s, write_timeout=_WRITE_S, exclusive=exclusive)
             self._port.port, self._port.dtr, self._port.rts = path, dtr, rts
+            self._port.baudrate, self._port.parity, self._port.stopbits = baud_rate, form[1], int(form[2])
             self._port.open()
-        except (OSError, ValueError) as error:
+        except unusable as error:
             raise cannot_open(device, path, error) from error
         finally:
             if first is not None:
@@ -94,6 +105,13 @@ class SerialPort:
         except self._gone as error:
             raise LinkLostError(self._device, f"{self._path} takes no data: {error}") from error
         self._tap(">", data)
+
+    def discard(self) -> None:
+        """Throw away what has come and was not read."""
+        try:
+            self._port.reset_input_buffer()
+        except self._gone as error:
+            raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
 
     def echoes(self) -> bool:
         """Tell whether somebody has switched the terminal's echo on again."""

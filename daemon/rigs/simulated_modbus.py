@@ -1,0 +1,61 @@
+"""Simulated pyranometers on Modbus, with the makes and addresses that the configuration says of the real ones."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import cast
+
+from daemon.base.clock import Clock
+from daemon.config.settings import Settings
+from daemon.rigs.real import cube_surroundings
+from drivers.cube.pyranometers.driver import DEVICE, PyranometerCube, build
+from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
+from sim_drivers.modbus.line import PyranometerLineCore
+from sim_drivers.modbus.pyranometers import SimulatedMapped, SimulatedPyranometer, simulated_pyranometer
+from sim_drivers.transports import InMemoryModbus
+
+# What a simulated sensor gives.
+_VOLT_PER_W_M2 = 1e-4
+_FIRST_SERIAL = 24101
+
+SensorVoltage = Callable[[int, float], float]
+
+
+def simulated_pyranometers(settings: Settings, clock: Clock, sensor_v: SensorVoltage) -> PyranometerCube:
+    """Return the cube on simulated sensors, not yet connected; each line of the configuration is one in memory.
+
+    Parameters
+    ----------
+    sensor_v
+        Voltage [V] of the scene's sensor on face 0 to 3 at a monotonic time.
+    """
+    own = cast("PyranometersSettings", settings.instruments.cube)
+    sensors = build_pyranometers(own, sensor_v)
+
+    def path(line: str) -> InMemoryModbus:
+        there = [sensor for name, sensor in zip(FACE_NAMES, sensors, strict=True) if (own.line_of(name) or "") == line]
+        return InMemoryModbus(DEVICE, PyranometerLineCore(there), clock.monotonic)
+
+    return build(own, cube_surroundings(settings, clock), path)
+
+
+def build_pyranometers(own: PyranometersSettings, sensor_v: SensorVoltage) -> list[SimulatedPyranometer]:
+    """Return the sensors of east, south, west and zenith; their serial numbers are the pinned ones, if any."""
+
+    def irradiance(face: int, now_s: float) -> float:
+        return sensor_v(face, now_s) / _VOLT_PER_W_M2
+
+    found: list[SimulatedPyranometer] = []
+    for face, name in enumerate(FACE_NAMES):
+        used, light = own.map_of(name), partial(irradiance, face)
+        twins = [
+            sensor
+            for other, sensor in zip(FACE_NAMES, found, strict=False)
+            if own.line_of(other) == own.line_of(name) and own.face(other).address == own.face(name).address
+        ]
+        if twins and isinstance(twins[0], SimulatedMapped):
+            twins[0].add(used, light)
+            found.append(twins[0])
+            continue
+        serial = own.face(name).serial or _FIRST_SERIAL + face
+        found.append(simulated_pyranometer(own.make_of(name), own.face(name).address, serial, light, used))
+    return found

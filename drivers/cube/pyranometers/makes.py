@@ -1,0 +1,290 @@
+"""What each make says in its registers, and what of it is to be believed.
+
+Sources: Kipp & Zonen "SMP series" manual, appendix A; Hukseflux "SR05-D1A3-PV manual v1801"; Apogee SP-522 manual; EKO
+MS-60S manual (its number type is inferred); Delta OHM LPPYRA13 manual. Registers count from 0.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from drivers.cube.pyranometers.settings import MakeName, RegisterMapSettings
+from drivers.interfaces import FaceFlaw
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT, number, words_of
+
+Words = tuple[int, ...]
+
+
+class Block(NamedTuple):
+    """Registers that are read in one question."""
+
+    function: int
+    register: int
+    length: int
+
+
+class Told(NamedTuple):
+    """What a sensor tells in one reply.
+
+    Attributes
+    ----------
+    w_m2
+        The irradiance; NaN where there is none to be used.
+    flaw
+        Why there is none.
+    note
+        What the sensor has against itself, for people.
+    """
+
+    w_m2: float
+    flaw: FaceFlaw | None = None
+    note: str = ""
+
+
+class WhoAmI(NamedTuple):
+    """Who a sensor says it is; no serial number where its make tells none."""
+
+    text: str
+    serial: int | None = None
+
+
+class Make(Protocol):
+    """One make's registers."""
+
+    @property
+    def data(self) -> Block:
+        """What is read at every scan, in one question: value, scale and flags are of one moment."""
+
+    @property
+    def proof(self) -> Block | None:
+        """What is asked of a sensor that has been silent; None where no such question is known.
+
+        Its reply has another length than that to `data`, so a late one does not pass for it. The serial number is in
+        it where there is one.
+        """
+
+    @property
+    def more(self) -> tuple[Block, ...]:
+        """What else `identify` wants to see."""
+
+    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+        """Return who it is; `WrongSensorError` if it is something else."""
+
+    def serial(self, proof: Words) -> int | None:
+        """Return the serial number."""
+
+    def told(self, data: Words) -> Told:
+        """Return what it tells."""
+
+
+class WrongSensorError(Exception):
+    """What answers is of another kind; the message says which."""
+
+
+_SMP_NAMES = {
+    **dict.fromkeys((601, 602), "SMP3"),
+    **dict.fromkeys((603, 604), "SMP11"),
+    **dict.fromkeys((605, 606), "SMP21"),
+    **dict.fromkeys((607, 608), "SMP22"),
+    **dict.fromkeys((617, 618), "SMP10"),
+    **dict.fromkeys((619, 620), "SMP6"),
+    633: "SMP12",
+}
+_SMP_KIN = {609: "SGR3 pyrgeometer", 610: "SGR3 pyrgeometer", 613: "SHP1 pyrheliometer", 614: "SHP1 pyrheliometer"}
+_SMP_MODES = {2: "service mode", 3: "calibration mode", 4: "factory mode", 5: "a fatal error"}
+_SMP_FLAGS = {
+    0: "void data",
+    1: "overflow",
+    2: "underflow",
+    4: "an ADC error",
+    5: "a DAC error",
+    6: "a calibration error",
+    7: "an EEPROM error",
+}
+_SMP_OVERFLOW, _SMP_ERROR = 1 << 1, 1 << 3
+_SMP_FACTORS = {2: 0.01, 1: 0.1, 0: 1.0, -1: 10.0}
+
+
+class Smp:
+    """Kipp & Zonen SMP3 to SMP22. Register 7 restarts its deviation when it is read, so it is left alone."""
+
+    data = Block(READ_INPUT, 0, 7)
+    proof: Block | None = Block(READ_INPUT, 41, 5)
+    more: tuple[Block, ...] = (Block(READ_INPUT, 0, 2),)
+
+    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+        """Return type, serial number and software."""
+        kind = more[0][0]
+        self._require_kind(kind)
+        batch, serial, software, *_ = proof
+        name = _SMP_NAMES.get(kind, f"SMP of type {kind}")
+        return WhoAmI(f"{name} no. {serial} of {batch}, software {software}", serial)
+
+    def serial(self, proof: Words) -> int | None:
+        """Return the serial number."""
+        return proof[1]
+
+    def told(self, data: Words) -> Told:
+        """Refuse the value in any mode but the normal one, or with a flag set; bit 3 alone is a warning."""
+        kind, _, mode, status, scale, value, _ = data
+        self._require_kind(kind)
+        if mode != 1:
+            return Told(math.nan, "missing", f"is in {_SMP_MODES.get(mode, f'mode {mode}')}, not in normal mode")
+        flags = [name for bit, name in _SMP_FLAGS.items() if status >> bit & 1]
+        if flags:
+            flaw: FaceFlaw = "over-range" if status & _SMP_OVERFLOW else "missing"
+            return Told(math.nan, flaw, f"reports {', '.join(flags)}")
+        power = int(number((scale,), "int16"))
+        if power not in _SMP_FACTORS:
+            return Told(math.nan, "missing", f"has the scale {power}, which its manual does not know")
+        note = ""
+        if status & _SMP_ERROR:
+            note = "keeps an error from earlier; its values are used, and 'heliocube probe cube --clear' clears it"
+        return Told(round(number((value,), "int16") * _SMP_FACTORS[power], 2), None, note)
+
+    def _require_kind(self, kind: int) -> None:
+        if kind in _SMP_KIN or not 600 <= kind < 700:
+            raise WrongSensorError(f"is no SMP pyranometer but {_SMP_KIN.get(kind, f'a device of type {kind}')}")
+
+
+class Hukseflux:
+    """Hukseflux SR05-D, SR15-D, SR20-D, SR30: at most five registers a question, more is not answered at all.
+
+    Parameters
+    ----------
+    base
+        Where the map begins: 0, or 0x1000 in the SR05-D1A3-PV.
+    """
+
+    def __init__(self, base: int = 0) -> None:
+        self.data = Block(READ_HOLDING, base + 2, 2)
+        self.proof: Block | None = Block(READ_HOLDING, base + 40, 3)
+        self.more: tuple[Block, ...] = (Block(READ_HOLDING, base + 6, 4), Block(READ_HOLDING, base + 32, 5))
+        self._per_w_m2 = 100.0
+
+    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+        """Return model and serial number, and take in the scale."""
+        scale, model = more[0][2], _text_low_first(more[1])
+        if not model.startswith("SR"):
+            raise WrongSensorError(f"is no Hukseflux SR but calls itself {model!r}")
+        if scale == 0:
+            raise WrongSensorError("has the scale 0 in register 8")
+        self._per_w_m2 = float(scale)
+        return WhoAmI(f"{model} no. {proof[0]}", proof[0])
+
+    def serial(self, proof: Words) -> int | None:
+        """Return the serial number."""
+        return proof[0]
+
+    def told(self, data: Words) -> Told:
+        """Return the compensated irradiance; the ends of its range are no values."""
+        raw = number(data, "int32")
+        if abs(raw) >= 2**31 - 1:
+            return Told(math.nan, "over-range", "is at the end of its range")
+        return Told(raw / self._per_w_m2)
+
+
+@dataclass(frozen=True)
+class PlainRegisters:
+    """A number at one place, with a status beside it or not: makes whose value is just there, and maps of the file.
+
+    Attributes
+    ----------
+    name
+        Of the make.
+    data, proof
+        What is read.
+    used
+        How the number is written, its factor to W/m2, and the bits of the status that spoil it.
+    value_at, status_at
+        Where number and status begin in `data`; None: there is no status.
+    with_serial
+        Whether `proof` is the serial number.
+    """
+
+    name: str
+    data: Block
+    proof: Block | None
+    used: RegisterMapSettings
+    value_at: int = 0
+    status_at: int | None = None
+    with_serial: bool = False
+    more: tuple[Block, ...] = ()
+
+    def identify(self, proof: Words, *more: Words) -> WhoAmI:  # noqa: ARG002 - there is no more
+        """Return the make, and the serial number if there is one."""
+        serial = self.serial(proof)
+        return WhoAmI(self.name if serial is None else f"{self.name} no. {serial}", serial)
+
+    def serial(self, proof: Words) -> int | None:
+        """Return the serial number."""
+        return int(number(proof, self.used.serial_type, self.used.word_order)) if self.with_serial else None
+
+    def told(self, data: Words) -> Told:
+        """Return the number, unless a bit of the status or the number itself says that there is none."""
+        if self.status_at is not None and (bits := data[self.status_at] & self.used.status_bits):
+            return Told(math.nan, "missing", f"reports status bits {bits:#06x}")
+        words = data[self.value_at : self.value_at + words_of(self.used.number_type)]
+        value = number(words, self.used.number_type, self.used.word_order) * self.used.scale
+        if math.isnan(value):
+            return Told(value, "missing", "sends no number in its registers")
+        return Told(value)
+
+
+def make_of(name: MakeName, used: RegisterMapSettings) -> Make:
+    """Return the registers of a make, or of the map of the file."""
+    if name == "smp":
+        return Smp()
+    if name in ("hukseflux", "hukseflux-pv"):
+        return Hukseflux(0x1000 if name == "hukseflux-pv" else 0)
+    if name == "map":
+        return _mapped(used)
+    return _PLAIN[name]
+
+
+def _mapped(used: RegisterMapSettings) -> PlainRegisters:
+    first, count = used.register_number, words_of(used.number_type)
+    last = first + count - 1
+    if used.status_register is not None:
+        first, last = min(first, used.status_register), max(last, used.status_register)
+    data = Block(used.function, first, last - first + 1)
+    proof = None if data.length == 1 else Block(used.function, first, 1)
+    if used.serial_register is not None:
+        proof = Block(used.function, used.serial_register, words_of(used.serial_type))
+    return PlainRegisters(
+        name="pyranometer",
+        data=data,
+        proof=proof,
+        used=used,
+        value_at=used.register_number - first,
+        status_at=None if used.status_register is None else used.status_register - first,
+        with_serial=used.serial_register is not None,
+    )
+
+
+def _text_low_first(words: Words) -> str:
+    data = b"".join(bytes((word & 0xFF, word >> 8)) for word in words)
+    return data.decode("latin-1").replace("\0", " ").strip()
+
+
+_PLAIN = {
+    "apogee": PlainRegisters(
+        name="Apogee SP-500",
+        data=Block(READ_HOLDING, 0, 2),
+        proof=Block(READ_HOLDING, 0, 4),
+        used=RegisterMapSettings(),
+    ),
+    "eko-ms60s": PlainRegisters(
+        name="EKO MS-60S",
+        data=Block(READ_HOLDING, 2, 2),
+        proof=Block(READ_HOLDING, 2, 1),
+        used=RegisterMapSettings(register_number=2),
+    ),
+    "delta-ohm": PlainRegisters(
+        name="Delta OHM LPPYRA13",
+        data=Block(READ_INPUT, 2, 2),
+        proof=Block(READ_INPUT, 2, 1),
+        used=RegisterMapSettings(function=4, register_number=2, number_type="int16", status_bits=0b1101),
+        status_at=1,
+    ),
+}

@@ -1,0 +1,168 @@
+"""One pyranometer on its line: read once a scan, proven to be the one it should be, left alone while it is dead."""
+
+import math
+from collections.abc import Callable
+
+from drivers.cube.pyranometers.makes import Block, Make, Words, WrongSensorError
+from drivers.errors import DeadlineError, RefusedError
+from drivers.interfaces import FaceFlaw, FaceSample
+from drivers.modbus.client import ModbusBus
+
+# A reply that is lost now and then is asked for again at the next scan; a sensor that stays silent, ever more rarely.
+_PATIENCE = 2
+_FIRST_PAUSE_S = 5.0
+_LONGEST_PAUSE_S = 30.0
+# A sensor is worth a word when it has given nothing so many times, one after another.
+_WORTH_A_WORD = 3
+
+
+class BusSensor:
+    """A sensor.
+
+    Parameters
+    ----------
+    face
+        Which face it is.
+    unit
+        Its address.
+    make
+        Its registers.
+    pinned
+        The serial number that it must have, or None.
+    bus
+        Its line.
+    within_s
+        Longest wait for an answer; after the first that does not come nothing more is asked in this scan.
+    utc_s, monotonic_s
+        Return the service's time.
+
+    Attributes
+    ----------
+    note
+        What people should know of it; empty while all is well.
+    answers
+        Whether it has answered when it was last asked.
+    identity
+        Who it is; empty while that is not known.
+    """
+
+    def __init__(
+        self,
+        face: str,
+        unit: int,
+        make: Make,
+        pinned: int | None,
+        bus: ModbusBus,
+        within_s: float,
+        utc_s: Callable[[], float],
+        monotonic_s: Callable[[], float],
+    ) -> None:
+        self.note = ""
+        self.answers = False
+        self.identity = ""
+        self._face = face
+        self._unit = unit
+        self._make = make
+        self._pinned = pinned
+        self._bus = bus
+        self._within_s = within_s
+        self._utc_s = utc_s
+        self._now = monotonic_s
+        self._proven = False
+        self._doubtful = False
+        self._misses = 0
+        self._flaw: FaceFlaw = "late"
+        self._ask_again_s = -math.inf
+
+    def begin(self) -> None:
+        """Forget what an earlier connection has taught."""
+        self._proven, self._doubtful = False, False
+        self._misses, self._ask_again_s = 0, -math.inf
+        self.note, self.identity, self.answers = "", "", False
+
+    async def read(self, *, check: bool) -> FaceSample:
+        """Return what it tells; with `check` its serial number is compared anew. Raises `LinkLostError` alone."""
+        if self._now() < self._ask_again_s:
+            return self._without(self._flaw)
+        try:
+            return await self._ask(check=check)
+        except DeadlineError as error:
+            text = f"answers, but {error.message}" if error.message else "does not answer"
+            return self._missed("missing" if error.message else "late", text)
+        except RefusedError as error:
+            self.answers = True
+            return self._missed("missing", f"{error.message}: is it of the configured make?", at_once=True)
+        except WrongSensorError as error:
+            self.answers = True
+            return self._missed("missing", str(error), at_once=True)
+
+    def lost(self, text: str) -> FaceSample:
+        """Return the sample of a face whose line is gone."""
+        self._proven = False
+        self.answers = False
+        self.note = self._sentence(text)
+        return self._without("missing")
+
+    async def _ask(self, *, check: bool) -> FaceSample:
+        if not self._proven:
+            await self._prove()
+        elif check and self._pinned is not None and self._make.proof is not None:
+            self._require(self._make.serial(await self._read(self._make.proof)))
+        told = self._make.told(await self._read(self._make.data))
+        self.answers = True
+        if self._doubtful:
+            # The reply to a question of before would look like this one: only what comes after it is believed.
+            self._doubtful = False
+            return self._without("late")
+        self._misses = 0
+        self.note = self._sentence(told.note) if told.note else ""
+        return FaceSample(told.w_m2, self._utc_s(), self._now(), told.flaw)
+
+    async def _prove(self) -> None:
+        """Ask who it is. The replies have other lengths than those to `data`, so a late one passes for neither."""
+        proof = self._make.proof
+        if proof is not None:
+            try:
+                words = await self._read(proof)
+            except RefusedError:
+                # An answer too: registers that cannot be read alone prove as much, but of the serial number.
+                if self._pinned is not None:
+                    raise
+            else:
+                more = [await self._read(block) for block in self._make.more]
+                who = self._make.identify(words, *more)
+                self._require(who.serial)
+                self.identity = who.text
+        self._proven = True
+
+    def _require(self, serial: int | None) -> None:
+        if self._pinned is not None and serial != self._pinned:
+            self._proven = False
+            raise WrongSensorError(
+                f"has the serial number {serial}, and {self._pinned} is configured: sensors or addresses are"
+                f" interchanged; set instruments.cube.{self._face}.serial only after looking at the type plate"
+            )
+
+    async def _read(self, block: Block) -> Words:
+        return await self._bus.read(self._unit, *block, self._within_s)
+
+    def _missed(self, flaw: FaceFlaw, why: str, *, at_once: bool = False) -> FaceSample:
+        if not at_once:
+            self.answers = False
+            proof = self._make.proof
+            self._doubtful = proof is None or proof.length == self._make.data.length
+        self._proven = False
+        self._misses += 1
+        self._flaw = flaw
+        if self._misses >= _PATIENCE:
+            pause_s = _FIRST_PAUSE_S * 2.0 ** (self._misses - _PATIENCE) if self._misses < 10 else _LONGEST_PAUSE_S
+            self._ask_again_s = self._now() + min(pause_s, _LONGEST_PAUSE_S)
+        if at_once or self._misses >= _WORTH_A_WORD:
+            self.note = self._sentence(why)
+        return self._without(flaw)
+
+    def _without(self, flaw: FaceFlaw) -> FaceSample:
+        return FaceSample(math.nan, self._utc_s(), self._now(), flaw)
+
+    def _sentence(self, text: str) -> str:
+        return f"the {self._face} sensor (address {self._unit}) {text}"

@@ -1,0 +1,88 @@
+"""The asking end of Modbus: one question at a time, a pause before each, nothing written unless allowed."""
+
+import asyncio
+from collections.abc import Callable
+
+from drivers.errors import DeadlineError, RefusedError
+from drivers.modbus.paths import ModbusPath
+from drivers.modbus.pdu import READ_INPUT, ModbusRequest, exception_text, read_registers, registers_of
+
+# What a gateway says for a device that is not there: silence, in another form.
+_NO_DEVICE = (10, 11)
+
+
+class ModbusBus:
+    """A line and the devices on it.
+
+    Parameters
+    ----------
+    path
+        The line, owned from here on.
+    device
+        Role of what is on it, for errors.
+    gap_s
+        Silence between a reply and the next question; there are devices that miss one that comes sooner.
+    monotonic_s
+        The service's monotonic time.
+    writes
+        Whether anything may be written: a reading cube never writes.
+    """
+
+    def __init__(
+        self,
+        path: ModbusPath,
+        device: str,
+        gap_s: float,
+        monotonic_s: Callable[[], float],
+        *,
+        writes: bool = False,
+    ) -> None:
+        self._path = path
+        self._device = device
+        self._gap_s = gap_s
+        self._now = monotonic_s
+        self._writes = writes
+        self._quiet_since_s = -gap_s
+        self._free = asyncio.Lock()
+
+    async def open(self, within_s: float = 15.0) -> None:
+        """Connect; raises `ConnectError`."""
+        await self._path.open(within_s)
+
+    async def close(self) -> None:
+        """Release the line; never raises."""
+        await self._path.close()
+
+    async def ask(self, request: ModbusRequest, within_s: float) -> bytes:
+        """Return the reply to a question.
+
+        Raises
+        ------
+        DeadlineError
+            None came in time, or a gateway said so.
+        RefusedError
+            The device answers that it cannot do that.
+        LinkLostError
+            The line is gone.
+        ValueError
+            The question would write, and that was not allowed.
+        """
+        if request.pdu[0] > READ_INPUT and not self._writes:
+            raise ValueError(f"function {request.pdu[0]} writes, and this line is for reading")
+        async with self._free:
+            wait_s = self._quiet_since_s + self._gap_s - self._now()
+            if wait_s > 0:
+                await asyncio.sleep(wait_s)
+            try:
+                reply = await self._path.exchange(request, within_s)
+            finally:
+                self._quiet_since_s = self._now()
+        if text := exception_text(reply):
+            if reply[1] in _NO_DEVICE:
+                raise DeadlineError(self._device, f"address {request.unit} {text}")
+            raise RefusedError(self._device, f"address {request.unit} {text}")
+        return reply
+
+    async def read(self, unit: int, function: int, register: int, count: int, within_s: float) -> tuple[int, ...]:
+        """Return holding (function 3) or input (4) registers of a device; raises as `ask` does."""
+        return registers_of(await self.ask(read_registers(unit, function, register, count), within_s))

@@ -1,0 +1,67 @@
+"""Several simulated devices on one line: who is addressed answers, two of one address spoil each other's words."""
+
+from collections.abc import Sequence
+
+from drivers.modbus.framing import Asked, RtuServer, ServerFraming
+from drivers.modbus.server import answer
+from sim_drivers.modbus.pyranometers import SimulatedPyranometer
+
+# From the end of a question to the beginning of its answer.
+_TURNAROUND_S = 0.005
+
+
+class PyranometerLineCore:
+    """The line.
+
+    Parameters
+    ----------
+    sensors
+        On it; the same one may be named several times. The list may be changed at any time.
+    framing
+        RTU unless given.
+    """
+
+    aborts = 0
+    """Never does anybody here drop what it had to say."""
+
+    def __init__(self, sensors: Sequence[SimulatedPyranometer], framing: ServerFraming | None = None) -> None:
+        self.sensors = list(dict.fromkeys(sensors))
+        self.questions = 0
+        self._framing: ServerFraming = framing or RtuServer()
+
+    def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """Take in bytes and return the replies that they cause, each with the time [s] at which it begins."""
+        found = []
+        for asked in self._framing.feed(data, now):
+            self.questions += 1
+            found += self._answers(asked, now)
+        return found
+
+    def power_cycle(self, now: float) -> None:
+        """Switch all of them off and on."""
+        for sensor in self.sensors:
+            sensor.power_cycle(now)
+
+    def swap(self, one: int, other: int) -> None:
+        """Let two sensors, by their place, answer to each other's address."""
+        first, second = self.sensors[one], self.sensors[other]
+        first.address, second.address = second.address, first.address
+
+    def _answers(self, asked: Asked, now: float) -> list[tuple[float, bytes]]:
+        replies = []
+        for sensor in self.sensors:
+            if sensor.address != asked.request.unit or sensor.silent:
+                continue
+            sensor.now_s = now
+            pdu = answer(sensor, asked.request.pdu)
+            if pdu is None:
+                continue
+            frame = self._framing.reply(asked, pdu)
+            if sensor.corrupt > 0:
+                sensor.corrupt -= 1
+                frame = frame[:-1] + bytes((frame[-1] ^ 0x55,))
+            replies.append((now + _TURNAROUND_S + sensor.delay_s, frame))
+        if len(replies) > 1:
+            # Both drive the wires at once.
+            return [(replies[0][0], bytes(x & y for x, y in zip(replies[0][1], replies[1][1], strict=False)))]
+        return replies

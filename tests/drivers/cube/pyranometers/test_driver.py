@@ -1,0 +1,252 @@
+"""The cube on simulated sensors: what a bad one costs the others, and that nobody is taken for somebody else."""
+
+import asyncio
+import math
+
+import pytest
+
+from drivers.errors import ConnectError, LinkLostError
+from sim_drivers.modbus.pyranometers import SimulatedApogee
+from tests.drivers.cube.pyranometers.conftest import LIGHT
+
+MAKES = ["smp", "hukseflux", "hukseflux-pv", "apogee", "eko-ms60s", "delta-ohm"]
+TWO_LINES = {"line": "COM5", "west": {"line": "COM6"}, "zenith": {"line": "COM6"}}
+
+
+def values(reading):
+    return tuple(face.value for face in reading.faces)
+
+
+def flaws(reading):
+    return tuple(face.flaw for face in reading.faces)
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_every_make_is_read_by_day_and_by_night(on_rig, make):
+    async def both(rig):
+        day, _ = await rig.scans()
+        rig.light[:] = [-2.0] * 4
+        return day, (await rig.scans())[0]
+
+    day, night = on_rig(both, make=make)
+    assert values(day) == pytest.approx(LIGHT, abs=0.06)
+    assert values(night) == pytest.approx((-2.0,) * 4)
+    assert (day.unit, day.notes) == ("W/m2", ())
+
+
+def test_four_makes_on_one_line_with_a_map_of_the_file(on_rig):
+    keys = {
+        "make": "map",
+        "map": {"function": 4, "register_number": 7, "number_type": "int16", "scale": 0.1, "status_register": 9},
+        "south": {"make": "smp"},
+        "west": {"make": "hukseflux"},
+        "zenith": {"number_type": "float32", "word_order": "low-first", "register_number": 30, "scale": 1.0},
+    }
+    assert values(on_rig(lambda rig: rig.scans(), **keys)[0]) == pytest.approx(LIGHT, abs=0.06)
+
+
+def test_each_face_has_its_own_instant(on_rig):
+    reading, took_s = on_rig(lambda rig: rig.scans())
+    instants = [face.time_monotonic_s for face in reading.faces]
+    assert instants == sorted(set(instants))
+    assert 0.0 < instants[-1] - instants[0] < took_s
+
+
+def test_a_dead_sensor_costs_the_others_a_third_of_a_second_and_then_nearly_nothing(on_rig):
+    async def dies(rig):
+        _, well_s = await rig.scans(2)
+        rig.sensors[1].silent = True
+        first, first_s = await rig.scans()
+        await rig.scans(40)
+        slow = [took_s for took_s in [(await rig.scans())[1] for _ in range(60)] if took_s > well_s]
+        return first, well_s, first_s, len(slow)
+
+    first, well_s, first_s, slow = on_rig(dies)
+    assert flaws(first) == (None, "late", None, None)
+    assert values(first)[2:] == pytest.approx(LIGHT[2:])
+    assert first_s - well_s <= 0.3
+    # Asked every half minute once it has been silent for long, so most scans do not wait for it.
+    assert slow <= 12
+
+
+def test_a_sensor_that_comes_back_is_used_again(on_rig):
+    async def returns(rig):
+        rig.sensors[1].silent = True
+        await rig.scans(20)
+        silent = (await rig.scans(2))[0]
+        rig.sensors[1].silent = False
+        return silent, (await rig.scans(8))[0]
+
+    silent, back = on_rig(returns)
+    assert silent.notes == ("the south sensor (address 2) does not answer",)
+    assert values(back) == pytest.approx(LIGHT)
+    assert back.notes == ()
+
+
+def test_one_lost_reply_is_worth_no_word_and_no_pause(on_rig):
+    async def garbles(rig):
+        rig.sensors[3].corrupt = 1
+        return (await rig.scans())[0], (await rig.scans(2))[0]
+
+    garbled, after = on_rig(garbles)
+    assert flaws(garbled) == (None, None, None, "missing")
+    assert garbled.notes == ()
+    assert values(after) == pytest.approx(LIGHT)
+
+
+@pytest.mark.parametrize("make", ["smp", "hukseflux", "map"])
+def test_a_late_reply_is_never_taken_for_another(on_rig, make):
+    """The light changes with every scan, so an old reply would show."""
+
+    async def late(rig):
+        wrong = []
+        for number in range(80):
+            late_s = (0.31, 0.5, 5.05, 5.3)[number // 20]
+            rig.sensors[0].delay_s = late_s if 5 <= number % 20 < 12 else 0.0
+            rig.light[:] = [100.0 + 10 * number, 400.0, 200.0 + number, 500.0]
+            reading, _ = await rig.scans(every_s=0.0)
+            wrong += [
+                (number, face, value)
+                for face, value in enumerate(values(reading))
+                if not math.isnan(value) and abs(value - rig.light[face]) > 0.06
+            ]
+            await asyncio.sleep(5.0 - rig.clock.monotonic() % 5.0)
+        return wrong
+
+    assert on_rig(late, make=make) == []
+
+
+def test_swapped_sensors_are_refused_where_their_serial_numbers_are_pinned(on_rig):
+    pinned = {"east": {"serial": 101}, "west": {"serial": 103}}
+
+    async def swaps(rig):
+        rig.cores[""].swap(0, 2)
+        return (await rig.scans(8))[0]
+
+    reading = on_rig(swaps, **pinned)
+    assert flaws(reading) == ("missing", None, "missing", None)
+    assert "the serial number 103, and 101 is configured" in reading.notes[0]
+    assert len(reading.notes) == 2
+
+
+def test_a_swap_while_nothing_was_asked_is_seen_within_four_scans(on_rig):
+    async def swaps(rig):
+        rig.cores[""].swap(0, 2)
+        seen = [flaws((await rig.scans(2))[0]) for _ in range(4)]
+        return seen[-1]
+
+    assert on_rig(swaps, east={"serial": 101}, west={"serial": 103})[0] == "missing"
+
+
+def test_a_swap_of_sensors_that_are_not_pinned_is_not_seen(on_rig):
+    async def swaps(rig):
+        rig.cores[""].swap(0, 2)
+        return (await rig.scans())[0]
+
+    assert values(on_rig(swaps))[0] == pytest.approx(LIGHT[2])
+
+
+def test_two_sensors_of_one_address_are_garbage(on_rig):
+    async def doubles(rig):
+        rig.sensors[1].address = 1
+        return (await rig.scans(4))[0]
+
+    reading = on_rig(doubles)
+    assert flaws(reading)[0] is not None
+    assert values(reading)[2:] == pytest.approx(LIGHT[2:])
+
+
+@pytest.mark.parametrize(("mode", "status", "flaw"), [(3, 0, "missing"), (1, 1, "missing"), (1, 2, "over-range")])
+def test_flags_and_modes_cost_the_face_and_are_told(on_rig, mode, status, flaw):
+    async def flagged(rig):
+        rig.sensors[0].mode, rig.sensors[0].status = mode, status
+        return (await rig.scans())[0]
+
+    reading = on_rig(flagged)
+    assert flaws(reading) == (flaw, None, None, None)
+    assert reading.notes[0].startswith("the east sensor (address 1) ")
+
+
+def test_a_delta_ohm_that_was_just_switched_on_is_waited_for(on_rig):
+    async def restarts(rig):
+        rig.sensors[2].power_cycle(rig.clock.monotonic())
+        return (await rig.scans())[0], (await rig.scans(5))[0]
+
+    booting, up = on_rig(restarts, make="delta-ohm")
+    assert flaws(booting) == (None, None, "late", None)
+    assert flaws(up) == (None, None, None, None)
+
+
+def test_of_two_lines_one_may_be_gone(on_rig):
+    async def pulled(rig):
+        rig.lines["COM6"].link_up = False
+        gone, _ = await rig.scans(3)
+        rig.lines["COM6"].link_up = True
+        return gone, (await rig.scans(10))[0]
+
+    gone, back = on_rig(pulled, **TWO_LINES)
+    assert flaws(gone) == (None, None, "missing", "missing")
+    assert "is out of reach: is not plugged in" in gone.notes[0]
+    assert values(back) == pytest.approx(LIGHT)
+
+
+def test_lines_are_read_at_the_same_time(on_rig):
+    _, alone_s = on_rig(lambda rig: rig.scans(2))
+    _, shared_s = on_rig(lambda rig: rig.scans(2), **TWO_LINES)
+    assert shared_s < 0.6 * alone_s
+
+
+def test_a_cube_whose_only_line_is_pulled_is_lost(on_rig):
+    async def pulled(rig):
+        rig.lines[""].link_up = False
+        await rig.scans()
+
+    with pytest.raises(LinkLostError, match="unplugged"):
+        on_rig(pulled)
+
+
+def test_a_cube_of_which_nobody_answers_is_lost_and_comes_back(on_rig):
+    async def dark(rig):
+        for sensor in rig.sensors:
+            sensor.silent = True
+        with pytest.raises(LinkLostError, match="no pyranometer answers"):
+            await rig.scans()
+        with pytest.raises(ConnectError, match="wires A and B"):
+            await rig.cube.open()
+        for sensor in rig.sensors:
+            sensor.silent = False
+        return await rig.cube.open()
+
+    assert on_rig(dark).startswith("SMP3 no. 101 of 2023, software 108, SMP3 no. 102")
+
+
+def test_another_kind_of_sensor_is_named(on_rig):
+    async def other(rig):
+        rig.sensors[0].kind = 613
+        return (await rig.scans(2))[0]
+
+    assert "SHP1 pyrheliometer" in on_rig(other).notes[0]
+
+
+def test_a_register_that_is_not_there_is_told_with_the_remedy(on_rig):
+    async def asked(rig):
+        address, serial = rig.sensors[0].address, rig.sensors[0].serial
+        rig.cores[""].sensors[0] = SimulatedApogee(address, serial, lambda _now: 1.0)
+        return (await rig.scans(3))[0]
+
+    reading = on_rig(asked, make="map", map={"register_number": 500})
+    assert flaws(reading) == ("missing", None, None, None)
+    assert "address 1 has no such register (exception 2): is it of the configured make?" in reading.notes[0]
+
+
+def test_a_reading_cube_writes_nothing(on_rig):
+    async def watched(rig):
+        asked = []
+        core = rig.cores[""]
+        feed = core.feed
+        core.feed = lambda data, now: (asked.append(data), feed(data, now))[1]
+        await rig.cube.open()
+        await rig.scans(10)
+        return {frame[1] for frame in asked}
+
+    assert on_rig(watched, make="hukseflux") <= {3, 4}

@@ -1,0 +1,166 @@
+"""Frames: bytes that others have published, late replies, garbage, and the other end."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from drivers.modbus.framing import BrokenStreamError, RtuClient, RtuServer, TcpClient, TcpServer, crc16
+from drivers.modbus.pdu import (
+    ModbusRequest,
+    exception_text,
+    number,
+    read_registers,
+    registers_of,
+    words_for,
+    write_coil,
+    write_register,
+    write_registers,
+)
+
+# Question, its frame, the reply's frame, the registers in it: from the makers' manuals and captures of others.
+PUBLISHED = [
+    (
+        read_registers(1, 4, 2, 8),
+        "01 04 00 02 00 08 50 0C",
+        "01 04 10 0001 0000 0000 03E5 03E5 0000 00F8 00EA 66 12",
+        (1, 0, 0, 997, 997, 0, 248, 234),
+    ),
+    (read_registers(1, 4, 26, 2), "01 04 00 1A 00 02 50 0C", "01 04 04 00 09 00 00 2B 86", (9, 0)),
+    (
+        read_registers(0x40, 3, 0x1000, 4),
+        "40 03 10 00 00 04 4F D8",
+        "40 03 08 0040 0005 0001 7C4F 79 DA",
+        (0x40, 5, 1, 0x7C4F),
+    ),
+    (read_registers(0x40, 3, 0x1006, 1), "40 03 10 06 00 01 6F DA", "40 03 02 08B1 43 FF", (0x08B1,)),
+]
+
+
+@pytest.mark.parametrize(("request_", "sent", "came", "registers"), PUBLISHED)
+def test_published_bytes(request_, sent, came, registers):
+    framing = RtuClient()
+    assert framing.begin(request_) == bytes.fromhex(sent)
+    assert registers_of(framing.feed(bytes.fromhex(came))) == registers
+
+
+def test_a_coil_of_the_manual_is_written():
+    framing = RtuClient()
+    frame = framing.begin(write_coil(1, 10, on=True))
+    assert frame == bytes.fromhex("01 05 00 0A FF 00 AC 38")
+    assert framing.feed(frame) is not None
+
+
+def test_numbers_of_the_manual():
+    assert number((1, 0x7C4F), "int32") / 100 == 973.59
+    assert number((0xFFFB,), "int16") == -5.0
+
+
+@given(some.floats(-2e9, 2e9), some.sampled_from(["int32", "float32"]), some.sampled_from(["high-first", "low-first"]))
+def test_numbers_come_back(value, kind, order):
+    assert number(words_for(value, kind, order), kind, order) == pytest.approx(value, rel=1e-6, abs=0.5)
+
+
+def test_what_a_float_says_instead_of_a_number_is_none():
+    assert str(number((0x7FC0, 0), "float32")) == "nan"
+    assert str(number((0x7F80, 0), "float32")) == "nan"
+
+
+def rtu(unit, *pdu):
+    frame = bytes((unit, *pdu))
+    return frame + crc16(frame)
+
+
+ASKED = read_registers(2, 4, 0, 1)
+ANSWER = rtu(2, 4, 2, 0, 7)
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        rtu(1, 4, 2, 0, 9),
+        rtu(2, 4, 4, 0, 9, 0, 9),
+        rtu(2, 3, 2, 0, 9),
+        b"\x00\xff" * 20,
+        rtu(2, 4, 2, 0, 9)[:-1] + b"\x00",
+        b"\x02\x04\x02\x00",
+    ],
+    ids=["of another device", "of another length", "of another function", "noise", "wrong checksum", "cut off"],
+)
+def test_what_does_not_belong_to_the_question_is_passed_over(before):
+    framing = RtuClient()
+    framing.begin(ASKED)
+    assert framing.feed(before) is None
+    assert registers_of(framing.feed(ANSWER)) == (7,)
+
+
+def test_bytes_one_by_one():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    replies = [framing.feed(bytes((byte,))) for byte in ANSWER]
+    assert replies[:-1] == [None] * (len(ANSWER) - 1)
+    assert registers_of(replies[-1]) == (7,)
+
+
+def test_what_came_before_a_question_is_not_its_answer():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    framing.feed(ANSWER[:4])
+    framing.begin(ASKED)
+    assert framing.feed(ANSWER[4:]) is None
+    assert framing.feed(ANSWER) is not None
+
+
+def test_an_exception_is_an_answer():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    reply = framing.feed(rtu(2, 0x84, 2))
+    assert exception_text(reply) == "has no such register (exception 2)"
+
+
+def test_over_tcp_a_late_reply_bears_the_number_of_its_own_question():
+    client, server = TcpClient(), TcpServer()
+    (late,) = server.feed(client.begin(ASKED), 0.0)
+    (second,) = server.feed(client.begin(ASKED), 0.0)
+    assert client.feed(server.reply(late, bytes((4, 2, 0, 9)))) is None
+    assert registers_of(client.feed(server.reply(second, bytes((4, 2, 0, 7))))) == (7,)
+
+
+def test_over_tcp_frames_may_be_cut_and_joined_anywhere():
+    client, server = TcpClient(), TcpServer()
+    (late,) = server.feed(client.begin(ASKED), 0.0)
+    (second,) = server.feed(client.begin(ASKED), 0.0)
+    stream = server.reply(late, bytes((4, 2, 0, 9))) + server.reply(second, bytes((4, 2, 0, 7)))
+    replies = [client.feed(stream[:5]), client.feed(stream[5:14]), client.feed(stream[14:])]
+    assert [None if reply is None else registers_of(reply) for reply in replies] == [None, None, (7,)]
+
+
+@pytest.mark.parametrize("end", [TcpClient(), TcpServer()], ids=["client", "server"])
+def test_over_tcp_what_is_no_modbus_ends_the_connection(end):
+    with pytest.raises(BrokenStreamError):
+        end.feed(b"GET / HTTP/1.1\r\n", 0.0) if isinstance(end, TcpServer) else end.feed(b"HTTP/1.1 400 Bad\r\n")
+
+
+@given(some.binary(max_size=60))
+def test_no_garbage_makes_a_server_of_rtu_fall_over_or_answer(noise):
+    server = RtuServer()
+    assert all(crc16(noise) or asked for asked in server.feed(noise, 0.0))
+    (asked,) = server.feed(RtuClient().begin(ASKED), 1.0)
+    assert asked.request == ASKED
+
+
+def test_a_server_of_rtu_takes_questions_that_are_joined_and_split():
+    server, client = RtuServer(), RtuClient()
+    wanted = [ASKED, write_register(3, 1, 2), write_registers(4, 0, [1, 2, 3])]
+    stream = b"".join(client.begin(each) for each in wanted)
+    found = server.feed(stream[:11], 0.0) + server.feed(stream[11:], 0.01)
+    assert [asked.request for asked in found] == wanted
+
+
+def test_what_was_cut_off_long_ago_does_not_spoil_the_next_question():
+    server, client = RtuServer(), RtuClient()
+    server.feed(client.begin(ASKED)[:5], 0.0)
+    assert [asked.request for asked in server.feed(client.begin(ASKED), 1.0)] == [ASKED]
+
+
+def test_a_request_knows_its_unit():
+    assert read_registers(9, 3, 1, 1) == ModbusRequest(9, b"\x03\x00\x01\x00\x01")

@@ -1,0 +1,73 @@
+"""The answering end: right questions, and every wrong one."""
+
+from drivers.modbus.pdu import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE
+from drivers.modbus.server import RefusedRequestError, SilentError, answer
+
+
+class Table:
+    """Ten registers and ten coils."""
+
+    def __init__(self):
+        self.words = list(range(10))
+        self.bits = [False] * 10
+
+    def read(self, function, register, count):
+        if register == 9:
+            raise SilentError
+        if register + count > 10:
+            raise RefusedRequestError(ILLEGAL_ADDRESS)
+        return tuple(self.words[register : register + count])
+
+    def write(self, function, register, values):
+        self.words[register : register + len(values)] = values
+
+    def read_bits(self, function, first, count):
+        return tuple(self.bits[first : first + count])
+
+    def write_bits(self, function, first, values):
+        self.bits[first : first + len(values)] = values
+
+
+RIGHT = {
+    "03 0001 0002": "03 04 0001 0002",
+    "04 0000 0001": "04 02 0000",
+    "06 0003 1234": "06 0003 1234",
+    "10 0000 0002 04 000A 000B": "10 0000 0002",
+    "05 0001 FF00": "05 0001 FF00",
+    "0F 0000 000A 02 0502": "0F 0000 000A",
+    "01 0000 000A": "01 02 0000",
+}
+WRONG = {
+    "03 0008 0004": ILLEGAL_ADDRESS,
+    "03 0000 0000": ILLEGAL_VALUE,
+    "03 0000 007E": ILLEGAL_VALUE,
+    "03 0000": ILLEGAL_VALUE,
+    "05 0000 1234": ILLEGAL_VALUE,
+    "10 0000 0002 04 000A": ILLEGAL_VALUE,
+    "10 0000 0002 02 000A 000B": ILLEGAL_VALUE,
+    "10 0000": ILLEGAL_VALUE,
+    "2B 0E 01 00": ILLEGAL_FUNCTION,
+    "08 0000 1234": ILLEGAL_FUNCTION,
+}
+
+
+def test_what_is_right_is_answered():
+    answers = {question: answer(Table(), bytes.fromhex(question)) for question in RIGHT}
+    assert answers == {question: bytes.fromhex(reply) for question, reply in RIGHT.items()}
+
+
+def test_what_is_written_is_there():
+    table = Table()
+    answer(table, bytes.fromhex("10 0000 0002 04 000A 000B"))
+    answer(table, bytes.fromhex("0F 0000 000A 02 0502"))
+    assert table.words[:3] == [10, 11, 2]
+    assert answer(table, bytes.fromhex("01 0000 000A")) == bytes.fromhex("01 02 05 02")
+
+
+def test_what_is_wrong_gets_its_exception():
+    answers = {question: answer(Table(), bytes.fromhex(question)) for question in WRONG}
+    assert answers == {question: bytes((bytes.fromhex(question)[0] | 0x80, code)) for question, code in WRONG.items()}
+
+
+def test_a_table_may_keep_silent():
+    assert answer(Table(), bytes.fromhex("03 0009 0001")) is None
