@@ -2,12 +2,14 @@
 
 import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
 from daemon.base.records import Event, Mode, Pose, Target
+from daemon.base.recurrence import LogBudget
 from daemon.motion.motion import Motion
 from daemon.service.tracker import Tracker
 from daemon.tracker.wishes import Wishes
@@ -23,6 +25,10 @@ _LOOK_EVERY_S = 0.02
 _WAIT_FOR_DISK_S = 0.4
 # Telemetry tells tenths of a degree.
 _NEARER_DEG = 0.15
+# A stop that comes so soon after another one, which is in force, has been sent already.
+_SAME_STOP_S = 0.2
+# Persons do not give more commands within half a day; a program's are logged by their number from there on.
+_LOGGED = 50
 
 
 class CommandError(Exception):
@@ -90,10 +96,16 @@ class Operator:
         self._control, self._motion = tracker.control, tracker.motion
         self._clock = tracker.clock
         self._speed = speed
+        self._log_budget = LogBudget("commands", _LOGGED)
+        self._stop_sent_s = -math.inf
 
     async def stop(self, why: str, by: str = "") -> Answer:
         """Stop the axes at once and keep them stopped until 'auto', even from a stow."""
         control, motion = self._control, self._motion
+        now_s = self._clock.monotonic()
+        if control.wishes.stop is not None and now_s - self._stop_sent_s < _SAME_STOP_S * self._speed:
+            seen = await self._until(lambda: Seen.DONE if _stands(motion, now_s) else None)
+            return await self._answer(seen, self._seen())
         return await self._stand_still("stop", control.stop(why, by), motion.target, why, by)
 
     async def maintenance(self, why: str, by: str = "") -> Answer:
@@ -111,6 +123,7 @@ class Operator:
         asked_s, before, lost = self._clock.monotonic(), control.wishes, None
         try:
             await command
+            self._stop_sent_s = asked_s
         except DeviceError as error:
             lost = str(error)
         self._note(name, why, by)
@@ -235,9 +248,11 @@ class Operator:
         return Answer(Seen.DONE, "what was learned of the site is learned anew")
 
     def _note(self, command: str, why: str, by: str) -> None:
-        text = f"{command}: {why}{f' ({by})' if by else ''}"
-        log.info("%s", text)
-        self._tracker.publish(Event(self._clock.utc(), self._clock.monotonic(), "operator", text))
+        text, now_s = f"{command}: {why}{f' ({by})' if by else ''}", self._clock.monotonic()
+        line = self._log_budget.spend(now_s, text)
+        if line:
+            log.info("%s", line)
+        self._tracker.publish(Event(self._clock.utc(), now_s, "operator", text))
 
     def _require_telemetry(self, what: str) -> None:
         motion = self._motion

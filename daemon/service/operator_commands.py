@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from daemon.base.process import TRACKER
+from daemon.base.recurrence import RateLimit
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
@@ -23,6 +24,9 @@ _LONGEST_LINE = 200
 _LINES = ("why", "by", "id", "tracker")
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
 _OF_ALL = ("stop", "stow")
+# How many of the others a way may give: so many at once, and so many a second. A stop is never refused.
+_AT_ONCE = 20
+_PER_S, _URGENT_PER_S = 2.0, 5.0
 _OWN_KEYS = {"goto": ("a_deg", "b_deg"), "mode": ("mode",)}
 
 
@@ -31,6 +35,10 @@ class BodyError(CommandError):
 
     def __init__(self, sentence: str) -> None:
         super().__init__(sentence, wrong=True)
+
+
+class TooManyError(CommandError):
+    """More commands came one way than are carried out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +51,8 @@ class Command:
         As it was given.
     wanted
         What is to be done: for ``mode`` the mode, else the name.
+    way
+        Over which it came, such as ``HTTP``.
     why, by
         The reason, and who asks.
     identifier
@@ -55,6 +65,7 @@ class Command:
 
     name: str
     wanted: str
+    way: str
     why: str
     by: str
     identifier: str | None
@@ -92,10 +103,18 @@ class Operators:
 
     def __init__(self, trackers: Sequence[Tracker], speed: float) -> None:
         self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
+        self._speed = speed
+        self._clock = trackers[0].clock if trackers else None
+        self._limits: dict[tuple[str, bool], RateLimit] = {}
 
     async def carry_out(self, command: Command) -> dict[str, Any]:
-        """Return the answer as JSON; raises `CommandError` where the command is refused, by one tracker or by all."""
+        """Return the answer as JSON; raises `CommandError` where the command is refused, by one tracker or by all.
+
+        More than twenty at once, and then two a second (five of the urgent ones), are `TooManyError`, counted for each
+        way on its own; a stop always passes.
+        """
         chosen = self._meant(command)
+        self._refuse_too_many(command)
         if len(chosen) == 1:
             ((_, operator),) = chosen.items()
             return answer_json(command.name, command.identifier, await _by(operator, command))
@@ -112,6 +131,15 @@ class Operators:
         if command.tracker not in self._of:
             raise CommandError(f"there is no tracker {ascii(command.tracker)[:40]} here, but {names}", wrong=True)
         return {command.tracker: self._of[command.tracker]}
+
+    def _refuse_too_many(self, command: Command) -> None:
+        if command.wanted == "stop" or self._clock is None:
+            return
+        urgent = command.wanted in URGENT
+        per_s = _URGENT_PER_S if urgent else _PER_S
+        limit = self._limits.setdefault((command.way, urgent), RateLimit(per_s / self._speed, _AT_ONCE))
+        if not limit.admit(self._clock.monotonic()):
+            raise TooManyError(f"more than {per_s:g} commands a second came over {command.way}; ask again in a second")
 
     async def _by_all(self, command: Command) -> Answer:
         """Return what all trackers did at once; what one refuses is no reason for the others not to."""
@@ -198,6 +226,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     return Command(
         name=name,
         wanted=str(wanted),
+        way=way,
         why=why,
         by=by,
         identifier=found.get("id"),
@@ -215,11 +244,20 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
     if not content.strip():
         return {}
     try:
-        found = json.loads(content)
+        found = json.loads(content, object_pairs_hook=_once_each)
     except (ValueError, RecursionError):
         raise BodyError("the body is not JSON") from None
     if not isinstance(found, dict):
         raise BodyError('the body is not a JSON object, such as {"why": "maintenance"}')
+    return found
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the pairs as they are meant; of a name that stands twice nobody knows which value is."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = next(name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number]))
+        raise BodyError(f"the body has {ascii(twice)[:40]} twice")
     return found
 
 

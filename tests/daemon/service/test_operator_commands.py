@@ -1,6 +1,8 @@
 """One parser for commands, whatever way they come."""
 
+import asyncio
 import json
+import logging
 import math
 import socket
 import subprocess
@@ -9,8 +11,10 @@ import threading
 
 import pytest
 
-from daemon.service.operator import Operator
-from daemon.service.operator_commands import MODES, NAMES, URGENT, BodyError, parse
+from daemon.base.records import Event
+from daemon.service.operator import CommandError, Operator, Seen
+from daemon.service.operator_commands import MODES, NAMES, URGENT, BodyError, Operators, TooManyError, parse
+from tests.daemon.service.test_faults import commands_sent, tracking, under_way
 from tests.support import ROOT
 
 
@@ -50,6 +54,9 @@ def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
         ("stop", b"[1]", 'the body is not a JSON object, such as {"why": "maintenance"}'),
         ("stop", b"x" * 4097, "the body is longer than 4096 bytes"),
         ("stop", b'{"when": 1}', "the body has 'when', but may have only why, by, id, tracker"),
+        ("stop", b'{"why": "a", "why": "b"}', "the body has 'why' twice"),
+        ("goto", b'{"a_deg": 1, "b_deg": 2, "a_deg": 3}', "the body has 'a_deg' twice"),
+        ("stop", b'{"why": {"x": 1, "x": 2}}', "the body has 'x' twice"),
         ("goto", b'{"c_deg": 1}', "the body has 'c_deg', but may have only a_deg, b_deg, why, by, id, tracker"),
         ("stop", b'{"why": 3}', '"why" must be one line of text with at most 200 letters'),
         ("stop", b'{"by": ""}', '"by" must be one line of text with at most 200 letters'),
@@ -127,3 +134,75 @@ def _config(folder, port):
     path = folder / "heliocube.toml"
     path.write_text(f"[api]\nlisten = '127.0.0.1:{port}'\n")
     return path
+
+
+def test_more_commands_than_persons_give_are_refused_for_each_way_on_its_own_and_a_stop_never_is(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        operators = Operators(rig.service.trackers, 1.0)
+
+        async def give(name, way):
+            try:
+                await operators.carry_out(parse(name, b"", way))
+            except TooManyError as error:
+                return str(error)
+            except CommandError:
+                return "not now"
+            return "done"
+
+        outcomes = await asyncio.gather(*(give("relearn", "MQTT") for _ in range(30)))
+        refusal = "more than 2 commands a second came over MQTT; ask again in a second"
+        assert [outcome for outcome in outcomes if outcome == refusal] == [refusal] * 10
+        assert await give("auto", "HTTP") == "done"
+        assert await give("stow", "MQTT") == "done"
+        assert set(await asyncio.gather(*(give("stop", "MQTT") for _ in range(100)))) == {"done"}
+        await asyncio.sleep(60)
+        assert [await give("relearn", "MQTT") for _ in range(20)].count(refusal) == 0
+        assert await give("auto", "MQTT") == refusal
+        await asyncio.sleep(0.6)
+        assert await give("auto", "MQTT") == "done"
+
+    run_rig(scenario)
+
+
+def test_a_stop_given_again_and_again_is_sent_five_times_a_second_and_anew_after_auto(run_rig, monkeypatch):
+    async def scenario(rig):
+        await under_way(rig)
+        sent = commands_sent(rig, monkeypatch)
+        operator = Operator(rig.tracker, 1.0)
+
+        def stops():
+            return sum(data.startswith(b"$9s") for _, data in sent)
+
+        giving = []
+        for _ in range(1000):
+            giving.append(asyncio.create_task(operator.stop("a flood")))
+            await asyncio.sleep(0.001)
+        answers = await asyncio.gather(*giving)
+        assert {answer.seen for answer in answers} == {Seen.DONE}
+        noted = [event for event in rig.of(Event) if event.subject == "operator"]
+        assert 1 <= len(noted) <= 6
+        await asyncio.sleep(5)
+        before = stops()
+        await operator.stop("the first")
+        await operator.auto("released")
+        await operator.stop("at once again")
+        assert stops() >= before + 2
+        assert rig.control.wishes.stop.why == "at once again"
+
+    run_rig(scenario)
+
+
+def test_what_a_program_commands_all_day_is_logged_by_its_number(run_rig, caplog):
+    async def scenario(rig):
+        await tracking(rig)
+        operator = Operator(rig.tracker, 1.0)
+        with caplog.at_level(logging.INFO, "heliocube.operator"):
+            for _ in range(200):
+                await operator.auto("a script")
+        assert len([event for event in rig.of(Event) if event.subject == "operator"]) == 200
+
+    run_rig(scenario)
+    lines = [record.getMessage() for record in caplog.records if record.name == "heliocube.operator"]
+    assert len(lines) == 51
+    assert lines[-1].startswith("commands: 1 more, and only their number is logged")
