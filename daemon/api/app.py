@@ -1,30 +1,28 @@
 """The routes of the local interface."""
 
 import asyncio
-import json
 import math
-import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
 from datetime import UTC, datetime
-from typing import Any
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from daemon.api.gate import AllowedHosts, Bodies, Gate, Token
 from daemon.api.metrics import Metrics
-from daemon.base.records import Record
+from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
+from daemon.api.refusals import ApiRefusals
+from daemon.api.turns import ReadTurns
+from daemon.base.clock import Clock
 from daemon.service.operator import CommandError
-from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, parse
+from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, TooManyError, parse
 from daemon.service.recent import Recent
 from daemon.service.snapshot import Snapshot, TrackerState
-from daemon.service.state import kind_of, number, record_json, state_json
+from daemon.service.state import state_json
 
-# A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
-_LONGEST_READ = 64 << 20
-_MOST_SCANS = 2000
 _MOST_LISTENERS = 16
 _STATE_EVERY_S = 1.0
 _STUCK_AFTER_S = 30.0
@@ -38,26 +36,42 @@ class Api:
     see
         Takes a snapshot of the service.
     recent
-        What came over its bus lately.
+        Hands on what comes over its bus.
     operators
         Carry out commands.
     token
         That commands must bear.
+    clock
+        The service's time.
     speed
         How many times as fast as the machine's the service's clock runs.
+    hosts
+        Under which names it may be asked for, besides this machine's own.
     """
 
     def __init__(
-        self, see: Callable[[], Snapshot], recent: Recent, operators: Operators, token: str, speed: float
+        self,
+        see: Callable[[], Snapshot],
+        recent: Recent,
+        operators: Operators,
+        token: str,
+        clock: Clock,
+        speed: float,
+        hosts: Iterable[str] = (),
     ) -> None:
         self._see = see
-        self._recent = recent
-        self._token = token.encode()
         self._speed = speed
         self._operators = operators
-        self._metrics = Metrics(see)
+        self.refusals = ApiRefusals(clock.monotonic)
+        self._scan_log, self._feed = ScanLog(), Feed()
+        recent.follow(self._scan_log.note)
+        recent.follow(self._feed.note)
+        self._state_page = KeptPage(lambda: to_json(state_json(see())), clock.monotonic, speed)
+        self._metrics_page = KeptPage(Metrics(see, self.refusals).text, clock.monotonic, speed)
         self._closing = asyncio.Event()
-        self.app = Starlette(
+        self._turns = ReadTurns(clock.monotonic, speed)
+        self._bodies = Bodies(speed)
+        routes = Starlette(
             routes=[
                 Route("/api/state", self._state),
                 Route("/api/scans", self._scans),
@@ -68,35 +82,37 @@ class Api:
             ],
             exception_handlers={HTTPException: _refused, Exception: _broken},
         )
+        self.app = Gate(routes, Token(token), AllowedHosts(hosts), self._turns, self._bodies, self.refusals)
 
     def close(self) -> None:
-        """End the streams of all listeners."""
+        """End the streams of all listeners, and the waiting of others."""
         self._closing.set()
+        self._turns.close()
 
     async def _state(self, _: Request) -> Response:
-        return JSONResponse(state_json(self._see()))
+        return Response(self._state_page.get(), media_type="application/json")
 
     async def _scans(self, request: Request) -> Response:
-        scans = self._recent.scans_since(_since(request.query_params.get("since")), _MOST_SCANS)
-        return JSONResponse({"scans": [record_json(scan) for scan in scans], "more": len(scans) == _MOST_SCANS})
+        since_utc_s = _since(request.query_params.get("since"))
+        return Response(self._scan_log.page(since_utc_s), media_type="application/json")
 
     async def _events(self, _: Request) -> Response:
-        if self._recent.listeners >= _MOST_LISTENERS:
+        if self._feed.listeners >= _MOST_LISTENERS:
             raise HTTPException(503, "too many programs listen to the events already; close one")
         return StreamingResponse(self._stream(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
-    async def _stream(self) -> AsyncIterator[str]:
+    async def _stream(self) -> AsyncIterator[bytes]:
         """Yield the state once a second of wall time, and every record as it comes."""
         loop = asyncio.get_running_loop()
-        with self._recent.listening() as records:
+        with self._feed.listening() as events:
             closing = asyncio.create_task(self._closing.wait())
             try:
                 due_s = -math.inf
                 while not self._closing.is_set():
                     if loop.time() >= due_s:
                         due_s = loop.time() + _STATE_EVERY_S * self._speed
-                        yield _event("state", state_json(self._see()))
-                    following = asyncio.create_task(records.get())
+                        yield event_of("state", self._state_page.get())
+                    following = asyncio.create_task(events.get())
                     try:
                         await asyncio.wait(
                             (following, closing),
@@ -106,7 +122,7 @@ class Api:
                     finally:
                         following.cancel()
                     if following.done() and not following.cancelled():
-                        yield _record_event(following.result())
+                        yield following.result()
             finally:
                 closing.cancel()
 
@@ -123,16 +139,21 @@ class Api:
         if seen.store is not None and seen.store.down_why is not None:
             down.append(f"store: {seen.store.down_why}")
         down += [f"mqtt{_of(name, seen)}: {link.down_why}" for name, link in seen.links.items() if link.down_why]
-        found = {"ok": not troubles, "troubles": troubles, "down": down, "simulated": seen.simulated}
+        found = {
+            "ok": not troubles,
+            "troubles": troubles,
+            "down": down,
+            "loop_late_worst_s": round(seen.loop.worst_s, 4),
+            "simulated": seen.simulated,
+        }
         return JSONResponse(found, status_code=503 if troubles else 200)
 
     async def _metrics_text(self, _: Request) -> Response:
-        return Response(self._metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+        return Response(self._metrics_page.get(), media_type="text/plain; version=0.0.4; charset=utf-8")
 
     def _command(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def command(request: Request) -> Response:
-            content = await _read(request)
-            self._authorise(request)
+            content = await self._bodies.read(request.receive, LONGEST_BODY)
             if content is None:
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
             try:
@@ -140,21 +161,15 @@ class Api:
                 return JSONResponse(await self._operators.carry_out(command))
             except BodyError as error:
                 raise HTTPException(400, str(error)) from None
+            except TooManyError as error:
+                raise HTTPException(429, str(error), {"Retry-After": "1"}) from None
             except CommandError as error:
                 raise HTTPException(422 if error.wrong else 409, str(error)) from None
+            finally:
+                self._state_page.forget()
+                self._metrics_page.forget()
 
         return command
-
-    def _authorise(self, request: Request) -> None:
-        scheme, _, given = request.headers.get("authorization", "").partition(" ")
-        if scheme.lower() != "bearer" or not given:
-            raise HTTPException(
-                401, "a command needs the header 'Authorization: Bearer TOKEN'", {"WWW-Authenticate": "Bearer"}
-            )
-        if not secrets.compare_digest(given.strip().encode("latin-1", "replace"), self._token):
-            raise HTTPException(
-                401, "the token is not the service's: see api.token_file", {"WWW-Authenticate": "Bearer"}
-            )
 
 
 def _of(tracker: str, seen: Snapshot) -> str:
@@ -168,21 +183,6 @@ def _down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
         yield "load", tracker.load.down_why
 
 
-async def _read(request: Request) -> bytes | None:
-    """Return the body, or None for one that is too long."""
-    content, length = bytearray(), 0
-    try:
-        async for chunk in request.stream():
-            length += len(chunk)
-            if length <= LONGEST_BODY:
-                content += chunk
-            if length > _LONGEST_READ:
-                break
-    except ClientDisconnect:
-        raise HTTPException(400, "the connection ended within the body") from None
-    return bytes(content) if length <= LONGEST_BODY else None
-
-
 def _since(text: str | None) -> float:
     if text is None:
         return -math.inf
@@ -191,14 +191,6 @@ def _since(text: str | None) -> float:
     except ValueError:
         raise HTTPException(400, f"since={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
     return (found.replace(tzinfo=UTC) if found.tzinfo is None else found).timestamp()
-
-
-def _record_event(record: Record) -> str:
-    return _event(kind_of(record), record_json(record))
-
-
-def _event(kind: str, data: dict[str, Any]) -> str:
-    return f"event: {kind}\ndata: {json.dumps(data, default=number)}\n\n"
 
 
 async def _refused(request: Request, error: Exception) -> Response:

@@ -5,10 +5,12 @@ from collections.abc import Callable, Iterator
 from operator import attrgetter
 
 from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from daemon.api.refusals import ApiRefusals
 from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
+from daemon.service.health import LATE_UP_TO_S, LoopState
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
 
@@ -34,10 +36,13 @@ class Metrics(Collector):
     ----------
     see
         Takes a snapshot.
+    refusals
+        What the interface itself has refused.
     """
 
-    def __init__(self, see: Callable[[], Snapshot]) -> None:
+    def __init__(self, see: Callable[[], Snapshot], refusals: ApiRefusals) -> None:
         self._see = see
+        self._refusals = refusals
         self._registry = CollectorRegistry()
         self._registry.register(self)
 
@@ -64,7 +69,13 @@ class Metrics(Collector):
             found.count("store_lost", "Records lost for want of room.", seen.store.lost)
         for name, link in seen.links.items():
             _link(found, link, name)
+        for kind, number in self._refusals.counts.items():
+            found.count("api_refused", "What the local interface refused, by kind.", number, kind=kind)
+        found.gauge(
+            "loop_late_worst_seconds", "Most that the event loop was late in the last minute.", seen.loop.worst_s
+        )
         yield from found
+        yield _lateness(seen.loop)
 
 
 class _Families:
@@ -94,6 +105,13 @@ class _Families:
     def __iter__(self) -> Iterator[Metric]:
         yield from self._gauges.values()
         yield from self._counts.values()
+
+
+def _lateness(loop: LoopState) -> HistogramMetricFamily:
+    bounds = [*(f"{bound_s:g}" for bound_s in LATE_UP_TO_S), "+Inf"]
+    buckets = list(zip(bounds, map(float, loop.counts), strict=True))
+    about = "How late the event loop ran what was due."
+    return HistogramMetricFamily("heliocube_loop_late_seconds", about, buckets, loop.sum_s)
 
 
 def _cube(found: _Families, seen: Snapshot) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 import uvicorn
 
 from daemon.api.app import Api
+from daemon.api.connections import Connections
 from daemon.base.addresses import parse_address
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
@@ -20,7 +21,9 @@ log = logging.getLogger("heliocube.api")
 
 _AGAIN_S = 10.0
 _GRACE_S = 1
-_CONNECTIONS = 64
+_LONGEST_HEAD = 16 << 10
+# As many connections are taken from the kernel in one turn of the loop.
+_BACKLOG = 128
 _KEEP_ALIVE_S = 5
 
 
@@ -67,6 +70,7 @@ class ApiServer:
         self._clock = clock
         self._publish = publish
         self._speed = speed
+        self._connections = Connections(api.refusals, speed)
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
         self._try_to_bind()
@@ -119,24 +123,28 @@ class ApiServer:
         server = _Server(
             uvicorn.Config(
                 self._api.app,
-                http="h11",
+                http=self._connections.protocol(),
                 ws="none",
                 lifespan="off",
                 log_config=None,
-                log_level=logging.WARNING,
+                # What is not HTTP is reported by the connections, within a budget.
+                log_level=logging.ERROR,
                 access_log=False,
                 server_header=False,
                 date_header=False,
-                limit_concurrency=_CONNECTIONS,
+                backlog=_BACKLOG,
+                h11_max_incomplete_event_size=_LONGEST_HEAD,
                 # These are counted on the loop's clock, which may be a fast one.
                 timeout_keep_alive=_KEEP_ALIVE_S * pace,
                 timeout_graceful_shutdown=_GRACE_S * pace,
             )
         )
         serving = asyncio.create_task(server.serve(sockets=[bound]))
+        watching = asyncio.create_task(self._connections.run())
         try:
             await asyncio.shield(serving)
         finally:
+            watching.cancel()
             self._api.close()
             server.end()
             await serving

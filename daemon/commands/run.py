@@ -29,6 +29,7 @@ from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.mqtt.companion import Mqtt, links
 from daemon.rigs.simulated import DEFAULT_START, build_real_rig, build_simulated_rig, build_weather
+from daemon.service.health import LoopWatch
 from daemon.service.operator_commands import Operators
 from daemon.service.recent import Recent
 from daemon.service.rig import Rig, Role
@@ -95,7 +96,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             api = _api(service, recent, speed, see, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
-            runner.run(_run(service, for_s, speed, (view, api, *mqtt.values())))
+            runner.run(_run(service, for_s, speed, (view, api, service.loop_watch, *mqtt.values())))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -193,7 +194,8 @@ def _api(
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    api = Api(see, recent, Operators(service.trackers, speed), token, speed)
+    operators = Operators(service.trackers, speed)
+    api = Api(see, recent, operators, token, service.clock, speed, settings.hosts)
     server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"
@@ -212,7 +214,10 @@ def _sender(settings: Settings, mqtt: Mapping[str, Mqtt]) -> Callable[[bytes], N
 
 
 async def _run(
-    service: Service, for_s: float | None, speed: float, companions: Iterable[LiveView | ApiServer | Mqtt | None]
+    service: Service,
+    for_s: float | None,
+    speed: float,
+    companions: Iterable[LiveView | ApiServer | LoopWatch | Mqtt | None],
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -127,6 +127,12 @@ class ApiSettings(Section):
         description="File with the token that commands need, mode 0600 or 0640."
         " Left out: a new token at each start, shown on the terminal.",
     )
+    hosts: tuple[HostName, ...] = Field(
+        (),
+        examples=[["tracker.example.org"]],
+        description="Names that requests may be for, such as that of a proxy, besides localhost and this machine's"
+        " addresses. Others are refused: a page of the web could read the state under its own name.",
+    )
 
 
 class WindInput(Section):

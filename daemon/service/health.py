@@ -6,7 +6,10 @@ does not end or an event loop that runs late is.
 
 import asyncio
 import logging
+from bisect import bisect_left
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 
 from daemon.base.clock import Clock
 from daemon.base.process import Notifier
@@ -18,6 +21,71 @@ log = logging.getLogger("heliocube.watchdog")
 _CHECK_EVERY_S = 10.0
 _LATEST_S = 2.0
 _STUCK_AFTER_S = 30.0
+_MEASURE_EVERY_S = 0.1
+_WORST_OF_S = 60.0
+
+LATE_UP_TO_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0)
+"""Bounds of the counts of a `LoopState`; the last count has all."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopState:
+    """How late the event loop was, in the machine's seconds.
+
+    Attributes
+    ----------
+    worst_s
+        The most within the last minute or two.
+    sum_s
+        All delays added.
+    counts
+        How many measurements were at most as late as each of `LATE_UP_TO_S`, and all of them.
+    """
+
+    worst_s: float
+    sum_s: float
+    counts: tuple[int, ...]
+
+
+class LoopWatch:
+    """Measures how late the event loop runs what is due, ten times a second; a reader or a disk that holds it up shows.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    speed
+        How many times as fast as the machine's it runs.
+    """
+
+    def __init__(self, clock: Clock, speed: float) -> None:
+        self._clock = clock
+        self._speed = speed
+        self._counts = [0] * (len(LATE_UP_TO_S) + 1)
+        self._sum_s = 0.0
+        self._worst_s = self._worst_before_s = 0.0
+        self._minute_s = clock.monotonic()
+
+    @property
+    def state(self) -> LoopState:
+        """What has been measured."""
+        worst_s = max(self._worst_s, self._worst_before_s)
+        return LoopState(worst_s, self._sum_s, tuple(accumulate(self._counts)))
+
+    async def run(self) -> None:
+        """Measure until cancelled."""
+        while True:
+            due_s = self._clock.monotonic() + _MEASURE_EVERY_S * self._speed
+            await asyncio.sleep(_MEASURE_EVERY_S * self._speed)
+            self._note(max(self._clock.monotonic() - due_s, 0.0) / self._speed)
+
+    def _note(self, late_s: float) -> None:
+        now_s = self._clock.monotonic()
+        if now_s - self._minute_s >= _WORST_OF_S * self._speed:
+            self._worst_before_s, self._worst_s, self._minute_s = self._worst_s, 0.0, now_s
+        self._counts[bisect_left(LATE_UP_TO_S, late_s)] += 1
+        self._sum_s += late_s
+        self._worst_s = max(self._worst_s, late_s)
 
 
 class Watchdog:

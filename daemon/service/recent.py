@@ -1,18 +1,12 @@
-"""What has come over the bus lately: kept for displays, and handed to whoever listens."""
+"""What has come over the bus lately: kept for displays, and handed to those who follow."""
 
-import asyncio
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
 
 from daemon.base.records import Decision, Event, ModeChange, Move, Record, Scan
 
-# A day of scans at the usual pace.
-_SCANS = 17_280
 _NEWS = 50
-_PER_LISTENER = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +28,7 @@ class Recent:
 
     def __init__(self, *, several: bool = False) -> None:
         self._several = several
-        self._scan_log: deque[Scan] = deque(maxlen=_SCANS)
-        self._listeners: list[asyncio.Queue[Record]] = []
+        self._followers: list[Callable[[Record], None]] = []
         self.news: deque[News] = deque(maxlen=_NEWS)
         self.scans = 0
         self.decisions: Counter[str] = Counter()
@@ -47,7 +40,6 @@ class Recent:
         if isinstance(record, Scan):
             self.scans += 1
             self.scan = record
-            self._scan_log.append(record)
         elif isinstance(record, Decision):
             self.decisions[record.tracker] += 1
         elif isinstance(record, Move):
@@ -57,29 +49,12 @@ class Recent:
             if self._several and not isinstance(record, Scan) and record.tracker:
                 text = f"{record.tracker}: {text}"
             self.news.append(News(record.time_utc_s, text))
-        for queue in self._listeners:
-            if queue.full():
-                queue.get_nowait()
-            queue.put_nowait(record)
+        for follower in self._followers:
+            follower(record)
 
-    @property
-    def listeners(self) -> int:
-        """How many queues are being filled."""
-        return len(self._listeners)
-
-    def scans_since(self, utc_s: float, most: int) -> list[Scan]:
-        """Return the oldest scans that ended after `utc_s`, at most `most` of them, oldest first."""
-        return list(islice((scan for scan in self._scan_log if scan.time_utc_s > utc_s), most))
-
-    @contextmanager
-    def listening(self) -> Iterator[asyncio.Queue[Record]]:
-        """Give a queue of all records from now on; one who does not keep up loses the oldest."""
-        queue: asyncio.Queue[Record] = asyncio.Queue(_PER_LISTENER)
-        self._listeners.append(queue)
-        try:
-            yield queue
-        finally:
-            self._listeners.remove(queue)
+    def follow(self, follower: Callable[[Record], None]) -> None:
+        """Call `follower` with every record from now on."""
+        self._followers.append(follower)
 
 
 def _sentence(record: Record) -> str | None:

@@ -21,7 +21,7 @@ from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
 from daemon.motion.motion import OFTEN, Polling
-from daemon.service.health import Watchdog
+from daemon.service.health import LoopWatch, Watchdog
 from daemon.service.inheritance import hand_on
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
@@ -103,6 +103,7 @@ class Service:
             self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive)
         if role is not Role.TRACKER:
             self._build_cube()
+        self.loop_watch = LoopWatch(clock, speed)
         self._watchdog = Watchdog(clock, notifier, self.trackers, self.acquisition, speed)
 
     def _build_cube(self) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -11,6 +12,7 @@ from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
 from daemon.motion.motion import Motion
+from daemon.service.health import LoopState
 from daemon.service.recent import News, Recent
 from daemon.service.service import Service
 from daemon.service.status import LinkStatus
@@ -145,6 +147,8 @@ class Snapshot:
         To the broker, by the tracker that has it; by the empty name that of the cube's process.
     news
         What happened lately, the latest last.
+    loop
+        How late the event loop was.
     """
 
     version: str
@@ -168,6 +172,7 @@ class Snapshot:
     store: StoreStatus | None
     links: Mapping[str, LinkStatus]
     news: tuple[News, ...]
+    loop: LoopState
 
     @property
     def scan_is_stale(self) -> bool:
@@ -201,7 +206,7 @@ def snapshot(
     settings, acquisition = service.settings, service.acquisition
     utc_s = service.clock.utc()
     return Snapshot(
-        version=version("heliocube"),
+        version=_version(),
         simulated=service.rig.simulated,
         speed=speed,
         role=service.role.value,
@@ -222,7 +227,14 @@ def snapshot(
         store=store,
         links=links,
         news=tuple(recent.news),
+        loop=service.loop_watch.state,
     )
+
+
+@cache
+def _version() -> str:
+    """Return the program's version; where it is kept is a file, which is not read again and again."""
+    return version("heliocube")
 
 
 def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:

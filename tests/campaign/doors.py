@@ -62,7 +62,7 @@ class Http:
     async def _post(self, service, name, body):
         recent = Recent()
         operators = Operators(service.trackers, 1.0)
-        app = Api(lambda: snapshot(service, recent, 1.0, None, {}), recent, operators, _TOKEN, 1.0).app
+        app = Api(lambda: snapshot(service, recent, 1.0, None, {}), recent, operators, _TOKEN, service.clock, 1.0).app
         sent = []
 
         async def receive():
@@ -71,7 +71,7 @@ class Http:
         async def send(message):
             sent.append(message)
 
-        headers = [(b"authorization", f"Bearer {_TOKEN}".encode()), (b"host", b"x")]
+        headers = [(b"authorization", f"Bearer {_TOKEN}".encode()), (b"host", b"localhost")]
         scope = {"type": "http", "method": "POST", "path": f"/api/{name}", "query_string": b"", "headers": headers}
         await app({**scope, "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "http"}, receive, send)
         content = b"".join(message.get("body", b"") for message in sent[1:])

@@ -9,87 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from daemon.api.app import Api
-from daemon.api.server import ApiServer
 from daemon.base.records import Event, Mode
-from daemon.service.operator_commands import Operators
-from daemon.service.recent import Recent
 from daemon.store.store import StoreStatus
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
-
-TOKEN = "t" * 43
-BEARER = {"Authorization": f"Bearer {TOKEN}"}
-
-
-class Reply:
-    def __init__(self, content):
-        head, _, self.body = content.partition(b"\r\n\r\n")
-        self.status = int(head.split()[1])
-        self.head = head.decode()
-
-    @property
-    def json(self):
-        return json.loads(self.body, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-
-
-class Caller:
-    """Speaks to the interface as any program would."""
-
-    def __init__(self, server):
-        self.server = server
-
-    async def open(self, method, path, body=b"", headers=None, length=None):
-        host, port = self.server.url.removeprefix("http://").split(":")
-        reader, writer = await asyncio.open_connection(host, int(port))
-        lines = {"Host": "x", "Connection": "close", "Content-Length": len(body) if length is None else length}
-        head = "".join(f"{name}: {value}\r\n" for name, value in (lines | (headers or {})).items())
-        writer.write(f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode() + body)
-        await writer.drain()
-        return reader, writer
-
-    async def __call__(self, method, path, body=b"", headers=None):
-        reader, writer = await self.open(method, path, body, headers)
-        try:
-            return Reply(await reader.read())
-        finally:
-            writer.close()
-            await writer.wait_closed()
-
-    async def get(self, path):
-        return await self("GET", path)
-
-    async def post(self, name, body=b"", headers=BEARER):
-        return await self("POST", f"/api/{name}", body, headers)
-
-
-def server_of(rig, settings, recent=None, store=None):
-    """Return the local interface of a rig's service."""
-    recent = Recent() if recent is None else recent
-    operators = Operators(rig.service.trackers, 1.0)
-    api = Api(lambda: rig.see(recent, store), recent, operators, TOKEN, 1.0)
-    return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
-
-
-@pytest.fixture
-def serve(run_rig):
-    """Run a scenario with the rig and a caller of its local interface."""
-
-    def run(scenario, **options):
-        async def beside(rig):
-            recent = Recent()
-            rig.bus.subscribe(recent.note)
-            settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
-            server = server_of(rig, settings, recent)
-            serving = asyncio.create_task(server.run())
-            try:
-                await scenario(rig, Caller(server))
-            finally:
-                serving.cancel()
-                await asyncio.wait((serving,))
-
-        return run_rig(beside, **options)
-
-    return run
+from tests.support.api import BEARER, TOKEN, Caller, server_of
 
 
 def test_the_state_tells_everything_with_age_and_quality(serve):
@@ -190,20 +113,6 @@ def test_events_bring_the_state_and_every_record_and_end_with_the_service(serve)
     serve(scenario)
 
 
-def test_a_listener_that_does_not_read_costs_a_bounded_queue_and_nobody_else_anything():
-    recent = Recent()
-
-    async def scenario():
-        with recent.listening() as queue:
-            for n in range(5000):
-                recent.note(Event(float(n), float(n), "test", str(n)))
-            assert queue.qsize() == 500
-            assert queue.get_nowait().text == "4500"
-        assert recent.listeners == 0
-
-    asyncio.run(scenario())
-
-
 def test_metrics_are_those_of_prometheus(serve):
     async def scenario(rig, call):
         await under_way(rig)
@@ -295,6 +204,7 @@ def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
         (b'{"why": 3}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "a\\nb"}', 400, '"why" must be one line of text with at most 200 letters'),
         (b'{"why": "' + b"x" * 201 + b'"}', 400, '"why" must be one line of text with at most 200 letters'),
+        (b'{"why": "a", "by": "b", "why": "c"}', 400, "the body has 'why' twice"),
         (b"x" * 5000, 413, "the body is longer than 4096 bytes"),
         (b"x" * 10_000_000, 413, "the body is longer than 4096 bytes"),
     ],
@@ -383,6 +293,7 @@ def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost
         assert "heliocube_angle_degrees{" in metrics
         rig.cables.positioner.link_up = False
         await rig.until(lambda: not rig.motion.connected, 15, "the loss")
+        await asyncio.sleep(0.2)
         metrics = (await call.get("/metrics")).body.decode()
         assert "heliocube_angle_degrees{" not in metrics
         assert "heliocube_motor_amperes{" not in metrics

@@ -8,7 +8,8 @@ import pytest
 
 from daemon.base.process import Notifier
 from daemon.base.records import Mode, Move, MoveOutcome
-from daemon.service.health import Watchdog
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.service.health import LoopWatch, Watchdog
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 
 
@@ -80,3 +81,36 @@ def test_an_axis_that_runs_past_its_target_is_stopped_and_named(run_rig):
 
     rig = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
     assert MoveOutcome.OVERSHOT in [move.outcome for move in rig.of(Move)]
+
+
+class HeldUpClock:
+    """The loop's clock, which a test lets run on as if something had held the loop up."""
+
+    held_s = 0.0
+
+    def monotonic(self):
+        return asyncio.get_running_loop().time() + self.held_s
+
+
+def test_the_lateness_of_the_loop_is_measured_and_its_worst_is_that_of_the_last_minutes():
+    async def scenario():
+        clock = HeldUpClock()
+        watch = LoopWatch(clock, speed=2.0)
+        watching = asyncio.create_task(watch.run())
+        await asyncio.sleep(10.1)
+        assert (watch.state.worst_s, watch.state.counts) == (pytest.approx(0.0, abs=1e-9), (50,) * 8)
+        clock.held_s += 0.06
+        await asyncio.sleep(0.2)
+        clock.held_s += 0.6
+        await asyncio.sleep(0.2)
+        state = watch.state
+        assert state.worst_s == pytest.approx(0.3)
+        assert state.counts == (50, 50, 50, 51, 51, 51, 52, 52)
+        assert state.sum_s == pytest.approx(0.33)
+        await asyncio.sleep(250)
+        assert watch.state.worst_s == pytest.approx(0.0, abs=1e-9)
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())

@@ -1,0 +1,195 @@
+"""The connections of the local interface: how many there may be, and how long one may say or read nothing.
+
+The server has a limit of connections, and answers those above it with 503, a command as well; and it waits for ever for
+the end of a request. So each connection is known here: one too many costs the one that has been idle for longest, and
+what does not get on is closed.
+"""
+
+import asyncio
+import ipaddress
+import socket
+from functools import partial
+from typing import Any, cast
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from daemon.api.refusals import ApiRefusals
+
+_MOST = 192
+_MOST_OF_AN_ADDRESS = 32
+_CHECK_EVERY_S = 1.0
+# To the end of the first request's head; a later one is waited for for five seconds, and its head as long again.
+_HEAD_WITHIN_S = 5.0
+_NEXT_HEAD_WITHIN_S = 10.0
+_BODY_WITHIN_S = 5.0
+_READ_WITHIN_S = 10.0
+# One who sends garbage over and over is held up by that.
+_GARBAGE_PAUSE_S = 0.25
+# The kernel would grow it to megabytes for one who does not read.
+_SEND_BUFFER = 1 << 16
+
+
+class Connections:
+    """All connections of the interface.
+
+    Parameters
+    ----------
+    refusals
+        Takes note of those that are closed.
+    speed
+        How many times as fast as the machine's the event loop's clock runs.
+    """
+
+    def __init__(self, refusals: ApiRefusals, speed: float) -> None:
+        self.refusals = refusals
+        self.speed = speed
+        self._open: dict[HttpConnection, None] = {}
+
+    @property
+    def count(self) -> int:
+        """How many are open."""
+        return len(self._open)
+
+    def protocol(self) -> type[asyncio.Protocol]:
+        """Return what makes the server's connections belong to these."""
+        return cast("type[asyncio.Protocol]", partial(HttpConnection, self))
+
+    def admit(self, new: "HttpConnection") -> bool:
+        """Take a new connection in, at the cost of an idle one if need be; return whether there was room."""
+        own = [one for one in self._open if one.address == new.address]
+        # All that comes through a tunnel or a proxy on this machine comes from one address: it has no limit of its own.
+        crowd = own if len(own) >= _MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
+        if len(crowd) >= (_MOST_OF_AN_ADDRESS if crowd is own else _MOST):
+            idle = next((one for one in crowd if one.is_idle), None)
+            whose = f"from {new.address}" if crowd is own else "in all"
+            self.refusals.note("crowded", f"more than {len(crowd)} connections {whose}: the longest idle one is closed")
+            if idle is None:
+                return False
+            self.drop(idle)
+            idle.abort()
+        self._open[new] = None
+        return True
+
+    def used(self, one: "HttpConnection") -> None:
+        """Take note that a connection has got a whole request: it is the last to be given up."""
+        if one in self._open:
+            del self._open[one]
+            self._open[one] = None
+
+    def drop(self, one: "HttpConnection") -> None:
+        """Forget a connection that has ended."""
+        self._open.pop(one, None)
+
+    async def run(self) -> None:
+        """Close what does not get on, until cancelled."""
+        while True:
+            await asyncio.sleep(_CHECK_EVERY_S * self.speed)
+            for one in list(self._open):
+                one.check()
+            self.refusals.settle()
+
+
+class HttpConnection(H11Protocol):
+    """One connection: the server's own, with a limit to each of its waits.
+
+    Parameters
+    ----------
+    all_of_them
+        Those that it belongs to.
+    """
+
+    def __init__(self, all_of_them: Connections, **server: Any) -> None:
+        super().__init__(**server)
+        self._all = all_of_them
+        self._refusals = all_of_them.refusals
+        self._since_s = self._moved_s = 0.0
+        self._unread = 0
+        self._answering: asyncio.TimerHandle | None = None
+        self._garbled = False
+        self.address = ""
+        self.from_loopback = False
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it has not sent a whole request, or does not read its answer."""
+        return self._waits_for_a_head or self._unread > 0
+
+    @property
+    def _waits_for_a_head(self) -> bool:
+        return self.conn.their_state is h11.IDLE and (self.cycle is None or self.cycle.response_complete)
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, if there is room."""
+        super().connection_made(transport)
+        self._since_s = self._moved_s = self.loop.time()
+        if self.client is not None:
+            self.address = self.client[0]
+            self.from_loopback = ipaddress.ip_address(self.address).is_loopback
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        if not self._all.admit(self):
+            transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._all.drop(self)
+        if self._answering is not None:
+            self._answering.cancel()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Take in what was sent; whoever goes on with a body that has been answered is cut off."""
+        if self._garbled:
+            return
+        waited = self._waits_for_a_head
+        super().data_received(data)
+        if waited and not self._waits_for_a_head:
+            self._since_s = self.loop.time()
+            self._all.used(self)
+        elif self.conn.our_state is h11.DONE and self.conn.their_state is h11.SEND_BODY:
+            self.abort()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        self._since_s = self.loop.time()
+        super().on_response_complete()
+
+    def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - the server's
+        """Answer what is not HTTP, after a while."""
+        self._refusals.note("garbage", f"what {self.address} sends is not HTTP")
+        self._garbled = True
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.abort()
+            return
+        self.flow.pause_reading()
+        self._answering = self.loop.call_later(_GARBAGE_PAUSE_S * self._all.speed, self._answer_garbage)
+
+    def check(self) -> None:
+        """Close it if it does not get on."""
+        now_s, transport = self.loop.time(), self.transport
+        unread = transport.get_write_buffer_size()
+        if unread == 0 or unread < self._unread:
+            self._moved_s = now_s
+        self._unread = unread
+        waited_s = (now_s - self._since_s) / self._all.speed
+        if (now_s - self._moved_s) / self._all.speed > _READ_WITHIN_S:
+            self._give_up(f"{self.address} does not read its answer")
+        elif self._waits_for_a_head and waited_s > (_HEAD_WITHIN_S if self.cycle is None else _NEXT_HEAD_WITHIN_S):
+            self._give_up(f"{self.address} has sent no whole request in {waited_s:.0f} s")
+        elif self.conn.their_state is h11.SEND_BODY and waited_s > _BODY_WITHIN_S:
+            self._give_up(f"{self.address} has not sent the whole body of a request in {waited_s:.0f} s")
+
+    def abort(self) -> None:
+        """Close it at once."""
+        self.transport.abort()
+
+    def _give_up(self, why: str) -> None:
+        self._refusals.note("slow", why)
+        self.abort()
+
+    def _answer_garbage(self) -> None:
+        if not self.transport.is_closing():
+            content = b'{"error":"this is not HTTP"}'
+            head = f"HTTP/1.1 400 Bad Request\r\ncontent-type: application/json\r\ncontent-length: {len(content)}\r\n"
+            self.transport.write(head.encode() + b"connection: close\r\n\r\n" + content)
+            self.transport.close()

@@ -1,0 +1,111 @@
+"""What readers get, made ready once for all of them: pages that are kept for an instant, scans, and the events."""
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from typing import Any
+
+from daemon.base.records import Record, Scan
+from daemon.service.state import kind_of, number, record_json
+
+_KEPT_S = 0.1
+# A day of scans at the usual pace.
+_SCANS = 17_280
+_MOST_SCANS = 500
+_PER_LISTENER = 500
+
+
+class KeptPage:
+    """A page that is made at most ten times a second, however many ask for it.
+
+    Parameters
+    ----------
+    make
+        Makes it.
+    now_s
+        Returns the event loop's time [s].
+    speed
+        How many times as fast as the machine's it runs.
+    """
+
+    def __init__(self, make: Callable[[], bytes], now_s: Callable[[], float], speed: float) -> None:
+        self._make = make
+        self._now_s = now_s
+        self._kept_s = _KEPT_S * speed
+        self._page: bytes | None = None
+        self._made_s = 0.0
+
+    def get(self) -> bytes:
+        """Return the page, not older than a tenth of a second."""
+        now_s = self._now_s()
+        if self._page is None or not now_s - self._made_s < self._kept_s:
+            self._page, self._made_s = self._make(), now_s
+        return self._page
+
+    def forget(self) -> None:
+        """Make it anew the next time: something has changed that whoever changed it wants to see."""
+        self._page = None
+
+
+class ScanLog:
+    """The scans of the latest day, each written as JSON when it comes: a page of them is only put together."""
+
+    def __init__(self) -> None:
+        self._scans: deque[tuple[float, bytes]] = deque(maxlen=_SCANS)
+
+    def note(self, record: Record) -> None:
+        """Take in one record."""
+        if isinstance(record, Scan):
+            self._scans.append((record.time_utc_s, to_json(record_json(record))))
+
+    def page(self, since_utc_s: float) -> bytes:
+        """Return the oldest scans that ended later, at most 500, and whether there are others."""
+        later = (content for utc_s, content in self._scans if utc_s > since_utc_s)
+        found = list(islice(later, _MOST_SCANS + 1))
+        more = b"true" if len(found) > _MOST_SCANS else b"false"
+        return b'{"scans":[' + b",".join(found[:_MOST_SCANS]) + b'],"more":' + more + b"}"
+
+
+class Feed:
+    """Hands every record to all who listen, written once for all of them; who does not keep up loses the oldest."""
+
+    def __init__(self) -> None:
+        self._listeners: list[asyncio.Queue[bytes]] = []
+
+    @property
+    def listeners(self) -> int:
+        """How many listen."""
+        return len(self._listeners)
+
+    def note(self, record: Record) -> None:
+        """Take in one record."""
+        if not self._listeners:
+            return
+        event = event_of(kind_of(record), to_json(record_json(record)))
+        for queue in self._listeners:
+            if queue.full():
+                queue.get_nowait()
+            queue.put_nowait(event)
+
+    @contextmanager
+    def listening(self) -> Iterator[asyncio.Queue[bytes]]:
+        """Give a queue of all events from now on."""
+        queue: asyncio.Queue[bytes] = asyncio.Queue(_PER_LISTENER)
+        self._listeners.append(queue)
+        try:
+            yield queue
+        finally:
+            self._listeners.remove(queue)
+
+
+def event_of(kind: str, content: bytes) -> bytes:
+    """Return one server-sent event."""
+    return b"event: " + kind.encode() + b"\ndata: " + content + b"\n\n"
+
+
+def to_json(found: dict[str, Any]) -> bytes:
+    """Return a page as JSON; what is not a number is null."""
+    return json.dumps(found, default=number, separators=(",", ":")).encode()

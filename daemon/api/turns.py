@@ -1,0 +1,91 @@
+"""Turns for those who only read: together they cost the event loop a bounded share, however many ask."""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+_SHARE = 0.25
+_AT_ONCE_S = 0.05
+_MOST_WAITING = 64
+# Of a request on a connection of its own, besides its page: accepting, parsing, closing.
+_OVERHEAD_S = 0.001
+# A page that waits for a thread is charged no more.
+_LONGEST_S = 0.02
+
+
+class CrowdedError(Exception):
+    """So many wait for a turn already that another would wait for too long."""
+
+
+class ReadTurns:
+    """Gives one turn after the other, by what each has cost.
+
+    After a rest some fifty cheap pages are served at once; then a quarter of the loop's time is spent on pages, and
+    whoever wants more of them waits. Commands take no turn.
+
+    Parameters
+    ----------
+    now_s
+        Returns the event loop's time [s].
+    speed
+        How many times as fast as the machine's it runs.
+    """
+
+    def __init__(self, now_s: Callable[[], float], speed: float) -> None:
+        self.now_s = now_s
+        self._speed = speed
+        self._debt_s = 0.0
+        self._at_s = now_s()
+        self._waiting: deque[asyncio.Future[None]] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+
+    async def take(self) -> None:
+        """Wait for a turn; raises `CrowdedError` at once where too many wait."""
+        if not self._waiting and self._debt() <= _AT_ONCE_S:
+            self._debt_s += _OVERHEAD_S
+            return
+        if len(self._waiting) >= _MOST_WAITING:
+            raise CrowdedError
+        turn = asyncio.get_running_loop().create_future()
+        self._waiting.append(turn)
+        self._wait_for_the_next()
+        try:
+            await turn
+        except asyncio.CancelledError:
+            if turn in self._waiting:
+                self._waiting.remove(turn)
+            raise
+
+    def charge(self, cost_s: float) -> None:
+        """Count what a turn has cost, in the loop's seconds."""
+        self._debt_s = self._debt() + min(max(cost_s / self._speed, 0.0), _LONGEST_S)
+
+    def close(self) -> None:
+        """Let nobody wait any longer."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        while self._waiting:
+            turn = self._waiting.popleft()
+            if not turn.done():
+                turn.set_exception(CrowdedError())
+
+    def _debt(self) -> float:
+        now_s = self.now_s()
+        self._debt_s = max(self._debt_s - (now_s - self._at_s) / self._speed * _SHARE, 0.0)
+        self._at_s = now_s
+        return self._debt_s
+
+    def _wait_for_the_next(self) -> None:
+        if self._timer is None and self._waiting:
+            pause_s = max(self._debt() - _AT_ONCE_S, _OVERHEAD_S) / _SHARE * self._speed
+            self._timer = asyncio.get_running_loop().call_later(pause_s, self._give)
+
+    def _give(self) -> None:
+        self._timer = None
+        if self._waiting and self._debt() <= _AT_ONCE_S:
+            turn = self._waiting.popleft()
+            if not turn.done():
+                self._debt_s += _OVERHEAD_S
+                turn.set_result(None)
+        self._wait_for_the_next()

@@ -1,0 +1,282 @@
+"""What outsiders may cost: connections that say nothing, floods, garbage, other hosts; and a stop beside all of it."""
+
+import asyncio
+import logging
+import socket
+from dataclasses import dataclass
+
+import pytest
+
+from daemon.api.connections import Connections
+from daemon.api.refusals import ApiRefusals
+from daemon.api.turns import CrowdedError, ReadTurns
+from daemon.base.records import Event, Mode
+from daemon.base.timeloop import VirtualTimeLoop
+from tests.daemon.service.test_faults import commands_sent, under_way
+from tests.support.api import BEARER
+
+HALF_A_HEAD = b"GET /api/state HTTP/1.1\r\nHost: loc"
+HALF_A_BODY = b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{"
+
+
+async def connect(call, content=b""):
+    host, port = call.server.url.removeprefix("http://").split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    writer.write(content)
+    return reader, writer
+
+
+async def closed(reader):
+    """Return what was still said before the end of a connection."""
+    try:
+        return await reader.read()
+    except ConnectionError:
+        return b""
+
+
+def lines_of(caplog):
+    return [record.getMessage() for record in caplog.records if record.name == "heliocube.api"]
+
+
+async def metric(call, name):
+    lines = (await call.get("/metrics")).body.decode().splitlines()
+    return next(float(line.split()[-1]) for line in lines if line.startswith(f"heliocube_{name} "))
+
+
+def test_idle_and_half_sent_connections_keep_no_command_out(serve, monkeypatch, caplog):
+    async def scenario(rig, call):
+        await under_way(rig)
+        held = [await connect(call, (b"", HALF_A_HEAD, HALF_A_BODY)[turn % 3]) for turn in range(300)]
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        assert (await call.post("stop")).status == 200
+        assert next(at_s for at_s, data in sent if data.startswith(b"$9s")) - asked_s < 0.2
+        assert (await call.get("/healthz")).status == 200
+        for _, writer in held:
+            writer.close()
+
+    serve(scenario)
+    assert 0 < len(lines_of(caplog)) <= 18
+
+
+@pytest.mark.parametrize("content", [b"", HALF_A_HEAD, HALF_A_BODY], ids=["nothing", "half a head", "half a body"])
+def test_what_is_not_finished_within_seconds_is_closed(serve, content):
+    async def scenario(rig, call):
+        reader, writer = await connect(call, content)
+        begun_s = rig.clock.monotonic()
+        await closed(reader)
+        assert 5 <= rig.clock.monotonic() - begun_s <= 8
+        writer.close()
+
+    serve(scenario)
+
+
+def test_a_head_that_comes_byte_by_byte_gets_no_more_time_nor_does_the_second_one(serve):
+    async def scenario(rig, call):
+        for first, within_s in ((b"", 8), (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n", 13)):
+            reader, writer = await connect(call, first)
+            begun_s = rig.clock.monotonic()
+            closing = asyncio.create_task(closed(reader))
+            for byte in HALF_A_HEAD * 20:
+                writer.write(bytes([byte]))
+                await asyncio.sleep(0.5)
+                if closing.done():
+                    break
+            await closing
+            assert rig.clock.monotonic() - begun_s <= within_s
+            writer.close()
+
+    serve(scenario)
+
+
+def test_a_listener_that_does_not_read_is_cut_off_and_one_that_does_is_not(serve):
+    async def scenario(rig, call):
+        deaf = socket.socket()
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.setblocking(False)
+        host, port = call.server.url.removeprefix("http://").split(":")
+        await asyncio.get_running_loop().sock_connect(deaf, (host, int(port)))
+        await asyncio.get_running_loop().sock_sendall(deaf, b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        reader, writer = await connect(call, b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"event: state")
+        reading = asyncio.create_task(closed(reader))
+        for _ in range(100):
+            for _ in range(100):
+                rig.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "test", "x" * 1000))
+            await asyncio.sleep(1)
+        assert await metric(call, 'api_refused_total{kind="slow"}') == 1.0
+        assert not reading.done()
+        writer.close()
+        await reading
+        deaf.close()
+
+    serve(scenario)
+
+
+def test_garbage_is_answered_in_a_sentence_and_fills_no_log(serve, caplog):
+    async def scenario(rig, call):
+        for _ in range(60):
+            reader, writer = await connect(call, b"\x16\x03\x01 nonsense\r\n\r\n")
+            reply = await closed(reader)
+            assert reply.startswith(b"HTTP/1.1 400 ")
+            assert reply.endswith(b'{"error":"this is not HTTP"}')
+            writer.close()
+        assert await metric(call, 'api_refused_total{kind="garbage"}') == 60.0
+
+    serve(scenario)
+    assert 5 <= len(lines_of(caplog)) <= 6
+    assert "requests that are not HTTP: 1 more" in lines_of(caplog)[-1]
+
+
+def test_commands_without_the_token_fill_no_log(serve, caplog):
+    async def scenario(rig, call):
+        for _ in range(30):
+            assert (await call.post("stop", headers={"Authorization": "Bearer guess"})).status == 401
+
+    serve(scenario)
+    assert lines_of(caplog)[0] == (
+        "a command from 127.0.0.1 is refused: the token is not the service's: see api.token_file"
+    )
+    assert len(lines_of(caplog)) <= 6
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("localhost", 200),
+        ("LOCALHOST:20572", 200),
+        ("127.0.0.1:1", 200),
+        ("127.1.2.3", 200),
+        ("[::1]:20572", 200),
+        ("tracker.example.org", 200),
+        ("Tracker.Example.org.:443", 200),
+        ("rebound.example", 421),
+        ("rebound.example:20572", 421),
+        ("localhost.rebound.example", 421),
+        ("10.1.2.3", 421),
+        ("[fd00::1]", 421),
+        ("", 421),
+    ],
+)
+def test_only_hosts_of_this_machine_and_those_that_are_named_are_served(serve, host, status):
+    async def scenario(rig, call):
+        for method, path in (("GET", "/api/state"), ("POST", "/api/hold")):
+            reply = await call(method, path, headers=BEARER | {"Host": host})
+            assert reply.status == status
+            if status == 421:
+                assert reply.json["error"].endswith("is not served here: add it to api.hosts if it is this machine's")
+        assert (rig.mode is Mode.HOLD) is (status == 200)
+
+    serve(scenario, hosts=("tracker.example.org:443",))
+
+
+def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
+    async def scenario(rig, call):
+        await under_way(rig)
+        readers = [asyncio.create_task(call.get("/api/state")) for _ in range(150)]
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        stopped = await call.post("stop")
+        replies = await asyncio.gather(*readers)
+        assert {reply.status for reply in replies} <= {200, 503}
+        assert any("retry-after: 1" in reply.head for reply in replies)
+        assert stopped.status == 200
+        assert next(at_s for at_s, data in sent if data.startswith(b"$9s")) - asked_s < 0.2
+
+    serve(scenario)
+
+
+def test_reading_takes_a_quarter_of_the_time_whatever_a_page_costs():
+    async def scenario():
+        loop = asyncio.get_running_loop()
+        turns, spent_s = ReadTurns(loop.time, 1.0), 0.0
+
+        async def reader():
+            nonlocal spent_s
+            while True:
+                await turns.take()
+                turns.charge(0.009)
+                spent_s += 0.01
+
+        readers = [asyncio.create_task(reader()) for _ in range(64)]
+        await asyncio.sleep(100)
+        assert 20 <= spent_s <= 25.5
+        with pytest.raises(CrowdedError):
+            await turns.take()
+        for one in readers:
+            one.cancel()
+        await asyncio.gather(*readers, return_exceptions=True)
+        await turns.take()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+def test_those_who_wait_for_a_turn_are_sent_away_when_the_service_ends():
+    async def scenario():
+        turns = ReadTurns(asyncio.get_running_loop().time, 1.0)
+        turns.charge(1.0)
+        for _ in range(10):
+            turns.charge(1.0)
+        waiting = asyncio.create_task(turns.take())
+        await asyncio.sleep(0)
+        turns.close()
+        with pytest.raises(CrowdedError):
+            await waiting
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+@dataclass(eq=False)
+class Held:
+    """A connection as the limits see it."""
+
+    address: str
+    from_loopback: bool = False
+    is_idle: bool = True
+    aborted: bool = False
+
+    def abort(self):
+        self.aborted = True
+
+
+def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
+    refusals = ApiRefusals(lambda: 0.0)
+    connections = Connections(refusals, 1.0)
+    far = [Held("192.0.2.7") for _ in range(40)]
+    near = [Held("127.0.0.1", from_loopback=True) for _ in range(150)]
+    assert all(connections.admit(one) for one in [*far, *near])
+    assert [one.aborted for one in far] == [True] * 8 + [False] * 32
+    assert not any(one.aborted for one in near)
+    assert refusals.counts["crowded"] == 8
+
+
+def test_a_connection_that_is_being_served_is_not_given_up_for_another():
+    connections = Connections(ApiRefusals(lambda: 0.0), 1.0)
+    served = [Held("127.0.0.1", from_loopback=True, is_idle=False) for _ in range(192)]
+    assert all(connections.admit(one) for one in served)
+    assert not connections.admit(Held("192.0.2.7"))
+    connections.drop(served[0])
+    assert connections.admit(Held("192.0.2.7"))
+
+
+def test_pipelined_requests_are_answered_in_order_and_an_upgrade_is_an_ordinary_request(serve, caplog):
+    async def scenario(rig, call):
+        upgrade = b"Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+        one = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+        reader, writer = await connect(call, (one + b"\r\n") * 100 + one + upgrade + b"\r\n")
+        writer.write(one + b"Connection: close\r\n\r\n")
+        reply = await closed(reader)
+        assert reply.count(b"HTTP/1.1 200 OK") == 102
+        writer.close()
+
+    serve(scenario)
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING and "api" in record.name] == []
+
+
+def test_a_long_head_is_refused(serve):
+    async def scenario(rig, call):
+        reader, writer = await connect(call, HALF_A_HEAD + b"y" * 40_000)
+        assert (await closed(reader)).startswith(b"HTTP/1.1 400 ")
+        writer.close()
+
+    serve(scenario)
