@@ -9,7 +9,7 @@ import pytest
 from daemon.base.records import Decision, Mode, Move, MoveOutcome, Quality, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-from tests.daemon.api.test_api import serve
+from tests.support.api import serve
 from tests.support.rig import SITE, HandWeather
 
 __all__ = ["serve"]

@@ -11,10 +11,10 @@ from daemon.base.records import Decision, Event, Mode, Move, Scan
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.budget import DayBudget
 from solar.frames import Limits
-from tests.daemon.api.test_api import serve
 from tests.daemon.service.test_faults import at_rest, tracking
 from tests.daemon.tracker.test_optimal import ClearDays
 from tests.daemon.tracker.test_stop import alarms, look_seldom
+from tests.support.api import serve
 from tests.support.rig import HandWeather
 
 __all__ = ["serve"]

@@ -11,8 +11,8 @@ from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.wishes import Wishes
 from drivers.errors import DeviceError, RefusedError
-from tests.daemon.api.test_api import serve
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
+from tests.support.api import serve
 
 __all__ = ["serve"]
 
