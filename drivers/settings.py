@@ -21,7 +21,7 @@ sensor on face 0 east, 1 south, 2 west or 3 zenith, of about 0.1 mV per W/m2.
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema
 
@@ -31,6 +31,7 @@ from drivers.transcript import Tap, no_tap
 # Linux numbers these anew at every plug: after a replug the name may belong to another instrument.
 _UNSTABLE_PORT = re.compile(r"/dev/(tty(ACM|USB|AMA)|pts/)\d+")
 _STABLE_PORT = re.compile(r"/\S+|COM\d+")
+_SERVER = re.compile(r"[A-Za-z0-9._-]+:\d{1,5}|\[[0-9A-Fa-f:]+\]:\d{1,5}")
 _VISA_RESOURCE = re.compile(r"ASRL(?P<port>/\S+|COM\d+|\d+)::INSTR|GPIB\d*::\d+(::\d+)?::INSTR", re.IGNORECASE)
 
 
@@ -64,8 +65,15 @@ def _visa(text: str) -> str:
     return text
 
 
+def _server(text: str) -> str:
+    if not (_SERVER.fullmatch(text) and 0 < int(text.rpartition(":")[2]) <= 65535):
+        raise ValueError("not a host and port")
+    return text
+
+
 Positive = Annotated[float, Field(gt=0)]
 PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
+HostAndPort = Annotated[str, AfterValidator(_server), text_of("server")]
 VisaResource = Annotated[str, AfterValidator(_visa), text_of("visa")]
 
 
@@ -107,7 +115,22 @@ class SettingsConflict(NamedTuple):
 
 
 class PositionerSettings(DriverSettings):
-    """How a positioner is connected, and what the service may expect of its motion."""
+    """How a positioner is connected, and what the service may expect of its motion.
+
+    Attributes
+    ----------
+    axes_are_angles
+        Whether each motor turns one of the angles A and B. Where not, as with azimuth and elevation, the way of a move
+        is judged by positions, which then are in deg, and its end by the angles.
+    axis_names
+        What the two motors turn, as people are told.
+    has_reference_run
+        Whether `home` does anything; without it a doubt about the count waits for a person.
+    """
+
+    axes_are_angles: ClassVar[bool] = True
+    axis_names: ClassVar[tuple[str, str]] = ("A", "B")
+    has_reference_run: ClassVar[bool] = True
 
     driver: str = Field("", description="Name of the driver.")
     slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
@@ -127,6 +150,17 @@ class PositionerSettings(DriverSettings):
     def conflicts(self, limits: AngleRange) -> Iterator[SettingsConflict]:  # noqa: ARG002
         """Yield the keys that cannot be as they are with these limits of the angles."""
         yield from ()
+
+    def unreachable(self, a_deg: float, b_deg: float, equator_azimuth_deg: float) -> str | None:  # noqa: ARG002
+        """Return why a position inside the limits cannot be reached with these settings, or None.
+
+        `equator_azimuth_deg` is that of `PositionerSurroundings`.
+        """
+        return None
+
+    def resolution(self) -> float:
+        """Return what positions are rounded to, in their unit, where that is coarser than the drive's own count."""
+        return 0.0
 
 
 class LoadSettings(DriverSettings):
@@ -228,8 +262,14 @@ class PositionerSurroundings:
         The service's monotonic time [s].
     tap
         To be told what goes over the line.
+    stow
+        The angles A and B [deg] of the stow position, which it has to be able to reach.
+    equator_azimuth_deg
+        Compass direction that B 0 points to: 180 south, 0 north, by the site's hemisphere.
     """
 
     limits: AngleRange
     monotonic: Callable[[], float]
     tap: Tap = no_tap
+    stow: tuple[float, float] = (0.0, 90.0)
+    equator_azimuth_deg: float = 180.0

@@ -105,6 +105,11 @@ def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[A
     return azimuth, elevation
 
 
+def equator_azimuth_deg(latitude_deg: float) -> float:
+    """Return the azimuth that the frame's first axis points to: 180 deg, or 0 in the southern hemisphere."""
+    return 180.0 if _hemisphere(latitude_deg) > 0 else 0.0
+
+
 def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
     """Return the angle(s) [deg] between vectors of shape (..., 3); exact for small angles too."""
     u, v = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)

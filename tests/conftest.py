@@ -10,6 +10,8 @@ from hypothesis import settings
 from tests.firmware.peer import missing
 from tests.support import SHARED
 from tests.support.broker import LEFT_OUT, MOSQUITTO
+from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
+from tests.support.rotctld import ROTCTLD
 
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
@@ -35,6 +37,7 @@ _TIER_OF_FIXTURE = {
     "positioner_host": "protocol",
     "voltmeter_host": "protocol",
     "play": "protocol",
+    "start_rotctld": "protocol",
 }
 _TIER_OF_FOLDER = {"campaign": "campaign", "system": "system"}
 
@@ -53,7 +56,7 @@ def pytest_report_header():
     broker = (
         None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
     )
-    return [line for line in (broker, missing()) if line]
+    return [line for line in (broker, missing(), None if ROTCTLD else WITHOUT_ROTCTLD) if line]
 
 
 @pytest.fixture(scope="session")

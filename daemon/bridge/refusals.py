@@ -4,6 +4,12 @@ import logging
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from daemon.base.addresses import Address
+
+if TYPE_CHECKING:
+    from daemon.bridge.port import Peer
 
 _log = logging.getLogger("heliocube.bridge")
 
@@ -97,7 +103,7 @@ class Tally:
     def __init__(self) -> None:
         self._accepted = 0
         self._refused: Counter[Refusal] = Counter()
-        self._last = ""
+        self._last: tuple[Refusal, str | Peer, str] | None = None
         self._last_utc_s: float | None = None
         self._last_monotonic_s = 0.0
         self._reported: set[Refusal] = set()
@@ -118,7 +124,7 @@ class Tally:
                 _log.info("scans are accepted again, %.0f s and %d refusals later", gap_s, self._gap.total())
             self._gap_began_s = None
 
-    def refuse(self, refused: ScanRefusedError, sender: str, utc_s: float, now_monotonic_s: float) -> None:
+    def refuse(self, refused: ScanRefusedError, sender: "str | Peer", utc_s: float, now_monotonic_s: float) -> None:
         """Count a datagram that is not passed on, and log it if it is news."""
         kind = refused.kind
         if self._last_utc_s is None or now_monotonic_s - self._last_monotonic_s >= QUIET_S:
@@ -128,12 +134,12 @@ class Tally:
             self._gap.clear()
         self._gap[kind] += 1
         self._refused[kind] += 1
-        self._last = f"{kind.replace('_', ' ')}: a datagram from {sender} {refused.reason}"
+        self._last = kind, sender, refused.reason
         self._last_utc_s = utc_s
         self._last_monotonic_s = now_monotonic_s
         if kind not in self._reported:
             self._reported.add(kind)
-            _log.warning("%s; more of this kind are counted, not logged", self._last)
+            _log.warning("%s; more of this kind are counted, not logged", self._last_refusal)
             return
         self._unreported[kind] += 1
         if now_monotonic_s >= self._summary_at_s:
@@ -144,7 +150,16 @@ class Tally:
         """What was refused since the last scan that was passed on, in words; empty for nothing."""
         if self._gap_began_s is None:
             return ""
-        return f"the bridge refused {_listed(self._gap)} since; the latest is {self._last}"
+        return f"the bridge refused {_listed(self._gap)} since; the latest is {self._last_refusal}"
+
+    @property
+    def _last_refusal(self) -> str:
+        """The latest refusal in one sentence; put into words only here, because a flood of them is not read."""
+        if self._last is None:
+            return ""
+        kind, sender, reason = self._last
+        place = sender if isinstance(sender, str) else Address(sender[0], sender[1])
+        return f"{kind.replace('_', ' ')}: a datagram from {place} {reason}"
 
     def statistics(self, lost: int) -> Statistics:
         """Return the counts so far; `lost` is counted where the order is known."""
@@ -152,7 +167,7 @@ class Tally:
         return Statistics(
             accepted=self._accepted,
             lost=lost,
-            last_refusal=self._last,
+            last_refusal=self._last_refusal,
             last_refusal_utc_s=self._last_utc_s,
             **counts,
         )
@@ -166,7 +181,7 @@ class Tally:
 
     def _summarise(self, now_monotonic_s: float) -> None:
         counts = _listed(self._unreported)
-        _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last)
+        _log.warning("datagrams refused and not logged yet: %s; the latest was %s", counts, self._last_refusal)
         self._unreported.clear()
         # Doubling keeps a day of refusals under twenty lines, however many datagrams there are.
         self._summary_every_s *= 2

@@ -7,6 +7,7 @@ from typing import Any
 
 from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.bridge.refusals import Refusal, ScanRefusedError
+from daemon.bridge.sequence import ScanHead
 
 UNIT = "W/m2"
 EARLIEST_UTC_S = 2.0**28  # RFC 8428, section 4.5.3: smaller times are relative ones
@@ -18,6 +19,11 @@ LARGEST_SEQUENCE = 2**53 - 1  # the largest count that every JSON library reads 
 
 _SOURCE = re.compile(r"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/", re.ASCII)
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,32}", re.ASCII)
+# How the reference sender begins a pack, and how it goes on behind the faces.
+_BEGINNING = re.compile(rb'\[\{"bn":"([A-Za-z0-9][A-Za-z0-9_.-]{0,31})/","bt":([0-9]{9,10}\.[0-9]{1,3}),"n":"')
+_COUNTED = re.compile(
+    rb',\{"n":"sequence","u":"count","v":([0-9]{1,16})\},\{"n":"session","vs":"([A-Za-z0-9_-]{1,32})"\},'
+)
 _QUALITY_OF = {f"{face}/quality": face for face in FACES}
 _CALIBRATION = re.compile(r"[0-9]{8}-[0-9a-f]{8}", re.ASCII)
 _COMMON = ("sequence", "session", "monotonic", "simulated")
@@ -64,12 +70,20 @@ def encode(scan: Scan) -> bytes:
     return _encoder.encode(records).encode()
 
 
+def peek(payload: bytes) -> ScanHead | None:
+    """Return the head of a pack in the very form that `encode` gives it; None for any other, which may be as good."""
+    beginning, counted = _BEGINNING.match(payload), _COUNTED.search(payload)
+    if beginning is None or counted is None:
+        return None
+    return ScanHead(beginning[1].decode(), counted[2].decode(), int(counted[1]), float(beginning[2]))
+
+
 def decode(payload: bytes) -> Scan:
     """Return the scan in a SenML pack, its monotonic times on the sender's clock.
 
     Raises
     ------
-    RefusedError
+    ScanRefusedError
         Of kind ``malformed`` for everything that docs/bridge.md does not allow; nothing else is raised.
     """
     records = _records(payload)

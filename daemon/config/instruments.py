@@ -1,16 +1,14 @@
 """The tables of the instruments: kind, connection, settings."""
 
-import re
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, WithJsonSchema
 
 from daemon.config.plugged import CUBE, POSITIONER
 from daemon.config.section import Section
-from drivers.settings import CubeDriverSettings, PortPath, PositionerSettings, Positive, VisaResource, text_of
+from drivers.settings import CubeDriverSettings, HostAndPort, PortPath, PositionerSettings, Positive, VisaResource
 
 VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
-_SERVER = re.compile(r"[A-Za-z0-9._-]+:\d{1,5}|\[[0-9A-Fa-f:]+\]:\d{1,5}")
 
 
 def _range(value: float) -> float:
@@ -19,15 +17,8 @@ def _range(value: float) -> float:
     return value
 
 
-def _server(text: str) -> str:
-    if not (_SERVER.fullmatch(text) and 0 < int(text.rpartition(":")[2]) <= 65535):
-        raise ValueError("not a host and port")
-    return text
-
-
 RangeV = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(VOLTMETER_RANGES_V)})]
 PortValue = Annotated[int, Field(ge=0, le=255)]
-Server = Annotated[str, AfterValidator(_server), text_of("server")]
 
 
 class MultiplexerSettings(Section):
@@ -41,7 +32,7 @@ class MultiplexerSettings(Section):
         description="Device and port that the address wires are on, as NI MAX shows it. All lines from line 0 to the"
         " highest one used are driven.",
     )
-    server: Server | None = Field(
+    server: HostAndPort | None = Field(
         None,
         examples=["192.168.1.30:31763"],
         description="NI gRPC Device Server of the PC that the NI device is plugged into. Left out: this PC.",

@@ -8,6 +8,7 @@ from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
 from daemon.config.plugged import MULTIPLEXED
 from daemon.config.sections import Sections
+from solar.frames import equator_azimuth_deg
 
 # The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
 _OVER_RANGE = 1.2
@@ -109,6 +110,19 @@ def the_faces_can_be_told_apart(settings: Sections) -> Iterator[Conflict]:
     section = "instruments.cube"
     for key, reason, others in settings.instruments.cube.conflicts():
         yield Conflict(f"{section}.{key}", reason, tuple(f"{section}.{other}" for other in others))
+
+
+def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[Conflict]:
+    """Night, stow and snow positions lie in the range that is set for a rotator in `instruments.positioner`."""
+    own, safety = settings.instruments.positioner, settings.safety
+    equator_deg = equator_azimuth_deg(settings.site.latitude_deg)
+    limits = settings.limits.limits()
+    for position in ("night", "stow", "snow"):
+        a_deg, b_deg = getattr(safety, f"{position}_a_deg"), getattr(safety, f"{position}_b_deg")
+        if position == "snow":
+            a_deg, b_deg = limits.clip(a_deg, b_deg)
+        if reason := own.unreachable(a_deg, b_deg, equator_deg):
+            yield Conflict(f"safety.{position}_b_deg", reason, (f"safety.{position}_a_deg",))
 
 
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
@@ -275,6 +289,7 @@ RULES = (
     the_bridge_is_signed_or_not,
     an_interface_has_a_group,
     the_positioner_reaches_its_limits,
+    the_positioner_reaches_night_stow_and_snow,
     what_needs_a_broker_has_one,
     the_broker_is_known_as_asked,
     the_two_words_differ,

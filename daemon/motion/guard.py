@@ -88,7 +88,7 @@ class Guard:
         self._publish = publish
         self._alarms = alarms
         self._polled = polled
-        self.watch = Watch(expected.position_unit)
+        self.watch = Watch(expected)
         self._currents = Currents(expected.current_alarm_a)
         self._own_moves: tuple[str, ...] = ()
         self._reported_pose: Pose | None = None

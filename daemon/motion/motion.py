@@ -97,7 +97,8 @@ class Motion(MotionState):
         self._polling = polling
         guard = Guard(positioner, expected, Doubts(folder), clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
-        self._rehoming = Rehoming(enabled=settings.rehome == "automatic")
+        self._has_reference_run = expected.has_reference_run
+        self._rehoming = Rehoming(enabled=settings.rehome == "automatic" and expected.has_reference_run)
         self._wake = wake = asyncio.Event()
         every_s = polling.moving_s
         runs = Runs(positioner, guard, limits, settings, expected, retries, clock, publish, changed, wake, every_s)
@@ -155,8 +156,12 @@ class Motion(MotionState):
     def home(self) -> None:
         """Ask for a reference run of both axes; the reset mark and latched faults are cleared by it.
 
-        Raises `RefusedError` when nothing may move, after unexplained motion, and without telemetry.
+        Raises `RefusedError` when nothing may move, after unexplained motion, without telemetry, and for a drive that
+        has no reference run.
         """
+        if not self._has_reference_run:
+            message = "has no reference run: compare it with where it truly points, put it right there, then clear it"
+            raise RefusedError("positioner", message)
         self._refuse_frozen()
         conflicts = self.identity.setup_conflicts if self.identity else ()
         obstacle = self.unexplained or "; ".join(conflicts) or (None if self.connected else "no telemetry")
@@ -236,7 +241,8 @@ class Motion(MotionState):
         await guard.halt()
         pose = guard.pose
         assert pose is not None  # noqa: S101 - narrowing for the type checker; halt has just looked
-        name = f"{identity.board}, firmware {identity.firmware}, serial {identity.serial}"
+        serial = f", serial {identity.serial}" if identity.serial else ""
+        name = f"{identity.board}, firmware {identity.firmware}{serial}"
         told = self._note_link(name)
         if before is not None and self._jumped(before, pose):
             text = (

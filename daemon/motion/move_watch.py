@@ -54,14 +54,19 @@ class MoveWatch:
         expected: PositionerSettings,
         now_s: float,
     ) -> None:
-        self._axes = (
-            _Axis("A", start.a_deg, target.a_deg, limits.a_min_deg, limits.a_max_deg, settings.tolerance_deg),
-            _Axis("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
-        )
-        travel_deg = abs(target.a_deg - start.a_deg) + abs(target.b_deg - start.b_deg)
-        self._budget_s = travel_deg / expected.slowest_deg_per_s + _SPARE_S
+        self._target = target
+        self._tolerance_deg = settings.tolerance_deg
+        self._slowest_deg_per_s = expected.slowest_deg_per_s
+        # Where the axes are others than A and B, their ways are known with the first look.
+        self._ways: tuple[_Way, _Way] | None = None
+        self._by_angles, self._axis_names = expected.axes_are_angles, expected.axis_names
+        if self._by_angles:
+            self._ways = (
+                _Way("A", start.a_deg, target.a_deg, limits.a_min_deg, limits.a_max_deg, settings.tolerance_deg),
+                _Way("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
+            )
         self._start_s = now_s
-        self._jitter = jitter(expected.position_unit)
+        self._jitter = jitter(expected)
         self._positions: tuple[float, float] | None = None
         self._moved_s = now_s
 
@@ -77,26 +82,36 @@ class MoveWatch:
             self._moved_s = now_s
         if telemetry.faults:
             return Progress.STALLED, f"the positioner reports {', '.join(telemetry.faults)}"
-        for axis, angle in zip(self._axes, angles, strict=True):
-            if axis.overshot(angle):
-                return Progress.OVERSHOT, f"{axis.name} stands at {angle:.1f} deg, beyond its target {axis.target:.1f}"
-        if all(axis.there(angle) for axis, angle in zip(self._axes, angles, strict=True)):
+        ways = self._ways
+        if ways is None:
+            ways = self._ways = _ways_of_positions(telemetry, self._axis_names, self._tolerance_deg)
+        for way, place in zip(ways, angles if self._by_angles else positions, strict=True):
+            if way.overshot(place):
+                return Progress.OVERSHOT, f"{way.name} stands at {place:.1f} deg, beyond its target {way.target:.1f}"
+        if self._there(angles):
             stands = still and now_s - self._moved_s >= (_TAKES_UP_S if _aims_elsewhere(telemetry) else _STANDS_AFTER_S)
             return (Progress.ARRIVED if stands else Progress.GOING), ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
         if now_s - self._moved_s > _STALLED_AFTER_S:
             text = f"no movement for {now_s - self._moved_s:.0f} s at {where}"
             return Progress.STALLED, "; ".join((text, *_hints(telemetry)))
-        if now_s - self._start_s > self._budget_s:
+        budget_s = sum(way.length for way in ways) / self._slowest_deg_per_s + _SPARE_S
+        if now_s - self._start_s > budget_s:
             return Progress.TIMED_OUT, f"not there after {now_s - self._start_s:.0f} s, at {where}"
         return Progress.GOING, ""
 
+    def _there(self, angles: tuple[float, float]) -> bool:
+        wanted = (self._target.a_deg, self._target.b_deg)
+        return all(abs(here - there) <= self._tolerance_deg for here, there in zip(angles, wanted, strict=True))
 
-class _Axis:
+
+class _Way:
+    """What one axis may pass on its way."""
+
     def __init__(self, name: str, start: float, target: float, low: float, high: float, tolerance: float) -> None:
         self.name = name
         self.target = target
-        self._tolerance = tolerance
+        self.length = abs(target - start)
         # Past the target by twice the tolerance on the far side, or outside the limits: whichever comes first. An axis
         # that starts outside the limits may of course come back in.
         margin = 2 * tolerance
@@ -107,11 +122,17 @@ class _Axis:
         if target <= start:
             self._lowest = max(self._lowest, target - margin)
 
-    def there(self, angle: float) -> bool:
-        return abs(angle - self.target) <= self._tolerance
-
     def overshot(self, angle: float) -> bool:
         return not (self._lowest <= angle <= self._highest)
+
+
+def _ways_of_positions(first: Telemetry, names: tuple[str, str], tolerance_deg: float) -> tuple[_Way, _Way]:
+    """Return the ways from where the axes are to where they are sent; the drive's own range is its driver's matter."""
+    start_a, start_b, aim_a, aim_b = first.position_a, first.position_b, first.destination_a, first.destination_b
+    return (
+        _Way(names[0], start_a, aim_a, min(start_a, aim_a), max(start_a, aim_a), tolerance_deg),
+        _Way(names[1], start_b, aim_b, min(start_b, aim_b), max(start_b, aim_b), tolerance_deg),
+    )
 
 
 def _aims_elsewhere(telemetry: Telemetry) -> bool:

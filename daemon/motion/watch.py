@@ -4,11 +4,14 @@ import math
 from dataclasses import dataclass
 
 from drivers.interfaces import AxisName, Telemetry
+from drivers.settings import PositionerSettings
 
 # In what the drive counts in. Two counts and a shake by the wind are no motion; what adds up to more than
 # the second number from where an axis came to rest is, however slowly.
 _JITTER = {"mm": 0.15, "deg": 0.035, "impulse": 2.0}
 _STRAY = {"mm": 0.4, "deg": 0.1, "impulse": 6.0}
+# In what positions are rounded to, where that is coarse: one step is none, and two are little.
+_FLICKER, _STEPS = 1.2, 2.5
 # A second look as late as this makes a standstill.
 _SHOWN_AFTER_S = 0.25
 # The positioner may take up the second axis so long after the first stands near enough to count as arrived.
@@ -19,9 +22,9 @@ _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 
 
-def jitter(position_unit: str) -> float:
-    """Return how far a position [mm, deg or impulse] may differ from the last with the axis standing."""
-    return _JITTER[position_unit]
+def jitter(expected: PositionerSettings) -> float:
+    """Return how far a position, in its unit, may differ from the last with the axis standing."""
+    return max(_JITTER[expected.position_unit], _FLICKER * expected.resolution())
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +51,15 @@ class Watch:
 
     Parameters
     ----------
-    position_unit
-        What the drive counts in: ``mm``, ``deg`` or ``impulse``.
+    expected
+        What the drive counts in, how coarsely, and whether its axes are A and B.
     """
 
-    def __init__(self, position_unit: str) -> None:
-        self._jitter = _JITTER[position_unit]
-        self._stray = _STRAY[position_unit]
+    def __init__(self, expected: PositionerSettings) -> None:
+        self._jitter = jitter(expected)
+        self._stray = max(_STRAY[expected.position_unit], _STEPS * expected.resolution())
+        self._axes_are_angles = expected.axes_are_angles
+        self._names = expected.axis_names
         self.forget()
 
     def forget(self) -> None:
@@ -129,7 +134,7 @@ class Watch:
         before, self._last = self._last, telemetry
         if self._rest is None or before is None:
             return None
-        if not self._homing and (leap := _leap(before, telemetry)):
+        if not self._homing and (leap := _leap(before, telemetry, by_angles=self._axes_are_angles)):
             self._gaps = [math.inf, math.inf]
             self._rest = telemetry
             return Stray(leap, telemetry.time_monotonic_s, jump=True)
@@ -150,13 +155,13 @@ class Watch:
         assert self._rest is not None  # noqa: S101
         destinations = (telemetry.destination_a, telemetry.destination_b)
         starts = _positions(self._rest)
-        for at, (name, here, start) in enumerate(zip("AB", _positions(telemetry), starts, strict=True)):
+        for at, (name, here, start) in enumerate(zip(self._names, _positions(telemetry), starts, strict=True)):
             aim, to = self._aim[at], destinations[at]
             if not (abs(to - aim) <= 1.0 or abs(to - here) <= 1.0):
                 return f"{name} heads for position {to:g} and was sent to {aim:g}"
             gap = abs(here - aim)
             if gap > self._gaps[at] + self._stray and (start - aim) * (here - aim) >= 0.0:
-                return f"{name} moves away from where it was sent, {_moved(name, self._rest, telemetry)}"
+                return f"{name} moves away from where it was sent, {self._moved(at, self._rest, telemetry)}"
             self._gaps[at] = min(self._gaps[at], gap)
         return None
 
@@ -168,29 +173,34 @@ class Watch:
             self._aim, self._rest = None, telemetry
             return None
         aims = self._aim or _positions(rest)
-        for axis, here, start, aim in zip(_AXES, _positions(telemetry), _positions(rest), aims, strict=True):
+        ways = zip(_AXES, _positions(telemetry), _positions(rest), aims, strict=True)
+        for at, (axis, here, start, aim) in enumerate(ways):
             low, high = min(start, aim) - self._stray, max(start, aim) + self._stray
             if axis not in self._homing and not (low <= here <= high):
-                return _moved(axis.upper(), rest, telemetry)
+                return self._moved(at, rest, telemetry)
         return None
+
+    def _moved(self, at: int, before: Telemetry, after: Telemetry) -> str:
+        see = _angles if self._axes_are_angles else _positions
+        return f"{self._names[at]} moved from {see(before)[at]:+.1f} to {see(after)[at]:+.1f} deg"
 
 
 def _positions(telemetry: Telemetry) -> tuple[float, float]:
     return telemetry.position_a, telemetry.position_b
 
 
+def _angles(telemetry: Telemetry) -> tuple[float, float]:
+    return telemetry.a_deg, telemetry.b_deg
+
+
 def _near(here: tuple[float, float], there: tuple[float, float], within: float) -> bool:
     return abs(here[0] - there[0]) <= within and abs(here[1] - there[1]) <= within
 
 
-def _moved(name: str, before: Telemetry, after: Telemetry) -> str:
-    start, end = (before.a_deg, after.a_deg) if name == "A" else (before.b_deg, after.b_deg)
-    return f"{name} moved from {start:+.1f} to {end:+.1f} deg"
-
-
-def _leap(before: Telemetry, after: Telemetry) -> str | None:
+def _leap(before: Telemetry, after: Telemetry, *, by_angles: bool) -> str | None:
     most_deg = _JUMP_DEG_PER_S * max(after.time_monotonic_s - before.time_monotonic_s, _SHORTEST_LOOK_S)
-    if abs(after.a_deg - before.a_deg) <= most_deg and abs(after.b_deg - before.b_deg) <= most_deg:
+    see = _angles if by_angles else _positions
+    if _near(see(before), see(after), most_deg):
         return None
     return (
         f"the count jumped from A {before.a_deg:+.1f}, B {before.b_deg:.1f}"

@@ -24,6 +24,7 @@ from drivers.switches.digital_port import DigitalPort
 from drivers.switches.ni_port import NiPort
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from drivers.transcript import Tap, no_tap
+from solar.frames import equator_azimuth_deg
 
 
 def build_multiplexer(settings: Settings, tap: Tap = no_tap, port: DigitalPort | None = None) -> NiMultiplexer:
@@ -138,7 +139,13 @@ def pozsol_settings(settings: Settings, who: str) -> PozsolSettings:
 
 def positioner_surroundings(settings: Settings, clock: Clock, tap: Tap = no_tap) -> PositionerSurroundings:
     """Return what a positioner's driver is handed besides its settings."""
-    return PositionerSurroundings(settings.limits.limits(), clock.monotonic, tap)
+    return PositionerSurroundings(
+        limits=settings.limits.limits(),
+        monotonic=clock.monotonic,
+        tap=tap,
+        stow=(settings.safety.stow_a_deg, settings.safety.stow_b_deg),
+        equator_azimuth_deg=equator_azimuth_deg(settings.site.latitude_deg),
+    )
 
 
 def build_load(settings: Settings, tap: Tap = no_tap) -> ElectronicLoad | None:

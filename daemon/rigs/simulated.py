@@ -28,10 +28,12 @@ from daemon.rigs.real import (
 )
 from daemon.rigs.simulated_cube import build_cube_cores, build_simulated_cube
 from daemon.rigs.simulated_positioner import build_unit
+from daemon.rigs.simulated_rotator import build_simulated_rotator
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.connection import sweep_settings
+from drivers.positioners.rotctld.driver import RotctldSettings
 from sim_drivers.load.core import LoadCore
 from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
@@ -241,6 +243,8 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
     A driver that can simulate its own unit does; `UserError` for one that cannot.
     """
     own = settings.instruments.positioner
+    if isinstance(own, RotctldSettings):
+        return build_simulated_rotator(settings, own, clock)
     simulate = getattr(plugins.load(plugins.POSITIONERS, own.driver), "simulate", None)
     if simulate is not None:
         truth, positioner = simulate(own, positioner_surroundings(settings, clock))

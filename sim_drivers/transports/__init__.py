@@ -6,6 +6,7 @@ Nothing goes through a thread and nothing waits but by the event loop's time, wh
 from sim_drivers.transports.digital_port import InMemoryPort
 from sim_drivers.transports.line import InMemoryLine
 from sim_drivers.transports.modbus import InMemoryModbus
+from sim_drivers.transports.rotctld_line import InMemoryRotctld
 from sim_drivers.transports.stream import InMemoryStream
 
-__all__ = ["InMemoryLine", "InMemoryModbus", "InMemoryPort", "InMemoryStream"]
+__all__ = ["InMemoryLine", "InMemoryModbus", "InMemoryPort", "InMemoryRotctld", "InMemoryStream"]

@@ -19,6 +19,7 @@ from sim_drivers.pv_source import SourceLight
 from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.pv_module import Q_PEAK_G4_1_305, single_diode
 from tests.support import ROOT
+from tests.support.rotctld import LEFT_OUT, ROTCTLD, Rotctld
 
 TRANSCRIPTS = ROOT / "tests" / "drivers" / "transcripts"
 
@@ -139,3 +140,21 @@ async def _running(host):
         with contextlib.suppress(asyncio.CancelledError):
             await task
         host.port.unplug()
+
+
+@pytest.fixture
+def start_rotctld():
+    """Start a rotctld with options of its own; it is gone when the test has ended."""
+    if ROTCTLD is None:
+        pytest.skip(LEFT_OUT)
+    started = []
+
+    def start(*options):
+        server = Rotctld(*options)
+        started.append(server)
+        server.start()
+        return server
+
+    yield start
+    for server in started:
+        server.kill()

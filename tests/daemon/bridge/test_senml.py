@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.bridge import senml, signing
 from daemon.bridge.refusals import Refusal, ScanRefusedError
+from daemon.bridge.sequence import ScanHead
 
 UTC_S = 1665742815.125
 STEADY_S = 86403.25
@@ -216,3 +217,18 @@ def test_the_longest_signed_scan_fits_an_unfragmented_datagram():
     datagram = signing.sign(senml.encode(longest), bytes(range(1, 33)))
     assert len(datagram) == 1019
     assert senml.decode(signing.verify(datagram, bytes(range(1, 33)))).session == "s" * 32
+
+
+@given(scans)
+def test_a_peek_at_a_pack_of_ours_sees_what_reading_the_whole_of_it_does(sent):
+    head, whole = senml.peek(senml.encode(sent)), senml.decode(senml.encode(sent))
+    assert head == ScanHead(whole.source, whole.session, whole.sequence, whole.time_utc_s)
+
+
+@pytest.mark.parametrize(
+    ("ours", "other"), [(b'[{"bn"', b'[ {"bn"'), (b'"u":"count","v"', b'"v"'), (b'"session","vs"', b'"session", "vs"')]
+)
+def test_a_peek_at_a_pack_of_another_program_sees_nothing_and_leaves_it_to_the_reading(ours, other):
+    sent = senml.encode(scan())
+    assert senml.peek(sent) is not None
+    assert senml.peek(sent.replace(ours, other)) is None

@@ -2,6 +2,7 @@
 
 from daemon.motion.watch import Watch
 from drivers.interfaces import Telemetry
+from drivers.settings import PositionerSettings
 
 
 def look(time_s, b, to_b):
@@ -9,7 +10,7 @@ def look(time_s, b, to_b):
 
 
 def test_what_an_axis_makes_up_after_its_arrival_is_no_part_of_the_next_way():
-    watch = Watch("mm")
+    watch = Watch(PositionerSettings(position_unit="mm"))
     watch.rest(look(0, 280.0, 280.0))
     watch.expect(look(1, 280.0, 282.0))
     watch.arrived(look(2, 280.9, 282.0))

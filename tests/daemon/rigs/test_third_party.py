@@ -162,7 +162,7 @@ def test_its_driver_says_what_it_misses(package, file):
         ),
         (
             "[instruments.positioner]\ndriver = 'lathe'",
-            'instruments.positioner.driver = "lathe": must be "pozsol" or "turntable"',
+            'instruments.positioner.driver = "lathe": must be "pozsol", "rotctld" or "turntable"',
         ),
         (
             "[law]\ndriver = 'bearing'\nbearing_deg = 300",

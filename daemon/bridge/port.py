@@ -1,0 +1,165 @@
+"""The bridge's UDP port: read in batches, and with a buffer of its own for whoever sends true scans."""
+
+import asyncio
+import errno
+import logging
+import socket
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from daemon.base.addresses import Address, BridgeError
+
+_log = logging.getLogger("heliocube.bridge")
+
+Peer = tuple[Any, ...]
+"""Host, port, and for IPv6 two numbers more."""
+
+# Other tasks of the loop wait for this many datagrams at the most, about a millisecond.
+_BATCH = 64
+_LARGEST_READ = 65536
+# The kernel grants what net.core.rmem_max lets it, on many machines 208 KiB.
+_BUFFER_BYTES = 4 << 20
+_MOST_LINES = 4
+# Nobody loses a line for somebody else's sake within this time after the last scan that came over it.
+_HELD_S = 60.0
+
+
+class UdpPort:
+    """One bound port, and on Linux a line for each of a few peers: a second socket on the port, connected to the peer.
+
+    The kernel hands a peer's datagrams to the socket that is connected to it. So a flood from anybody else fills
+    another buffer, and none of the peer's datagrams is dropped for it.
+
+    Parameters
+    ----------
+    listen
+        Address and port; port 0 is any that is free.
+    group, interface
+        The multicast group to join, or None, and the address of the network to join it in.
+    receive
+        Called with each datagram and its peer; must not raise.
+    """
+
+    def __init__(
+        self, listen: Address, group: Address | None, interface: str, receive: Callable[[bytes, Peer], None]
+    ) -> None:
+        self._listen = listen
+        self._group = group
+        self._interface = interface
+        self._receive = receive
+        self._bound: socket.socket | None = None
+        self._lines: dict[Peer, socket.socket] = {}
+        self._proven_s: dict[Peer, float] = {}
+
+    @property
+    def address(self) -> Address:
+        """Where it listens; the true port once it is open."""
+        return self._listen if self._bound is None else Address(*self._bound.getsockname()[:2])
+
+    def open(self) -> None:
+        """Bind the port, join the group, and read from now on in the running loop; raises `BridgeError`."""
+        self._bound = self._bind()
+        self._read_from(self._bound)
+
+    def close(self) -> None:
+        """Release the port."""
+        for peer in tuple(self._lines):
+            self._drop(peer)
+        if self._bound is not None:
+            asyncio.get_running_loop().remove_reader(self._bound)
+            self._bound.close()
+            self._bound = None
+
+    def favour(self, peer: Peer, now_s: float) -> None:
+        """Give whoever has sent a true scan, at a monotonic time [s], a line if there is one to give."""
+        if peer in self._lines:
+            self._proven_s[peer] = now_s
+            return
+        # Copies of what comes to a group would go to all sockets.
+        if self._bound is None or self._group is not None or sys.platform != "linux":
+            return
+        if len(self._lines) >= _MOST_LINES:
+            idle = min(self._lines, key=self._proven_s.__getitem__)
+            if now_s - self._proven_s[idle] < _HELD_S:
+                return
+            self._drop(idle)
+        line = self._connected(self._bound, peer)
+        if line is not None:
+            self._lines[peer], self._proven_s[peer] = line, now_s
+            self._read_from(line)
+
+    def _drop(self, peer: Peer) -> None:
+        line = self._lines.pop(peer)
+        del self._proven_s[peer]
+        asyncio.get_running_loop().remove_reader(line)
+        line.close()
+
+    def _read_from(self, opened: socket.socket) -> None:
+        asyncio.get_running_loop().add_reader(opened, self._read, opened)
+
+    def _read(self, opened: socket.socket) -> None:
+        for _ in range(_BATCH):
+            try:
+                data, peer = opened.recvfrom(_LARGEST_READ)
+            except BlockingIOError:
+                return
+            except OSError as error:
+                # What it means, if anything, the missing scans will show.
+                _log.debug("the bridge's port reports: %s", error)
+                return
+            self._receive(data, peer)
+
+    def _connected(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
+        """Return a second socket on the port that hears one peer; None where the system does not let it."""
+        line = socket.socket(bound.family, socket.SOCK_DGRAM)
+        try:
+            _prepare(line)
+            # For this instant only: nobody else shall share the port.
+            for one in (bound, line):
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            line.bind(bound.getsockname())
+            line.connect(peer)
+        except OSError as error:
+            _log.debug("no line of its own for %s: %s", peer[0], error)
+            line.close()
+            return None
+        finally:
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        return line
+
+    def _bind(self) -> socket.socket:
+        bound = socket.socket(self._listen.family, socket.SOCK_DGRAM)
+        try:
+            _prepare(bound)
+            bound.bind((self._listen.host, self._listen.port))
+        except OSError as error:
+            bound.close()
+            raise BridgeError(f"bridge.listen: {self._listen} {_why_not_bound(error)}") from None
+        if self._group is not None:
+            try:
+                membership = socket.inet_aton(self._group.host) + socket.inet_aton(self._interface)
+                bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            except OSError as error:
+                bound.close()
+                raise BridgeError(
+                    f"bridge.multicast_group: {self._group} cannot be joined ({error.strerror}): set"
+                    " bridge.multicast_interface to this machine's address in the network of the cube"
+                ) from None
+        return bound
+
+
+def _prepare(opened: socket.socket) -> None:
+    opened.setblocking(False)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+
+
+def _why_not_bound(error: OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return "is in use by another program: stop that program or choose another port"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return "is not an address of this machine: listen on one of its own, or on 0.0.0.0 for all"
+    if error.errno == errno.EACCES:
+        return "needs an administrator's rights: choose a port above 1023"
+    return f"cannot be bound ({error.strerror}): choose another address or port"

@@ -1,0 +1,125 @@
+"""An azimuth-elevation mount under the tracker's angles: where it has to point, and whether it gets there.
+
+The module's normal lies along the rotator's beam. In the tracker's frame (i to the equator's side, j east, k up) the
+normal is (cos A cos B, -sin A, cos A sin B), Andriamahefa et al. (2023), equation (13). Azimuth counts from north
+through east, and i points south in the northern hemisphere and north in the southern one.
+"""
+
+from dataclasses import dataclass
+from math import atan2, cos, degrees, hypot, radians, sin
+from typing import NamedTuple
+
+TURN_DEG = 360.0
+FLAT_WITHIN_DEG = 0.5
+"""So near to the zenith the azimuth means nothing: it is held."""
+
+
+class RotatorPosition(NamedTuple):
+    """Where a rotator points, in its own count [deg]."""
+
+    azimuth_deg: float
+    elevation_deg: float
+
+
+class UnreachableError(Exception):
+    """The rotator's range does not contain a position; a clause that says what it would take."""
+
+
+def pointing(a_deg: float, b_deg: float, equator_azimuth_deg: float) -> RotatorPosition:
+    """Return azimuth (0 to 360, of no meaning at the zenith) and elevation of the normal at the angles A and B [deg].
+
+    `equator_azimuth_deg` is where the frame's first axis points: 180 south, 0 north.
+    """
+    a, b = radians(a_deg), radians(b_deg)
+    east, north = -sin(a), cos(radians(equator_azimuth_deg)) * cos(a) * cos(b)
+    azimuth_deg = degrees(atan2(east, north)) % TURN_DEG
+    return RotatorPosition(azimuth_deg, degrees(atan2(cos(a) * sin(b), hypot(east, north))))
+
+
+def angles(azimuth_deg: float, elevation_deg: float, equator_azimuth_deg: float) -> tuple[float, float]:
+    """Return A and B [deg] of an azimuth and elevation; B is beyond 90 where these point away from the equator."""
+    azimuth, elevation = radians(azimuth_deg), radians(elevation_deg)
+    east = cos(elevation) * sin(azimuth)
+    equatorward = cos(radians(equator_azimuth_deg)) * cos(elevation) * cos(azimuth)
+    up = sin(elevation)
+    return degrees(atan2(-east, hypot(equatorward, up))), degrees(atan2(up, equatorward))
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """A rotator's range [deg], ends included, and the hemisphere it stands in.
+
+    Attributes
+    ----------
+    azimuth_min_deg, azimuth_max_deg
+        May span more or less than a turn, and begin anywhere: 0 to 360, -180 to 180, -180 to 450.
+    elevation_min_deg, elevation_max_deg
+        More than 90 is never used.
+    equator_azimuth_deg
+        Where the tracker's frame looks: 180 south, 0 north.
+    """
+
+    azimuth_min_deg: float
+    azimuth_max_deg: float
+    elevation_min_deg: float
+    elevation_max_deg: float
+    equator_azimuth_deg: float
+
+    def place(self, a_deg: float, b_deg: float, here: RotatorPosition | None = None) -> RotatorPosition:
+        """Return where the rotator has to go for the angles A and B; `UnreachableError` if it cannot.
+
+        Of several turns that show the same direction it is always the same one, so that cables are wound no further
+        with time. At the zenith the azimuth of `here` is kept.
+        """
+        wanted = pointing(a_deg, b_deg, self.equator_azimuth_deg)
+        if wanted.elevation_deg >= 90.0 - FLAT_WITHIN_DEG:
+            elevation_deg = min(90.0, self.elevation_max_deg)
+            held_deg = (self.azimuth_min_deg + self.azimuth_max_deg) / 2 if here is None else here.azimuth_deg
+            azimuth_deg: float | None = min(max(held_deg, self.azimuth_min_deg), self.azimuth_max_deg)
+            reached = elevation_deg >= 90.0 - FLAT_WITHIN_DEG
+        else:
+            elevation_deg = wanted.elevation_deg
+            azimuth_deg = self._turned(wanted.azimuth_deg)
+            reached = self.elevation_min_deg <= elevation_deg <= self.elevation_max_deg
+        if azimuth_deg is None or not reached:
+            where = f"azimuth {wanted.azimuth_deg:.1f}, elevation {wanted.elevation_deg:.1f} deg"
+            raise UnreachableError(f"{where}, and the rotator turns {self}")
+        return RotatorPosition(azimuth_deg, elevation_deg)
+
+    def counted(self, azimuth_deg: float) -> float:
+        """Return a reported azimuth in the turn that the range counts in, for those that report another one."""
+        for turn_deg in (0.0, TURN_DEG, -TURN_DEG):
+            if self.azimuth_min_deg <= azimuth_deg + turn_deg <= self.azimuth_max_deg:
+                return azimuth_deg + turn_deg
+        return azimuth_deg
+
+    def crosses_its_stop(self) -> bool:
+        """Return whether no turn holds the equator's half of the sky as a whole: the stop lies in the sun's way."""
+        return not any(self._holds_the_day(turn_deg) for turn_deg in _TURNS)
+
+    def __str__(self) -> str:
+        return (
+            f"azimuth {self.azimuth_min_deg:g} to {self.azimuth_max_deg:g} and"
+            f" elevation {self.elevation_min_deg:g} to {self.elevation_max_deg:g} deg"
+        )
+
+    def _turned(self, azimuth_deg: float) -> float | None:
+        """Return the azimuth in the turn that holds the whole day, or else nearest to the middle of the range."""
+        relative_deg = (azimuth_deg - self.equator_azimuth_deg + 180.0) % TURN_DEG - 180.0
+        count_deg = self.equator_azimuth_deg + relative_deg
+        inside = [turn for turn in _TURNS if self.azimuth_min_deg <= count_deg + turn <= self.azimuth_max_deg]
+        middle_deg = (self.azimuth_min_deg + self.azimuth_max_deg) / 2
+        if not inside:
+            return None
+        best = min(
+            inside,
+            key=lambda turn: (not self._holds_the_day(turn), abs(self.equator_azimuth_deg + turn - middle_deg)),
+        )
+        return count_deg + best
+
+    def _holds_the_day(self, turn_deg: float) -> bool:
+        noon_deg = self.equator_azimuth_deg + turn_deg
+        return self.azimuth_min_deg <= noon_deg - 90.0 and noon_deg + 90.0 <= self.azimuth_max_deg
+
+
+_TURNS = (0.0, TURN_DEG, -TURN_DEG)

@@ -1,0 +1,281 @@
+"""A rotator behind rotctld, which is believed by its position alone.
+
+`RPRT 0` to a command proves nothing: rotctld gives it when the rotator is off. So a move has begun and ended, and a
+stop has worked, when positions that were read say so. rotctld answers the commands of one connection in turn; a stop is
+written at once all the same, behind what is on its way, and whoever has not sent yet sends no more.
+
+A rotator goes on to its last target when its client has gone; it may have other clients, and the last order wins. What
+moves without an order of ours shows in the positions, and is the business of whoever polls them.
+"""
+
+import asyncio
+from collections.abc import Callable
+
+from drivers.errors import (
+    ConnectError,
+    DeadlineError,
+    DeviceError,
+    IdentityError,
+    LinkLostError,
+    ProtocolError,
+    RefusedError,
+    StillMovingError,
+)
+from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
+from drivers.positioners.rotctld import protocol
+from drivers.positioners.rotctld.link import RotctldLine
+from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles
+from drivers.positioners.rotctld.protocol import RotatorState, RotctldReply
+from drivers.settings import AngleRange
+
+_DEVICE = "positioner"
+_DUMMY = 1
+_STOP_EVERY_S = 0.5
+_LOOK_EVERY_S = 0.15
+_STAND_WITHIN_S = 12.0
+_WITHOUT_STOP = (protocol.NOT_IMPLEMENTED, protocol.NOT_AVAILABLE)
+_MOST_AZIMUTH_DEG, _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG = 720.0, -90.0, 180.0
+
+
+class RotctldPositioner:
+    """A rotator, its azimuth and elevation turned into A and B and back.
+
+    Parameters
+    ----------
+    line
+        To rotctld; opened and closed with the positioner.
+    now
+        The service's monotonic time [s].
+    limits
+        Of A and B, for targets: on its way the rotator is held to its own range.
+    mount_of
+        Makes the mount of what rotctld says of its rotator.
+    stow
+        The angles A and B [deg] that it has to be able to reach.
+    model
+        Hamlib's number that it has to have, or None.
+    reply_within_s
+        Longest wait for a reply.
+    jitter_deg, still_for_s
+        How far a position may differ with the rotator standing, and for how long it may for it to stand.
+    """
+
+    def __init__(
+        self,
+        line: RotctldLine,
+        now: Callable[[], float],
+        limits: AngleRange,
+        mount_of: Callable[[RotatorState], Mount],
+        *,
+        stow: tuple[float, float],
+        model: int | None = None,
+        reply_within_s: float = 2.0,
+        jitter_deg: float = 0.12,
+        still_for_s: float = 0.6,
+    ) -> None:
+        self._line = line
+        self._now = now
+        self._limits = limits
+        self._mount_of = mount_of
+        self._stow = stow
+        self._model = model
+        self._reply_within_s = reply_within_s
+        self._jitter_deg = jitter_deg
+        self._still_for_s = still_for_s
+        self._mount: Mount | None = None
+        self._aim: RotatorPosition | None = None
+        self._stops = 0
+
+    @property
+    def mount(self) -> Mount | None:
+        """The rotator's range, None before the first `open`."""
+        return self._mount
+
+    async def open(self) -> PositionerIdentity:
+        """Connect, identify and read a position; sends nothing that could move an axis."""
+        await self.close()
+        try:
+            await self._line.open()
+            info = await self._ask(protocol.GET_INFO)
+            state = _state(await self._ask(protocol.DUMP_STATE))
+            self._require_model(state)
+            self._mount = self._mount_of(state)
+            await self._position()
+        except (LinkLostError, ProtocolError) as error:
+            await self.close()
+            raise ConnectError(_DEVICE, error.message) from error
+        except BaseException:
+            await self.close()
+            raise
+        name = info.values.get(protocol.INFO, "")
+        return PositionerIdentity(
+            board=name or "rotator",
+            firmware=f"Hamlib model {state.model}",
+            serial="",
+            simulated=self._line.simulated or state.model == _DUMMY,
+            setup_conflicts=self._conflicts(state, self._mount),
+        )
+
+    async def close(self) -> None:
+        """Release the line; a move goes on."""
+        self._aim = None
+        await self._line.close()
+
+    async def read_telemetry(self) -> Telemetry:
+        """Ask where it points; `LinkLostError` when rotctld is silent or does not reach its rotator."""
+        asked_s = self._now()
+        here = await self._position()
+        aim = self._aim or here
+        a_deg, b_deg = angles(*here, self._known_mount().equator_azimuth_deg)
+        return Telemetry(
+            time_monotonic_s=asked_s,
+            a_deg=a_deg,
+            b_deg=b_deg,
+            position_a=here.azimuth_deg,
+            position_b=here.elevation_deg,
+            destination_a=aim.azimuth_deg,
+            destination_b=aim.elevation_deg,
+            status_monotonic_s=asked_s,
+            details={"azimuth_deg": here.azimuth_deg, "elevation_deg": here.elevation_deg},
+        )
+
+    async def disable_autonomy(self) -> None:
+        """Do nothing: rotctld has no mode that moves by itself."""
+
+    async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:  # noqa: ARG002 - both at once
+        """Send the target once the present position is known, and return when rotctld has taken it.
+
+        Raises `ValueError` for angles outside the limits, and `RefusedError` for a place that the rotator cannot reach.
+        """
+        limits = self._limits
+        # Written so that NaN fails.
+        if not (limits.a_min_deg <= a_deg <= limits.a_max_deg and limits.b_min_deg <= b_deg <= limits.b_max_deg):
+            raise ValueError(
+                f"target A {a_deg}, B {b_deg} deg is outside the limits (A {limits.a_min_deg:g} to"
+                f" {limits.a_max_deg:g}, B {limits.b_min_deg:g} to {limits.b_max_deg:g} deg)"
+            )
+        stops, here = self._stops, await self._position()
+        try:
+            aim = self._known_mount().place(a_deg, b_deg, here)
+        except UnreachableError as error:
+            message = f"is not given the target A {a_deg:.1f}, B {b_deg:.1f} deg: it lies at {error}"
+            raise RefusedError(_DEVICE, message) from None
+        if self._stops != stops:
+            raise RefusedError(_DEVICE, "a stop came in between")
+        self._aim = aim
+        reply = await self._ask(protocol.SET_POSITION, *aim)
+        if reply.error:
+            self._aim = None
+            raise RefusedError(
+                _DEVICE,
+                f"did not take azimuth {aim.azimuth_deg:.2f}, elevation {aim.elevation_deg:.2f} deg:"
+                f" {protocol.error_text(reply.error)}; are rotctld's limits (-C) and offsets (-o) right?",
+            )
+
+    async def stop(self) -> None:
+        """Send stop now; whoever is about to send a target sends none."""
+        self._stops += 1
+        self._aim = None
+        reply = await self._ask(protocol.STOP)
+        if reply.error in _WITHOUT_STOP:
+            # Such a rotator is sent to where it is, which ends its way as well.
+            await self._ask(protocol.SET_POSITION, *await self._position())
+        elif reply.error:
+            raise self._unreached(protocol.STOP, reply.error)
+
+    async def halt(self) -> None:
+        """Send stop every 0.5 s until positions show that the rotator stands, within 12 s and a while."""
+        begin_s = self._now()
+        await self.stop()
+        stopped_s, (still_s, anchor) = self._now(), (self._now(), await self._position())
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            here, now_s = await self._position(), self._now()
+            if not self._same(here, anchor):
+                still_s, anchor = now_s, here
+            if now_s - still_s >= self._still_for_s:
+                return
+            if now_s - begin_s > _STAND_WITHIN_S + self._still_for_s:
+                where = f"azimuth {here.azimuth_deg:.1f}, elevation {here.elevation_deg:.1f} deg"
+                raise StillMovingError(_DEVICE, f"keeps moving after {now_s - begin_s:.0f} s of stops, at {where}")
+            if now_s - stopped_s >= _STOP_EVERY_S:
+                stopped_s = now_s
+                await self.stop()
+
+    async def home(self, axis: AxisName) -> None:
+        """Refuse: rotctld has no reference run."""
+        raise RefusedError(_DEVICE, f"has no reference run of axis {axis.upper()}: rotctld knows none")
+
+    async def clear_faults(self, *, forgive: bool = True) -> Telemetry:  # noqa: ARG002 - it keeps no doubts of its own
+        """Halt and return a look: rotctld latches nothing."""
+        await self.halt()
+        return await self.read_telemetry()
+
+    def _require_model(self, state: RotatorState) -> None:
+        if self._model is not None and state.model != self._model:
+            message = f"is Hamlib's model {state.model}, and instruments.positioner.model is {self._model}"
+            raise IdentityError(_DEVICE, message)
+
+    def _conflicts(self, state: RotatorState, mount: Mount) -> tuple[str, ...]:
+        texts = []
+        if state.kind and state.kind != "AzEl":
+            texts.append(f"rotctld says that its rotator is of the kind {state.kind}: azimuth and elevation are needed")
+        if not (mount.azimuth_min_deg < mount.azimuth_max_deg and mount.elevation_min_deg < mount.elevation_max_deg):
+            texts.append(f"a range is empty: the rotator would turn {mount}")
+            return tuple(texts)
+        try:
+            mount.place(*self._stow)
+        except UnreachableError as error:
+            texts.append(
+                f"the stow position A {self._stow[0]:g}, B {self._stow[1]:g} deg lies at {error}: correct the range"
+                " (rotctld -C, or azimuth and elevation in instruments.positioner) or safety.stow_a_deg and stow_b_deg"
+            )
+        return tuple(texts)
+
+    async def _position(self) -> RotatorPosition:
+        reply = await self._ask(protocol.GET_POSITION)
+        if reply.error:
+            raise self._unreached(protocol.GET_POSITION, reply.error)
+        try:
+            azimuth_deg, elevation_deg = reply.number(protocol.AZIMUTH), reply.number(protocol.ELEVATION)
+        except ValueError as error:
+            raise ProtocolError(_DEVICE, f"says no position that can be read: {error}") from None
+        if not (abs(azimuth_deg) <= _MOST_AZIMUTH_DEG and _LEAST_ELEVATION_DEG <= elevation_deg <= _MOST_ELEVATION_DEG):
+            raise ProtocolError(_DEVICE, f"says azimuth {azimuth_deg:g}, elevation {elevation_deg:g} deg")
+        return RotatorPosition(self._known_mount().counted(azimuth_deg), elevation_deg)
+
+    async def _ask(self, name: str, *arguments: float) -> RotctldReply:
+        try:
+            reply = await self._line.ask(protocol.command(name, *arguments), self._reply_within_s)
+        except DeadlineError as error:
+            # Its answer may still come, and would be taken for that of another command.
+            await self._line.close()
+            raise LinkLostError(_DEVICE, f"{error.message}: is it rotctld, and does its rotator answer?") from None
+        if reply.command != name:
+            await self._line.close()
+            raise ProtocolError(_DEVICE, f"answers {reply.command or 'without a name'} to {name}: is it rotctld?")
+        return reply
+
+    def _unreached(self, name: str, error: int) -> DeviceError:
+        return LinkLostError(
+            _DEVICE,
+            f"rotctld answers {name} with {protocol.error_text(error)}: look at the rotator and its cable, then restart"
+            " rotctld, which opens its port only once",
+        )
+
+    def _known_mount(self) -> Mount:
+        if self._mount is None:
+            raise LinkLostError(_DEVICE, "has to be opened first")
+        return self._mount
+
+    def _same(self, one: RotatorPosition, other: RotatorPosition) -> bool:
+        return all(abs(here - there) <= self._jitter_deg for here, there in zip(one, other, strict=True))
+
+
+def _state(reply: RotctldReply) -> RotatorState:
+    if reply.error:
+        raise ProtocolError(_DEVICE, f"rotctld answers dump_state with {protocol.error_text(reply.error)}")
+    try:
+        return protocol.state_of(reply)
+    except ValueError as error:
+        raise ProtocolError(_DEVICE, f"rotctld's dump_state cannot be read: {error}") from None

@@ -1,0 +1,128 @@
+"""rotctld's protocol with extended responses, without a line: commands to bytes, and bytes to replies.
+
+A command is a `+`, a long name and its arguments; its reply repeats the name, has a line for each value and ends with
+`RPRT` and an error number: so every command is answered, and every answer says to what. Measured with rotctld of Hamlib
+4.5.4; `rotctl(1)` describes it.
+"""
+
+import math
+import re
+from typing import NamedTuple
+
+GET_POSITION, SET_POSITION, STOP = "get_pos", "set_pos", "stop"
+GET_INFO, DUMP_STATE = "get_info", "dump_state"
+AZIMUTH, ELEVATION, INFO = "Azimuth", "Elevation", "Info"
+
+NOT_IMPLEMENTED, NOT_AVAILABLE = 4, 11
+_ERRORS = {
+    1: "invalid parameter",
+    NOT_IMPLEMENTED: "not implemented",
+    5: "time-out of the rotator",
+    6: "no connection to the rotator",
+    8: "protocol error of the rotator",
+    9: "rejected by the rotator",
+    NOT_AVAILABLE: "not available",
+    21: "limit exceeded",
+}
+_END = re.compile(r"RPRT -?(\d+)")
+_HEAD = re.compile(r"([a-z_]+):(?: .*)?")
+_VALUE = re.compile(r"\s*([A-Za-z_ ]+?)\s*[:=]\s*(.*?)\s*")
+_MOST_BYTES = 16384
+
+
+class RotctldReply(NamedTuple):
+    """One answer.
+
+    Attributes
+    ----------
+    command
+        What is answered, by its long name; empty where the answer does not say.
+    values
+        Its lines by their label.
+    error
+        Hamlib's error number, 0 where there is none.
+    """
+
+    command: str
+    values: dict[str, str]
+    error: int
+
+    def number(self, label: str) -> float:
+        """Return a value as a finite number; `ValueError` where it is none."""
+        text = self.values.get(label, "")
+        number = float(text)
+        if not math.isfinite(number):
+            raise ValueError(f"{label} is {text}")
+        return number
+
+
+class RotatorState(NamedTuple):
+    """What rotctld says of its rotator.
+
+    Attributes
+    ----------
+    model
+        Hamlib's number of it; 1 is the dummy.
+    azimuth_deg, elevation_deg
+        Lowest and highest. With rotctld's offsets (-o, -O) these are not what it accepts.
+    kind
+        Such as ``AzEl``; empty where an older one does not say.
+    """
+
+    model: int
+    azimuth_deg: tuple[float, float]
+    elevation_deg: tuple[float, float]
+    kind: str
+
+
+def command(name: str, *arguments: float) -> bytes:
+    """Return the bytes of one command, complete; `ValueError` for an argument that is not a finite number."""
+    # rotctld takes "nan", and reads what is missing from the next command.
+    if not all(math.isfinite(argument) for argument in arguments):
+        raise ValueError(f"{name} takes finite numbers, not {arguments}")
+    return " ".join((f"+\\{name}", *(f"{argument:.2f}" for argument in arguments))).encode("ascii") + b"\n"
+
+
+def error_text(error: int) -> str:
+    """Return an error in words, with its number."""
+    return f"{_ERRORS.get(error, 'an error of Hamlib')} (RPRT -{error})"
+
+
+def state_of(reply: RotctldReply) -> RotatorState:
+    """Read the answer to `DUMP_STATE`; `ValueError` where something is missing or no number."""
+    return RotatorState(
+        model=int(reply.values.get("Rotor Model", "")),
+        azimuth_deg=(reply.number("Minimum Azimuth"), reply.number("Maximum Azimuth")),
+        elevation_deg=(reply.number("Minimum Elevation"), reply.number("Maximum Elevation")),
+        kind=reply.values.get("rot_type", ""),
+    )
+
+
+class ReplyStream:
+    """Cuts what comes from rotctld into replies."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._lines: list[str] = []
+
+    def feed(self, data: bytes) -> list[RotctldReply]:
+        """Take in bytes and return the replies that they complete; `ValueError` for what never becomes one."""
+        *complete, self._rest = (self._rest + data).split(b"\n")
+        replies = []
+        for line in complete:
+            text = line.decode("latin-1").rstrip("\r")
+            end = _END.fullmatch(text)
+            if end is None:
+                self._lines.append(text)
+            else:
+                replies.append(_reply(self._lines, int(end[1])))
+                self._lines = []
+        if len(self._rest) + sum(map(len, self._lines)) > _MOST_BYTES:
+            raise ValueError("it sends without end, and no reply among it")
+        return replies
+
+
+def _reply(lines: list[str], error: int) -> RotctldReply:
+    head = _HEAD.fullmatch(lines[0]) if lines else None
+    values = {found[1]: found[2] for line in lines[1:] if (found := _VALUE.fullmatch(line))}
+    return RotctldReply(head[1] if head else "", values, error)

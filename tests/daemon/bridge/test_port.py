@@ -1,0 +1,133 @@
+"""Whoever floods the port, the cube's scans come through, and the port stays the tracker's own."""
+
+import asyncio
+import socket
+import sys
+from contextlib import ExitStack
+
+import pytest
+
+from daemon.base.addresses import BridgeError
+from daemon.bridge.receiver import BridgeReceiver
+from daemon.config.links import BridgeSettings
+from tests.daemon.bridge.test_receiver import KEY, HandClock, place_of, port, scan, signed
+
+only_linux = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux hands a peer's datagrams to a line of its own"
+)
+
+
+async def until_accepted(receiver, number):
+    async with asyncio.timeout(20):
+        while receiver.statistics.accepted < number:  # noqa: ASYNC110 - the loop has to go round
+            await asyncio.sleep(0)
+
+
+def udp():
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+
+@only_linux
+@pytest.mark.parametrize("listen", ["127.0.0.1:0", "0.0.0.0:0"])
+def test_a_flood_that_overflows_the_port_costs_the_cube_no_scan(listen):
+    async def main():
+        async with port(BridgeSettings(listen=listen)) as (receiver, _, scans, settle):
+            place = place_of(receiver)
+            with udp() as cube, udp() as attacker:
+                cube.sendto(signed(scan(0)), place)
+                await settle(1)
+                sent = 0
+                for number in range(1, 6):
+                    # Nobody reads meanwhile: far more than the kernel keeps for a socket.
+                    for _ in range(4000):
+                        attacker.sendto(b"x" * 2000, place)
+                        sent += 1
+                    cube.sendto(signed(scan(number, time_s=0.1 * number)), place)
+                await until_accepted(receiver, 6)
+                assert [got.sequence for got in scans] == list(range(6))
+                assert receiver.statistics.malformed < sent, "the flood was not one"
+
+    asyncio.run(main())
+
+
+@only_linux
+def test_who_repeats_the_cubes_scans_faster_than_they_are_read_does_not_take_its_line():
+    async def main():
+        async with port() as (receiver, _, scans, settle):
+            place = place_of(receiver)
+            with udp() as cube, udp() as attacker:
+                cube.sendto(signed(scan(0)), place)
+                await settle(1)
+                for number in range(1, 10):
+                    datagram = signed(scan(number, time_s=0.1 * number))
+                    attacker.sendto(datagram, place)
+                    await until_accepted(receiver, number + 1)
+                    cube.sendto(datagram, place)
+                    await settle(2 * number + 1)
+                for _ in range(4000):
+                    attacker.sendto(b"x" * 2000, place)
+                cube.sendto(signed(scan(10, time_s=1.0)), place)
+                await until_accepted(receiver, 11)
+            assert [got.sequence for got in scans] == list(range(11))
+
+    asyncio.run(main())
+
+
+def test_a_cube_that_comes_back_from_another_port_is_heard_as_before():
+    async def main():
+        async with port() as (receiver, clock, scans, settle):
+            for number in range(4):
+                with udp() as cube:
+                    cube.sendto(signed(scan(number)), place_of(receiver))
+                    await settle(number + 1)
+                clock.now_s += 5.0
+            assert [got.sequence for got in scans] == [0, 1, 2, 3]
+
+    asyncio.run(main())
+
+
+def test_senders_in_turn_are_all_heard_although_there_are_more_of_them_than_lines():
+    async def main():
+        async with port() as (receiver, clock, scans, settle):
+            with ExitStack() as stack:
+                senders = [stack.enter_context(udp()) for _ in range(6)]
+                for number in range(40):
+                    senders[number % 6].sendto(signed(scan(number)), place_of(receiver))
+                    await settle(number + 1)
+                    clock.now_s += 5.0
+            assert [got.sequence for got in scans] == list(range(40))
+
+    asyncio.run(main())
+
+
+def test_nobody_else_can_take_the_port_while_a_cube_has_a_line_on_it():
+    async def main():
+        async with port() as (receiver, _, _, settle):
+            with udp() as cube, udp() as thief:
+                cube.sendto(signed(scan(0)), place_of(receiver))
+                await settle(1)
+                second = BridgeReceiver(BridgeSettings(listen=receiver.address), KEY, HandClock(), print)
+                with pytest.raises(BridgeError, match="in use by another program"):
+                    await second.open()
+                if sys.platform == "linux":
+                    thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                    with pytest.raises(OSError, match="in use"):
+                        thief.bind(place_of(receiver))
+
+    asyncio.run(main())
+
+
+def test_a_flood_does_not_keep_the_other_tasks_of_the_loop_waiting():
+    async def main():
+        async with port() as (receiver, *_):
+            with udp() as attacker:
+                for _ in range(640):
+                    attacker.sendto(b"x", place_of(receiver))
+                rounds = 0
+                while receiver.statistics.malformed < 640:
+                    await asyncio.sleep(0)
+                    rounds += 1
+                    assert rounds < 10_000
+            assert rounds >= 640 // 64, "a round of the loop takes a part of what waits, and no more"
+
+    asyncio.run(main())

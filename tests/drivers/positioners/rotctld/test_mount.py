@@ -1,0 +1,110 @@
+"""Azimuth and elevation under the tracker's angles."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles, pointing
+from solar.frames import azimuth_from_direction, equator_azimuth_deg, normal_from_angles
+
+FULL = Mount(0.0, 360.0, 0.0, 90.0, 180.0)
+
+
+def mount(azimuth, elevation=(0.0, 90.0), equator=180.0):
+    return Mount(*azimuth, *elevation, equator)
+
+
+@given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([48.7, -33.9]))
+def test_it_points_where_the_normal_of_the_tracker_s_frame_points_and_back(a_deg, b_deg, latitude_deg):
+    equator_deg = equator_azimuth_deg(latitude_deg)
+    found = pointing(a_deg, b_deg, equator_deg)
+    azimuth_deg, elevation_deg = azimuth_from_direction(normal_from_angles(a_deg, b_deg), latitude_deg)
+    assert found.elevation_deg == pytest.approx(float(elevation_deg), abs=1e-4)
+    if elevation_deg < 89.9:
+        assert (found.azimuth_deg - float(azimuth_deg) + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-4)
+    assert angles(*found, equator_deg) == pytest.approx((a_deg, b_deg), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [((180, 45), (0, 45)), ((270, 40), (50, 90)), ((129.03, 9.58), (-50, 15)), ((217.01, 33.83), (30, 40))],
+)
+def test_known_places(place, expected):
+    assert angles(*place, 180.0) == pytest.approx(expected, abs=0.02)
+    # South of the equator the same angles lie on the other side, east staying east.
+    azimuth_deg, elevation_deg = place
+    assert angles(180.0 - azimuth_deg, elevation_deg, 0.0) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("turns", "equator", "a_deg", "azimuth_deg"),
+    [
+        ((0, 360), 180.0, 30, 219.23),
+        ((-180, 180), 180.0, 30, -140.77),
+        ((-180, 180), 180.0, -30, 140.77),
+        ((-180, 450), 180.0, -30, 140.77),
+        ((-180, 450), 180.0, 30, 219.23),
+        ((180, 540), 0.0, 30, 320.77),
+        ((0, 360), 0.0, -30, 39.23),
+        ((0, 360), 0.0, 30, 320.77),
+        ((-180, 450), 0.0, 30, -39.23),
+    ],
+)
+def test_an_azimuth_is_given_in_a_turn_that_the_rotator_has(turns, equator, a_deg, azimuth_deg):
+    found = mount(turns, equator=equator).place(a_deg, 45.0)
+    assert found.azimuth_deg == pytest.approx(azimuth_deg, abs=0.01)
+    assert turns[0] <= found.azimuth_deg <= turns[1]
+
+
+@given(
+    st.lists(st.tuples(st.floats(-50, 50), st.floats(15, 89)), min_size=2),
+    st.sampled_from([(-180.0, 450.0), (0.0, 720.0)]),
+)
+def test_however_the_sky_leads_it_about_cables_are_never_wound_further(places, turns):
+    # A day lies in one half turn, and each place is always the same one.
+    seen = [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places]
+    assert max(seen) - min(seen) <= 180.0 + 1e-6
+    assert [mount(turns).place(a_deg, b_deg).azimuth_deg for a_deg, b_deg in places] == seen
+
+
+def test_a_stop_in_the_way_of_the_sun_is_known():
+    assert not mount((0, 360)).crosses_its_stop()
+    assert mount((-180, 180)).crosses_its_stop()
+    assert not mount((-180, 180), equator=0.0).crosses_its_stop()
+    assert mount((0, 360), equator=0.0).crosses_its_stop()
+
+
+def test_at_the_zenith_it_stays_turned_as_it_is():
+    assert FULL.place(0.0, 90.0, RotatorPosition(123.0, 20.0)) == (123.0, 90.0)
+    assert FULL.place(0.3, 89.8, RotatorPosition(123.0, 20.0)) == (123.0, 90.0)
+    # A rotator that stands beyond its range comes back into it.
+    assert mount((100, 200)).place(0.0, 90.0, RotatorPosition(250.0, 20.0)) == (200.0, 90.0)
+
+
+@pytest.mark.parametrize("place", [(0.0, 90.0), (0.2, 89.7), (20.0, 70.0)])
+def test_what_it_cannot_reach_is_said_with_its_range(place):
+    low = mount((0, 360), (0, 60))
+    with pytest.raises(UnreachableError, match=r"elevation .*rotator turns azimuth 0 to 360 and elevation 0 to 60 deg"):
+        low.place(*place)
+    assert low.place(0.0, 50.0) == pytest.approx((180.0, 50.0))
+
+
+def test_the_edges_of_the_range_belong_to_it():
+    east = mount((90, 270)).place(-50.0, 90.0)
+    west = mount((90, 270)).place(50.0, 90.0)
+    assert (east.azimuth_deg, west.azimuth_deg) == pytest.approx((90.0, 270.0))
+
+
+@pytest.mark.parametrize(
+    ("turns", "said", "counted"),
+    [((-180, 180), 190.0, -170.0), ((0, 360), -10.0, 350.0), ((-180, 450), 400.0, 400.0), ((0, 90), 200.0, 200.0)],
+)
+def test_a_reported_azimuth_is_taken_in_the_turn_of_the_range(turns, said, counted):
+    assert mount(turns).counted(said) == counted
+
+
+def test_not_a_number_is_unreachable():
+    for a_deg, b_deg in ((np.nan, 45.0), (0.0, np.nan)):
+        with pytest.raises((UnreachableError, ValueError)):
+            FULL.place(a_deg, b_deg)

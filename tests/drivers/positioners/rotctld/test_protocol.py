@@ -1,0 +1,56 @@
+"""Commands and replies as bytes."""
+
+import math
+
+import pytest
+
+from drivers.positioners.rotctld.protocol import ReplyStream, command, state_of
+
+# As rotctld of Hamlib 4.5.4 sends it for its dummy.
+STATE = (
+    b"dump_state:\nrotctld Protocol Ver: 1\nRotor Model: 1\nMinimum Azimuth: -180.000000\nMaximum Azimuth: 450.000000\n"
+    b"Minimum Elevation: 0.000000\nMaximum Elevation: 90.000000\nSouth Zero: 0\nrot_type=AzEl\ndone\nRPRT 0\n"
+)
+
+
+def test_a_command_is_one_line_with_all_its_arguments():
+    assert command("set_pos", 180.0, -0.004) == b"+\\set_pos 180.00 -0.00\n"
+    assert command("stop") == b"+\\stop\n"
+
+
+@pytest.mark.parametrize("argument", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_never_sent(argument):
+    with pytest.raises(ValueError, match="finite"):
+        command("set_pos", 10.0, argument)
+
+
+def test_replies_are_cut_out_of_whatever_pieces_they_come_in():
+    data = b"get_pos:\nAzimuth: 12.50\nElevation: 30.00\nRPRT 0\nset_pos: 500 20\nRPRT -1\nRPRT -8\n" + STATE
+    for size in (1, 7, len(data)):
+        stream = ReplyStream()
+        replies = [reply for at in range(0, len(data), size) for reply in stream.feed(data[at : at + size])]
+        position, refused, nameless, state = replies
+        assert (position.command, position.number("Azimuth"), position.number("Elevation")) == ("get_pos", 12.5, 30.0)
+        assert (refused.command, refused.error, nameless.command, nameless.error) == ("set_pos", 1, "", 8)
+        assert state_of(state) == (1, (-180.0, 450.0), (0.0, 90.0), "AzEl")
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "", "12,5"])
+def test_a_value_that_is_no_finite_number_is_an_error(text):
+    (reply,) = ReplyStream().feed(f"get_pos:\nAzimuth: {text}\nRPRT 0\n".encode())
+    with pytest.raises(ValueError, match=r"Azimuth is|could not convert"):
+        reply.number("Azimuth")
+
+
+def test_an_older_server_without_a_kind_is_understood_and_one_without_limits_is_not():
+    (older,) = ReplyStream().feed(STATE.replace(b"South Zero: 0\nrot_type=AzEl\ndone\n", b""))
+    assert state_of(older).kind == ""
+    (lacking,) = ReplyStream().feed(STATE.replace(b"Maximum Elevation: 90.000000\n", b""))
+    with pytest.raises(ValueError, match="could not convert"):
+        state_of(lacking)
+
+
+def test_an_endless_stream_without_a_reply_is_given_up():
+    stream = ReplyStream()
+    with pytest.raises(ValueError, match="without end"):
+        stream.feed(b"HTTP/1.1 200 OK and so on\n" * 1000)

@@ -1,0 +1,71 @@
+"""Hamlib's own rotctld in a process of its own, which a test may kill, hang and start again."""
+
+import shutil
+import signal
+import socket
+import subprocess
+import time
+
+ROTCTLD = shutil.which("rotctld")
+LEFT_OUT = "rotctld is not here (libhamlib-utils): the tests against Hamlib's own server are left out"
+_STARTS_WITHIN_S = 20.0
+
+
+class Rotctld:
+    """The dummy rotator of Hamlib, 6 deg/s on both axes, on a loopback port of its own."""
+
+    def __init__(self, *options):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.options = options
+        self.process = None
+
+    @property
+    def place(self):
+        return f"127.0.0.1:{self.port}"
+
+    def start(self):
+        """Start it, at azimuth 0, elevation 0, and wait until it answers."""
+        arguments = [ROTCTLD, "-m", "1", "-T", "127.0.0.1", "-t", str(self.port), *self.options]
+        self.process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline_s = time.monotonic() + _STARTS_WITHIN_S
+        while True:
+            try:
+                self.ask("+p\n", b"RPRT")
+            except OSError:
+                assert time.monotonic() < deadline_s, "rotctld does not start"
+                time.sleep(0.02)
+            else:
+                return
+
+    def ask(self, text, until=None):
+        """Send text as another client, and return what comes up to a mark, or in a quarter of a second."""
+        with socket.create_connection(("127.0.0.1", self.port), timeout=20.0 if until else 0.25) as peer:
+            peer.sendall(text.encode())
+            heard = b""
+            while until is None or until not in heard:
+                try:
+                    piece = peer.recv(4096)
+                except TimeoutError:
+                    break
+                if not piece:
+                    break
+                heard += piece
+        return heard
+
+    def azimuth_deg(self):
+        """Return where it points, as another client is told."""
+        return float(self.ask("p\n", b".").split(b"\n")[0])
+
+    def kill(self):
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
+
+    def hang(self):
+        self.process.send_signal(signal.SIGSTOP)
+
+    def go_on(self):
+        self.process.send_signal(signal.SIGCONT)
