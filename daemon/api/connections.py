@@ -16,7 +16,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.api.refusals import ApiRefusals
 
-_MOST = 192
+_MOST = 384
 _MOST_OF_AN_ADDRESS = 32
 _CHECK_EVERY_S = 1.0
 # To the end of the first request's head; a later one is waited for for five seconds, and its head as long again.

@@ -22,16 +22,19 @@ log = logging.getLogger("heliocube.api")
 _AGAIN_S = 10.0
 _GRACE_S = 1
 _LONGEST_HEAD = 16 << 10
-# As many connections are taken from the kernel in one turn of the loop.
-_BACKLOG = 128
+# As many connections are taken in at one turn of the loop; more wait in the kernel, which makes one whose queue is
+# full come again after a second.
+_AT_ONCE = 64
+_QUEUE = 1024
 _KEEP_ALIVE_S = 5
 
 
 class _Server(uvicorn.Server):
     """A server that leaves signals alone and rests until it is told to end."""
 
-    def __init__(self, config: uvicorn.Config) -> None:
+    def __init__(self, config: uvicorn.Config, bound: socket.socket) -> None:
         super().__init__(config)
+        self._bound = bound
         self._ended = asyncio.Event()
 
     @contextlib.contextmanager
@@ -39,6 +42,7 @@ class _Server(uvicorn.Server):
         yield
 
     async def main_loop(self) -> None:
+        self._bound.listen(_QUEUE)
         await self._ended.wait()
 
     def end(self) -> None:
@@ -132,12 +136,13 @@ class ApiServer:
                 access_log=False,
                 server_header=False,
                 date_header=False,
-                backlog=_BACKLOG,
+                backlog=_AT_ONCE,
                 h11_max_incomplete_event_size=_LONGEST_HEAD,
                 # These are counted on the loop's clock, which may be a fast one.
                 timeout_keep_alive=_KEEP_ALIVE_S * pace,
                 timeout_graceful_shutdown=_GRACE_S * pace,
-            )
+            ),
+            bound,
         )
         serving = asyncio.create_task(server.serve(sockets=[bound]))
         watching = asyncio.create_task(self._connections.run())

@@ -129,7 +129,7 @@ class ApiSettings(Section):
     )
     hosts: tuple[HostName, ...] = Field(
         (),
-        examples=[["tracker.example.org"]],
+        strict=False,
         description="Names that requests may be for, such as that of a proxy, besides localhost and this machine's"
         " addresses. Others are refused: a page of the web could read the state under its own name.",
     )

@@ -46,7 +46,7 @@ async def metric(call, name):
 def test_idle_and_half_sent_connections_keep_no_command_out(serve, monkeypatch, caplog):
     async def scenario(rig, call):
         await under_way(rig)
-        held = [await connect(call, (b"", HALF_A_HEAD, HALF_A_BODY)[turn % 3]) for turn in range(300)]
+        held = [await connect(call, (b"", HALF_A_HEAD, HALF_A_BODY)[turn % 3]) for turn in range(450)]
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         assert (await call.post("stop")).status == 200
         assert next(at_s for at_s, data in sent if data.startswith(b"$9s")) - asked_s < 0.2
@@ -252,7 +252,7 @@ def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
 
 def test_a_connection_that_is_being_served_is_not_given_up_for_another():
     connections = Connections(ApiRefusals(lambda: 0.0), 1.0)
-    served = [Held("127.0.0.1", from_loopback=True, is_idle=False) for _ in range(192)]
+    served = [Held("127.0.0.1", from_loopback=True, is_idle=False) for _ in range(384)]
     assert all(connections.admit(one) for one in served)
     assert not connections.admit(Held("192.0.2.7"))
     connections.drop(served[0])
