@@ -1,6 +1,7 @@
 """Fixtures for every tier; the one that no test may leak is in tests/support/leaks.py."""
 
 import os
+import shutil
 import socket
 from pathlib import Path
 
@@ -56,7 +57,8 @@ def pytest_report_header():
     broker = (
         None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
     )
-    return [line for line in (broker, missing(), None if ROTCTLD else WITHOUT_ROTCTLD) if line]
+    mbpoll = None if shutil.which("mbpoll") else "mbpoll is not here: its tests of Modbus are left out"
+    return [line for line in (broker, mbpoll, missing(), None if ROTCTLD else WITHOUT_ROTCTLD) if line]
 
 
 @pytest.fixture(scope="session")

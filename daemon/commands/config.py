@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.commands.options import RoleChoice
+from daemon.commands.options import CubeOption, RoleChoice
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -47,9 +47,10 @@ def init(
         Path, typer.Argument(metavar="DIR", help="Folder, made if it is not there.", show_default=False)
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
+    cube: CubeOption = None,
 ) -> None:
     """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
-    *first, last = write_example(directory, role.value)
+    *first, last = write_example(directory, role.value, cube)
     console = Console(highlight=False, soft_wrap=True)
     names = Text(", ").join(Text(str(path), "bold") for path in first)
     console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
@@ -106,23 +107,37 @@ def check_file(path: Path) -> "Settings":
     return settings
 
 
-def write_example(directory: Path, role: Literal["both", "cube", "tracker"]) -> tuple[Path, Path, Path]:
+def write_example(
+    directory: Path, role: Literal["both", "cube", "tracker"], cube: str | None = None
+) -> tuple[Path, Path, Path]:
     """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
+
+    Parameters
+    ----------
+    directory, role
+        Where to, and for what machine.
+    cube
+        The driver that reads the faces, by name, where it is not the usual one.
 
     Raises
     ------
     UserError
-        One of the files is there already, or cannot be written. Nothing has been written then.
+        There is no such driver. One of the files is there already, or cannot be written. Nothing has been written then.
     """
     from daemon.api.token import generate_token, write_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import generate_key, write_key
+    from daemon.config.plugged import CUBE, DRIVER
     from daemon.config.template import FILE_NAME, example
 
     file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
     values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
+    chosen = () if cube is None else ((CUBE.path, cube),)
+    if cube is not None:
+        CUBE.settings_class(cube)
+        values[f"{CUBE.path}.{DRIVER}"] = cube
     written: list[Path] = []
     made: list[Path] = []
     try:
@@ -131,7 +146,7 @@ def write_example(directory: Path, role: Literal["both", "cube", "tracker"]) -> 
         directory.mkdir(parents=True, exist_ok=True)
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             written.append(file)
-            stream.write(example(role, values))
+            stream.write(example(role, values, chosen))
         write_key(key, generate_key())
         written.append(key)
         write_token(token, generate_token())
@@ -164,8 +179,11 @@ _NEXT = {
 
 
 def _summary(settings: "Settings") -> dict[str, str]:
+    from daemon.config.plugged import MULTIPLEXED
+
     site, cube, bridge, safety = settings.site, settings.cube, settings.bridge, settings.safety
-    channels = ", ".join(f"{name} {getattr(cube, name).channel}" for name in FACES)
+    channels = "inputs " + ", ".join(f"{name} {getattr(cube, name).channel}" for name in FACES)
+    driver = settings.instruments.cube.driver
     targets = [*bridge.send_to, *([bridge.multicast_group] if bridge.multicast_group else [])]
     if bridge.insecure:
         signed = "NOT SIGNED"
@@ -177,7 +195,8 @@ def _summary(settings: "Settings") -> dict[str, str]:
     token = "with a new token at each start" if file is None else f"with the token in {file}"
     return {
         "site": f"{site.name}: {site.latitude_deg:g} N, {site.longitude_deg:g} E, {site.altitude_m:g} m",
-        "cube": f"{cube.name}: a scan every {cube.scan_every_s:g} s; inputs {channels}",
+        "cube": f"{cube.name}: a scan every {cube.scan_every_s:g} s;"
+        f" {channels if driver == MULTIPLEXED else f'read by {driver}'}",
         "instruments": settings.instruments.kind.upper(),
         "law": f"{settings.law.driver}: mean of {settings.windows.mean_s:g} s, decided every"
         f" {settings.windows.decide_every_s:g} s",

@@ -11,7 +11,7 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.commands import config as config_commands
 from daemon.commands import export, operate, probe, tools
-from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, LawOption, RoleChoice, TableFormat
+from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, CubeOption, LawOption, RoleChoice, TableFormat
 from daemon.commands.studies import calibrate, compare, energy, gain
 from daemon.commands.studies.simulate import progress_bar, replay, report
 from daemon.studies.inputs import instant, settings_for, site_values
@@ -75,6 +75,7 @@ def run(
     law: LawOption = None,
     site: SiteOption = None,
     seed: SeedOption = None,
+    cube: CubeOption = None,
     for_s: Annotated[
         float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
     ] = None,
@@ -84,7 +85,7 @@ def run(
     from daemon.config.file import on_a_port_of_its_own
     from daemon.service.rig import Role
 
-    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start)
+    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start, cube=cube)
     if config is None and role is RoleChoice.both:
         settings = on_a_port_of_its_own(settings)
     if settings.instruments.kind == "real":
@@ -102,12 +103,13 @@ def simulate(
     config: ConfigOption = None,
     site: SiteOption = None,
     seed: SeedOption = None,
+    cube: CubeOption = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
     from daemon.studies.simulate import simulate as run_simulation
 
-    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None)
+    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube)
     console = Console(stderr=True)
     with progress_bar(console) as progress:
         summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
@@ -129,12 +131,13 @@ def bench(
     seed: SeedOption = None,
     site: SiteOption = None,
     config: ConfigOption = None,
+    cube: CubeOption = None,
 ) -> None:
     """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
 
     The configuration that is given is the basis of the one that is written.
     """
-    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start)
+    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start, cube=cube)
     tools.serve(settings, directory)
 
 
@@ -147,6 +150,7 @@ def _settings(
     seed: int | None,
     speed: float | None,
     start: str | None,
+    cube: str | None,
 ) -> "Settings":
     """Read the file, if any, and lay the command line's choices over it."""
     return settings_for(
@@ -157,6 +161,7 @@ def _settings(
         seed=seed,
         speed=speed,
         start=None if start is None else instant(start, "--start"),
+        cube=cube,
     )
 
 

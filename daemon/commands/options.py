@@ -17,6 +17,12 @@ BENCH = "Instruments and the bench"
 LawOption = Annotated[
     str | None, typer.Option(metavar="LAW", help="Pointing law by name, as law.driver; a wrong one lists them all.")
 ]
+CubeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cube", metavar="NAME", help="What reads the faces, as instruments.cube.driver; a wrong one lists all."
+    ),
+]
 TrackerOption = Annotated[
     str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")
 ]

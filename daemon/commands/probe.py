@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.options import TrackerOption
+from daemon.commands.options import CubeOption, TrackerOption
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -80,6 +80,39 @@ def multiplexer(
     settings = _settings(config, "multiplexer", {"server": server})
     with _tap(record) as tap:
         _run(probe_multiplexer(settings, tap, _printer(), write=write))
+
+
+@app.command()
+def cube(
+    line: Annotated[
+        str | None, typer.Option(metavar="LINE", help="Serial port, tcp:HOST:PORT or rtu-over-tcp:HOST:PORT.")
+    ] = None,
+    config: ConfigOption = None,
+    name: CubeOption = None,
+    addresses: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Where to look, within 1-247.")] = "1-32",
+    clear: Annotated[bool, typer.Option("--clear", help="Also clear the old error that an SMP keeps.")] = False,
+    set_address: Annotated[
+        bool, typer.Option("--set-address", help="Lead through giving new sensors their addresses, one at a time.")
+    ] = False,
+    record: RecordOption = None,
+) -> None:
+    """List the pyranometers that answer on their line of Modbus, with make, serial number and value."""
+    from daemon.base.clock import SystemClock
+    from daemon.rigs.probe_modbus import ModbusProbe, unit_range
+    from daemon.studies.inputs import settings_for
+
+    chosen = name or ("modbus-pyranometers" if config is None else None)
+    settings, units = settings_for(config, cube=chosen), unit_range(addresses)
+    with _tap(record) as tap:
+        probe = ModbusProbe(settings, line, SystemClock(), _printer(), tap)
+        _run(probe.set_addresses(_ask, units) if set_address else probe.report(units, clear=clear))
+
+
+def _ask(question: str) -> str:
+    try:
+        return input(f"{question}: ").strip()
+    except EOFError:
+        raise UserError("--set-address asks, and there is nobody to answer: run it in a terminal") from None
 
 
 class LoadChoice(StrEnum):

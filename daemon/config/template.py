@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from daemon.config import keys, rules
-from daemon.config.keys import Key, SettingsTable
+from daemon.config.keys import Chosen, Key, SettingsTable
 
 Role = Literal["both", "cube", "tracker"]
 
@@ -83,7 +83,7 @@ This page is made from the models in `daemon/config/`; write it anew with `pytho
 """
 
 
-def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
+def example(role: Role, values: Mapping[str, Any] | None = None, chosen: Chosen = ()) -> str:
     """Return a commented TOML file with every key that a role reads, at its default.
 
     Parameters
@@ -92,9 +92,15 @@ def example(role: Role, values: Mapping[str, Any] | None = None) -> str:
         ``both``, ``cube`` or ``tracker``.
     values
         Values in place of defaults, by the key's path.
+    chosen
+        Drivers in place of the usual ones, whose keys the file then has.
     """
-    known = keys.tables().values()
-    tables = [table for table in known if table.path and table.path not in _NOT_READ[role] and not table.only_for]
+    skipped = _NOT_READ[role]
+    tables = [
+        table
+        for table in keys.tables(chosen).values()
+        if table.path and not table.only_for and not any(f"{table.path}.".startswith(f"{path}.") for path in skipped)
+    ]
     blocks = [_heading(role), *[_block(table, values or {}) for table in tables]]
     return "\n\n".join(blocks) + "\n"
 

@@ -13,12 +13,14 @@ from daemon.base import process
 from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.process import on_signals
+from daemon.base.records import FACES
 from daemon.config.file import override
+from daemon.config.keys import Chosen
 from daemon.config.keys import keys as every_key
-from daemon.config.plugged import MULTIPLEXED
+from daemon.config.plugged import CUBE, MULTIPLEXED
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
-from daemon.rigs.simulated import DEFAULT_START, build_weather, run_bench
+from daemon.rigs.simulated import DEFAULT_START, BenchPorts, build_weather, run_bench
 from solar.ephemeris import DAY_S
 
 log = logging.getLogger("heliocube.bench")
@@ -57,9 +59,10 @@ def serve_bench(settings: Settings, directory: Path) -> None:
         if warning:
             log.warning(warning)
 
-        def ready(port: int) -> None:
-            served = _served(settings, directory, port, start, anchor)
-            file.write_text(f"{_MARK}\n{example('both', _values(served))}", encoding="utf-8")
+        def ready(ports: BenchPorts) -> None:
+            served = _served(settings, directory, ports, start, anchor)
+            chosen = ((CUBE.path, served.instruments.cube.driver),)
+            file.write_text(f"{_MARK}\n{example('both', _values(served, chosen), chosen)}", encoding="utf-8")
             sys.stdout.write("ready\n")
             sys.stdout.flush()
 
@@ -80,10 +83,10 @@ def _claim(directory: Path) -> Path:
     return file
 
 
-def _served(settings: Settings, directory: Path, port: int, start: datetime, anchor: datetime) -> Settings:
+def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datetime, anchor: datetime) -> Settings:
     """Return the settings with what makes a service drive this bench, under the same sun."""
-    instruments = settings.instruments.model_dump() | {"kind": "real", "cube": {"driver": MULTIPLEXED}}
-    instruments["multiplexer"] |= {"server": f"127.0.0.1:{port}", "digital_port": DIGITAL_PORT}
+    instruments = settings.instruments.model_dump() | {"kind": "real", "cube": _cube(settings, directory, ports)}
+    instruments["multiplexer"] |= {"server": f"127.0.0.1:{ports.ni_server}", "digital_port": DIGITAL_PORT}
     instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
     instruments["positioner"] |= {"port": str(directory / "positioner")}
     load = settings.load.model_dump() | {"resource": f"ASRL{directory / 'load'}::INSTR", "visa": "py"}
@@ -93,10 +96,25 @@ def _served(settings: Settings, directory: Path, port: int, start: datetime, anc
     return override(settings, {"instruments": instruments, "load": load, "simulation": clock})
 
 
-def _values(settings: Settings) -> dict[str, Any]:
+def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:
+    """Return the section of the cube; sensors on Modbus are on one line, by network where the basis has them so."""
+    own = settings.instruments.cube
+    if own.driver == MULTIPLEXED:
+        return {"driver": MULTIPLEXED}
+    # Of a pseudo-terminal Linux takes no parity.
+    values: dict[str, Any] = CUBE.changed(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
+    if str(getattr(own, "line", "")).startswith("tcp:"):
+        values["line"] = f"tcp:127.0.0.1:{ports.modbus}"
+    for face in FACES:
+        if isinstance(values.get(face), dict):
+            values[face].pop("line", None)
+    return values
+
+
+def _values(settings: Settings, chosen: Chosen) -> dict[str, Any]:
     """Return every value by its key's path; the keys of drivers and laws that are not chosen have none."""
     values = {}
-    for path in every_key():
+    for path in every_key(chosen):
         with contextlib.suppress(AttributeError):
             values[path] = attrgetter(path)(settings)
     return values

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from daemon.rigs.real import (
     build_pozsol,
     positioner_surroundings,
 )
-from daemon.rigs.simulated_cube import build_cube_cores, build_simulated_cube
+from daemon.rigs.simulated_cube import build_bench_sensors, build_cube_cores, build_simulated_cube
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.rigs.simulated_rotator import build_simulated_rotator
 from daemon.service.rig import Rig, Role, TrackerInstruments
@@ -293,17 +293,24 @@ def weather_notes(weather: MeasuredWeather, site: Site) -> list[str]:
     return [note for note in (weather.note(), site_mismatch(weather, site)) if note]
 
 
+class BenchPorts(NamedTuple):
+    """Ports of the bench on loopback: of the NI gRPC server, and of Modbus TCP; 0 for one that is not there."""
+
+    ni_server: int
+    modbus: int
+
+
 async def run_bench(
     settings: Settings,
     directory: Path,
     clock: Clock,
     weather: Weather,
     stop: asyncio.Event,
-    ready: Callable[[int], None],
+    ready: Callable[[BenchPorts], None],
 ) -> None:
     """Serve the simulated instruments on real transports until `stop` is set.
 
-    `ready` is called with the port of the NI gRPC server as soon as all of them are there. Raises `UserError` when the
+    `ready` is called with their ports as soon as all of them are there. Raises `UserError` when the
     directory cannot be used.
     """
     try:
@@ -332,10 +339,15 @@ async def run_bench(
         source,
         BenchClock(clock.monotonic, clock.utc),
         settings.instruments.voltmeter.baud_rate,
+        build_bench_sensors(settings, clock, scene),
     )
+
+    def served() -> None:
+        ready(BenchPorts(bench.multiplexer.port, bench.cube.tcp_port if bench.cube else 0))
+
     try:
         async with BenchControl(bench):
-            await bench.run(stop, lambda: ready(bench.multiplexer.port))
+            await bench.run(stop, served)
     except BenchError as error:
         raise UserError(str(error)) from error
 

@@ -1,6 +1,6 @@
 """The simulated cube, built as the configuration says that the real one is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import numpy as np
@@ -14,6 +14,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
 from drivers.interfaces import Cube
 from drivers.switches.ni_usb6008 import NiMultiplexer
+from sim_drivers.modbus.line import SimulatedDevice
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.scene import Scene
 from sim_drivers.transports import InMemoryLine, InMemoryPort
@@ -47,6 +48,24 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
             f' set instruments.cube.driver to "{MULTIPLEXED}"'
         )
     return cast("Cube", simulate(own, cube_surroundings(settings, clock), _sensors(clock, scene)))
+
+
+def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Sequence[SimulatedDevice]:
+    """Return the sensors of a cube on Modbus, for the bench to serve; none for the multiplexed cube.
+
+    `UserError` for a cube that the bench has no simulator of.
+    """
+    own = settings.instruments.cube
+    if own.driver == MULTIPLEXED:
+        return ()
+    if own.driver == PYRANOMETERS:
+        from daemon.rigs.simulated_modbus import build_pyranometers  # noqa: PLC0415 - loads the driver
+
+        return build_pyranometers(own, _sensors(clock, scene))
+    raise UserError(
+        f'instruments.cube.driver = "{own.driver}" has no simulator for the bench, which has'
+        f' "{MULTIPLEXED}" and "{PYRANOMETERS}"; choose with --cube NAME'
+    )
 
 
 def build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:

@@ -9,7 +9,8 @@ from daemon.config.settings import Settings
 from daemon.rigs.real import cube_surroundings
 from drivers.cube.pyranometers.driver import DEVICE, PyranometerCube, build
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
-from sim_drivers.modbus.line import PyranometerLineCore
+from drivers.settings import CubeDriverSettings
+from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedMapped, SimulatedPyranometer, simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
 
@@ -33,13 +34,14 @@ def simulated_pyranometers(settings: Settings, clock: Clock, sensor_v: SensorVol
 
     def path(line: str) -> InMemoryModbus:
         there = [sensor for name, sensor in zip(FACE_NAMES, sensors, strict=True) if (own.line_of(name) or "") == line]
-        return InMemoryModbus(DEVICE, PyranometerLineCore(there), clock.monotonic)
+        return InMemoryModbus(DEVICE, DeviceLineCore(there), clock.monotonic)
 
     return build(own, cube_surroundings(settings, clock), path)
 
 
-def build_pyranometers(own: PyranometersSettings, sensor_v: SensorVoltage) -> list[SimulatedPyranometer]:
+def build_pyranometers(section: CubeDriverSettings, sensor_v: SensorVoltage) -> list[SimulatedPyranometer]:
     """Return the sensors of east, south, west and zenith; their serial numbers are the pinned ones, if any."""
+    own = cast("PyranometersSettings", section)
 
     def irradiance(face: int, now_s: float) -> float:
         return sensor_v(face, now_s) / _VOLT_PER_W_M2

@@ -57,6 +57,7 @@ def settings_for(
     seed: int | None = None,
     speed: float | None = None,
     start: datetime | None = None,
+    cube: str | None = None,
 ) -> "Settings":
     """Return the settings of a file, or of the simulated rig as it comes, with the choices that are given laid over.
 
@@ -72,6 +73,8 @@ def settings_for(
         Keys of the section site.
     seed, speed, start
         Of the simulation.
+    cube
+        What reads its faces, by name.
 
     Raises
     ------
@@ -79,6 +82,7 @@ def settings_for(
         The file, or a choice, cannot be used.
     """
     from daemon.config.file import load_settings, override  # noqa: PLC0415 - as above
+    from daemon.config.plugged import CUBE, DRIVER  # noqa: PLC0415 - as above
     from daemon.config.settings import Settings  # noqa: PLC0415 - as above
 
     simulation = {
@@ -92,4 +96,7 @@ def settings_for(
         "law": {} if law is None else {"driver": law},
         "site": dict(site or {}),
     }
-    return override(load_settings(config) if config is not None else Settings(), changes)
+    settings = load_settings(config) if config is not None else Settings()
+    if cube is not None:
+        changes["instruments"] = {"cube": CUBE.changed(settings.instruments.cube, {DRIVER: cube})}
+    return override(settings, changes)

@@ -1,7 +1,7 @@
 """The bench: simulated instruments under one sky, on real transports, for the real drivers in another process."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,9 +12,11 @@ import numpy as np
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field, TokenStream
 from sim_drivers.bench.line_host import LineHost, VoltmeterHost
+from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.load.core import LoadCore
+from sim_drivers.modbus.line import SimulatedDevice
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pv_source import PvSource
@@ -51,6 +53,13 @@ class Bench:
         Time.
     baud_rate
         Of the voltmeter.
+    sensors
+        Devices on Modbus that are the cube, at the port ``cube``, or none.
+
+    Attributes
+    ----------
+    cube
+        Those devices on their line; None without them.
     """
 
     def __init__(
@@ -64,6 +73,7 @@ class Bench:
         source: PvSource,
         clock: BenchClock,
         baud_rate: int,
+        sensors: Sequence[SimulatedDevice] = (),
     ) -> None:
         self.directory = directory
         self.scene = scene
@@ -73,17 +83,26 @@ class Bench:
         self.voltmeter = VoltmeterHost(meter, directory / "voltmeter", clock.now, baud_rate)
         self.multiplexer = NiServer(switch, clock.now)
         self.load = LineHost(load, directory / "load", clock.now, _LOAD_BYTE_S)
+        self.cube = ModbusHost(sensors, directory / "cube", clock.now) if sensors else None
         self._source = source
 
     async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:
         """Plug everything in, call `ready`, and serve until `stop` is set."""
         await self.multiplexer.start()
+        if self.cube is not None:
+            await self.cube.start()
+        lines: list[PositionerHost | LineHost[Any]] = [
+            self.positioner,
+            self.voltmeter,
+            self.load,
+            *([self.cube.line] if self.cube else []),
+        ]
         ports = [host.port for host in (self.positioner, self.voltmeter, self.load)]
         for port in ports:
             port.plug()
         try:
             async with asyncio.TaskGroup() as group:
-                hosts = [group.create_task(host.run()) for host in (self.positioner, self.voltmeter, self.load)]
+                hosts = [group.create_task(line.run()) for line in lines]
                 ready()
                 await stop.wait()
                 for host in hosts:
@@ -91,6 +110,8 @@ class Bench:
         finally:
             for port in ports:
                 port.unplug()
+            if self.cube is not None:
+                await self.cube.stop()
             await self.multiplexer.stop()
 
     def state(self) -> dict[str, Any]:
@@ -117,6 +138,7 @@ class Bench:
                 "writes": self.multiplexer.writes,
             },
             "load": self._load_state(now),
+            **({"cube": self.cube.state()} if self.cube else {}),
         }
 
     def _load_state(self, now: float) -> dict[str, Any]:

@@ -13,8 +13,10 @@ from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 
 SOCKET_NAME = "control"
-DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load")
+DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load", "cube")
 """What has a plug; the server is the NI gRPC server and not the device behind it."""
+PYRANOMETER_CAN = ("silent", "speaks", "delay S", "corrupt COUNT", "status BITS", "mode N", "address N")
+"""What one sensor of a cube on Modbus can be made to do."""
 _TIMEOUT_S = 10.0
 
 
@@ -47,6 +49,7 @@ VERBS = {
     "mux-line": Verb("BIT high|low|works", "let address line 0, 1 or 2 stick; works frees all"),
     "shade": Verb("FACE SHARE", "let only a share (0 to 1) of the light reach a face"),
     "sensor": Verb("FACE VOLT|works", "let a sensor give one voltage, whatever falls on it"),
+    "pyranometer": Verb("FACE WHAT [VALUE]", f"of a cube on Modbus: {', '.join(PYRANOMETER_CAN)}"),
     "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),
     "restart": Verb("SECONDS", "restart the positioner, its USB stays: silent for this long, then its banner"),
     "boots-at-open": Verb("SECONDS|never", "let the positioner restart so long whenever its port is opened"),

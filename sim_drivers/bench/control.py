@@ -10,7 +10,8 @@ from typing import Any, Self, TypeVar
 
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench.bench import Bench
-from sim_drivers.bench.client import DEVICES, SOCKET_NAME, VERBS, BenchError
+from sim_drivers.bench.client import DEVICES, PYRANOMETER_CAN, SOCKET_NAME, VERBS, BenchError
+from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 
@@ -112,6 +113,8 @@ class BenchControl:
             await bench.multiplexer.stop()
         elif name == "multiplexer":
             bench.multiplexer.unplug()
+        elif name == "cube":
+            await self._sensors().unplug()
         else:
             self._host(name).port.unplug()
         if length_s is not None:
@@ -127,6 +130,8 @@ class BenchControl:
                 await bench.multiplexer.start(bench.multiplexer.port)
         elif name == "multiplexer":
             bench.multiplexer.plug()
+        elif name == "cube":
+            await self._sensors().replug()
         else:
             self._host(name).port.plug()
 
@@ -197,11 +202,22 @@ class BenchControl:
         else:
             self._bench.scene.break_sensor(index, _number(volt, -1000, 1000))
 
+    def pyranometer(self, face: str, what: str, value: str = "") -> None:
+        """Let a sensor on Modbus do what a bad one does."""
+        sensor: Any = self._sensors().sensors[FACES.index(_one_of(face, FACES))]
+        name = _one_of(what, tuple(can.partition(" ")[0] for can in PYRANOMETER_CAN))
+        if name in ("silent", "speaks"):
+            sensor.silent = name == "silent"
+        elif name == "delay":
+            sensor.delay_s = _number(value, 0, 3600)
+        else:
+            setattr(sensor, name, _count(value))
+
     async def power_cycle(self, device: str, position: str = "kept") -> None:
         """Switch a device off and on; the positioner's port is gone for a second."""
         bench = self._bench
-        name = _one_of(device, ("positioner", "voltmeter", "load", "multiplexer"))
-        if name in ("voltmeter", "load"):
+        name = _one_of(device, ("positioner", "voltmeter", "load", "multiplexer", "cube"))
+        if name in ("voltmeter", "load", "cube"):
             self._host(name).power_cycle()
         elif name == "multiplexer":
             bench.multiplexer.reset()
@@ -230,7 +246,14 @@ class BenchControl:
         self._bench.load.core.trip(_one_of(protection, TRIPS))
 
     def _host(self, device: str) -> Any:
+        if device == "cube":
+            return self._sensors()
         return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "load", "multiplexer")))
+
+    def _sensors(self) -> ModbusHost:
+        if self._bench.cube is None:
+            raise BenchError("this bench has no cube on Modbus; start it with --cube modbus-pyranometers")
+        return self._bench.cube
 
     def _talker(self, device: str) -> Any:
         """Return what loses and garbles a device's words: its host, or the core of one that answers questions."""

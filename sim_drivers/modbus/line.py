@@ -1,16 +1,32 @@
 """Several simulated devices on one line: who is addressed answers, two of one address spoil each other's words."""
 
 from collections.abc import Sequence
+from typing import Any, Protocol
 
 from drivers.modbus.framing import Asked, RtuServer, ServerFraming
-from drivers.modbus.server import answer
-from sim_drivers.modbus.pyranometers import SimulatedPyranometer
+from drivers.modbus.server import RegisterTable, answer
 
 # From the end of a question to the beginning of its answer.
 _TURNAROUND_S = 0.005
 
 
-class PyranometerLineCore:
+class SimulatedDevice(RegisterTable, Protocol):
+    """A device with its address and its faults, as `sim_drivers.modbus.pyranometers.SimulatedPyranometer` has them."""
+
+    address: int
+    silent: bool
+    delay_s: float
+    corrupt: int
+    now_s: float
+
+    def power_cycle(self, now_s: float) -> None:
+        """Switch it off and on."""
+
+    def state(self) -> dict[str, Any]:
+        """Return who it is and how it is, as plain data."""
+
+
+class DeviceLineCore:
     """The line.
 
     Parameters
@@ -24,7 +40,7 @@ class PyranometerLineCore:
     aborts = 0
     """Never does anybody here drop what it had to say."""
 
-    def __init__(self, sensors: Sequence[SimulatedPyranometer], framing: ServerFraming | None = None) -> None:
+    def __init__(self, sensors: Sequence[SimulatedDevice], framing: ServerFraming | None = None) -> None:
         self.sensors = list(dict.fromkeys(sensors))
         self.questions = 0
         self._framing: ServerFraming = framing or RtuServer()

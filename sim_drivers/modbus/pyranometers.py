@@ -1,6 +1,7 @@
 """Simulated pyranometers: the registers of each make, and what the makes are known to do that a driver has to bear."""
 
 from collections.abc import Callable
+from typing import Any
 
 from drivers.cube.pyranometers.settings import MakeName, RegisterMapSettings
 from drivers.modbus.pdu import (
@@ -64,6 +65,11 @@ class SimulatedPyranometer:
     def power_cycle(self, now_s: float) -> None:
         """Switch it off and on."""
         self._on_since_s = now_s
+
+    def state(self) -> dict[str, Any]:
+        """Return who it is and how it is."""
+        names = ("address", "serial", "status", "mode", "silent", "delay_s")
+        return {"make": type(self).__name__.removeprefix("Simulated")} | {name: getattr(self, name) for name in names}
 
     def read(self, function: int, register: int, count: int) -> tuple[int, ...]:
         """Return registers."""

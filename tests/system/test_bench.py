@@ -200,3 +200,15 @@ def run_python(program, fails=False):
     )
     assert (done.returncode != 0) is fails, done.stderr
     return done.stderr if fails else done.stdout
+
+
+def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_bench):
+    bench = start_bench("--cube", "modbus-pyranometers", "--weather", "clear", "--start", "2022-06-21T12:00Z")
+    assert check_file(bench.config).instruments.cube.line == str(bench.directory / "cube")
+    bench.ask("pyranometer", "south", "status", "8")
+    done = heliocube("probe", "cube", "--config", bench.config, "--addresses", "1-4", "--clear")
+    assert done.returncode == 0, done.stderr
+    assert len(re.findall(r"address \d: SMP3 no. 2410\d .* W/m2", done.stdout)) == 4
+    assert "error 9 cleared" in done.stdout
+    network = heliocube("probe", "cube", "--line", f"tcp:127.0.0.1:{bench.state()['cube']['tcp_port']}")
+    assert "address 4: SMP3 no. 24104" in network.stdout

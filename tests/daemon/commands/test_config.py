@@ -4,8 +4,9 @@ import sys
 import pytest
 
 from daemon.api.token import load_token
+from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
-from daemon.commands.config import check_file
+from daemon.commands.config import check_file, write_example
 from daemon.commands.main import main
 from daemon.config.settings import Settings
 
@@ -119,3 +120,13 @@ def test_check_warns_of_a_stuck_line_that_no_self_test_sees_and_finds_the_file_g
     assert "warning      the self-test does not see line 0 stuck high, line 1 stuck high, line 2 stuck high," in out
     file.write_text("[cube]\nself_test_channel = 7\n")
     assert "warning" not in heliocube("config", "check", file)[1]
+
+
+def test_init_writes_the_keys_of_another_cube(tmp_path):
+    write_example(tmp_path / "rig", "cube", "modbus-pyranometers")
+    settings = check_file(tmp_path / "rig" / "heliocube.toml")
+    assert settings.instruments.cube.driver == "modbus-pyranometers"
+    assert "[instruments.cube.zenith]" in (tmp_path / "rig" / "heliocube.toml").read_text(encoding="utf-8")
+    with pytest.raises(UserError, match=r'no cube "foo"; known are .*multiplexed'):
+        write_example(tmp_path / "other", "cube", "foo")
+    assert not (tmp_path / "other").exists()

@@ -9,7 +9,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from drivers.cube.pyranometers.driver import build
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.settings import CubeSurroundings
-from sim_drivers.modbus.line import PyranometerLineCore
+from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
 
@@ -43,7 +43,7 @@ class Rig:
             for name, sensor in zip(FACE_NAMES, self.sensors, strict=True)
             if (self.settings.line_of(name) or "") == line
         ]
-        self.cores[line] = PyranometerLineCore(there)
+        self.cores[line] = DeviceLineCore(there)
         self.lines[line] = InMemoryModbus("cube", self.cores[line], self.clock.monotonic)
         return self.lines[line]
 

@@ -1,0 +1,277 @@
+"""Looking at what answers on lines of Modbus, clearing an old error, and giving new sensors their addresses."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, cast
+
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.records import FACES
+from daemon.config.plugged import PYRANOMETERS
+from daemon.config.settings import Settings
+from drivers.cube.pyranometers.makes import Make, Told, WhoAmI, WrongSensorError, make_of
+from drivers.cube.pyranometers.settings import MakeName, PyranometersSettings
+from drivers.errors import DeadlineError, RefusedError
+from drivers.modbus.client import ModbusBus
+from drivers.modbus.paths import ModbusPath, path_to
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT, write_coil, write_register
+from drivers.transcript import Tap, no_tap
+
+Say = Callable[[str], object]
+Ask = Callable[[str], str]
+
+_SMP_ERROR_CODE, _SMP_CLEAR_ERROR = 26, 10
+_RECOGNISED: tuple[MakeName, ...] = ("smp", "hukseflux", "hukseflux-pv")
+_OF_ITS_OWN: dict[MakeName, int] = {"hukseflux": 0, "hukseflux-pv": 0x1000}
+_GARBLED = "answers with garbage: are there two sensors of this address?"
+_WITHOUT = {
+    "smp": "an SMP takes its address from the maker's Smart Explorer alone",
+    "apogee": "what is written to an Apogee may wipe its calibration; use the maker's tool",
+}
+
+
+class Answering(NamedTuple):
+    """A device that answers.
+
+    Attributes
+    ----------
+    unit
+        Its address.
+    text
+        Who it is, as far as that is known, and what it tells.
+    make
+        By which make's registers that is; None for an unknown one.
+    serial
+        Its serial number, if it tells one.
+    """
+
+    unit: int
+    text: str
+    make: MakeName | None = None
+    serial: int | None = None
+
+
+class ModbusProbe:
+    """Looks at the lines of a configuration.
+
+    Parameters
+    ----------
+    settings
+        With the cube that is looked at.
+    line
+        Instead of the lines of the configuration.
+    clock
+        The service's time.
+    say
+        Takes the lines of the report.
+    tap
+        Told what goes over the lines.
+    path
+        Returns the way over a line by its name; by default the one that the name says.
+
+    Raises
+    ------
+    UserError
+        The cube is another one and no line is given, or no line is known.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        line: str | None,
+        clock: Clock,
+        say: Say,
+        tap: Tap = no_tap,
+        path: Callable[[str], ModbusPath] | None = None,
+    ) -> None:
+        own = settings.instruments.cube
+        if own.driver != PYRANOMETERS:
+            raise UserError(
+                f'instruments.cube.driver is "{own.driver}": only the cube "{PYRANOMETERS}" is probed on its line;'
+                " 'heliocube probe voltmeter' and 'probe multiplexer' look at the usual one, and --cube NAME chooses"
+            )
+        self._own = cast("PyranometersSettings", own)
+        named = [line] if line else [name for name in map(self._own.line_of, FACES) if name]
+        if not named:
+            raise UserError("instruments.cube.line is missing; name the line with --line, such as COM5 or tcp:HOST:502")
+        self._lines = list(dict.fromkeys(named))
+        self._clock = clock
+        self._say = say
+        self._tap = tap
+        self._path = path
+
+    async def report(self, units: Sequence[int], *, clear: bool) -> None:
+        """Say who answers at which address; with `clear` take old errors away. Raises `DeviceError`."""
+        for line in self._lines:
+            bus = self._bus(line, writes=clear)
+            self._say(f"{line}:")
+            await bus.open()
+            try:
+                found = await self._find(bus, line, units)
+                for each in found:
+                    self._say(f"  address {each.unit}: {each.text}{self._face_of(line, each)}")
+                    if clear and each.make == "smp":
+                        await self._clear(bus, each.unit)
+            finally:
+                await bus.close()
+            if not found:
+                self._say(
+                    f"  nobody answers at {units[0]} to {units[-1]}: are they on, A and B the right way round, speed"
+                    f" and parity ({self._own.serial_speed}, {self._own.serial_form}) as at the sensors?"
+                )
+
+    async def set_addresses(self, ask: Ask, units: Sequence[int]) -> None:
+        """Lead through giving each face's sensor its address, one sensor on the line at a time.
+
+        Nothing is written before the person has said so twice. Raises `DeviceError`.
+        """
+        for face in FACES:
+            line = self._own.line_of(face) if len(self._lines) > 1 else self._lines[0]
+            bus = self._bus(line or self._lines[0], writes=True)
+            await bus.open()
+            try:
+                await self._set_one(bus, line or "", face, ask, units)
+            finally:
+                await bus.close()
+
+    async def _set_one(self, bus: ModbusBus, line: str, face: str, ask: Ask, units: Sequence[int]) -> None:
+        wanted = self._own.face(face).address
+        while True:
+            answer = ask(f"Connect the {face} sensor ALONE to {line} and press Enter; s and Enter skips it")
+            if answer.strip().lower() == "s":
+                return
+            found = await self._find(bus, line, units)
+            if len(found) == 1:
+                break
+            many = f"{len(found)} devices answer, at {', '.join(str(each.unit) for each in found)}: take the others off"
+            self._say(f"  {many if found else 'nobody answers: is it on, and are speed and parity right?'}")
+        sensor = found[0]
+        self._say(f"  address {sensor.unit}: {sensor.text}")
+        if sensor.unit == wanted:
+            self._say(f"  it has the address {wanted} already")
+        elif await self._written(bus, sensor, wanted, ask):
+            await self._confirm(bus, line, sensor, wanted, ask)
+        if sensor.serial is not None:
+            self._say(f"  pin it: serial = {sensor.serial} in [instruments.cube.{face}]")
+
+    async def _written(self, bus: ModbusBus, sensor: Answering, wanted: int, ask: Ask) -> bool:
+        register = self._address_register(sensor)
+        if register is None:
+            make = sensor.make or self._own.make
+            why = _WITHOUT.get(make, "set instruments.cube.map.address_register, or use the maker's tool")
+            self._say(f"  its address is not changed here: {why}")
+            return False
+        if ask(f"Give {sensor.text.partition(':')[0]} the address {wanted} instead of {sensor.unit}? yes") != "yes":
+            self._say("  left as it is")
+            return False
+        if ask(f"Type the new address once more ({wanted}) and it is written") != str(wanted):
+            self._say("  that was another number: left as it is")
+            return False
+        await bus.ask(write_register(sensor.unit, register, wanted), self._within_s)
+        return True
+
+    async def _confirm(self, bus: ModbusBus, line: str, sensor: Answering, wanted: int, ask: Ask) -> None:
+        while True:
+            ask("Written. Switch the sensor off and on, wait ten seconds, and press Enter")
+            found = await self._find(bus, line, [wanted])
+            if found and found[0].serial == sensor.serial:
+                self._say(f"  it answers at {wanted} now")
+                return
+            self._say(f"  nobody answers at {wanted}")
+            if ask("Try again? Enter, or n and Enter").strip().lower() == "n":
+                return
+
+    def _address_register(self, sensor: Answering) -> int | None:
+        if sensor.make in _OF_ITS_OWN:
+            return _OF_ITS_OWN[sensor.make]
+        unknown = sensor.make is None or sensor.make == "map"
+        return self._own.map.address_register if unknown and self._own.make == "map" else None
+
+    async def _find(self, bus: ModbusBus, line: str, units: Sequence[int]) -> list[Answering]:
+        found = []
+        for unit in units:
+            try:
+                await bus.read(unit, READ_HOLDING, 0, 1, self._within_s)
+            except RefusedError:
+                pass
+            except DeadlineError as error:
+                if error.message:
+                    found.append(Answering(unit, _GARBLED))
+                continue
+            found.append(await self._identified(bus, line, unit))
+        return found
+
+    async def _identified(self, bus: ModbusBus, line: str, unit: int) -> Answering:
+        text = "answers; its make is not known here, see docs/instruments.md for a map"
+        for name, make in self._candidates(line, unit):
+            try:
+                words = await bus.read(unit, *make.proof, self._within_s) if make.proof else ()
+                more = [await bus.read(unit, *block, self._within_s) for block in make.more]
+                who = make.identify(words, *more)
+                told = make.told(await bus.read(unit, *make.data, self._within_s))
+            except DeadlineError as error:
+                text = _GARBLED if error.message else text
+            except (RefusedError, WrongSensorError):
+                pass
+            else:
+                return self._answering(unit, name, who, told)
+        return Answering(unit, text)
+
+    def _answering(self, unit: int, name: MakeName, who: WhoAmI, told: Told) -> Answering:
+        value = "no value" if told.flaw else f"{told.w_m2:.2f} W/m2"
+        return Answering(unit, f"{who.text}: {value}{', ' if told.note else ''}{told.note}", name, who.serial)
+
+    def _candidates(self, line: str, unit: int) -> Iterator[tuple[MakeName, Make]]:
+        """Yield the makes that say who they are, then what is configured for this place."""
+        for name in _RECOGNISED:
+            yield name, make_of(name, self._own.map)
+        for face in FACES:
+            here = self._own.line_of(face) in (None, line) and self._own.face(face).address == unit
+            if here and self._own.make_of(face) not in _RECOGNISED:
+                yield self._own.make_of(face), make_of(self._own.make_of(face), self._own.map_of(face))
+
+    def _face_of(self, line: str, found: Answering) -> str:
+        for face in FACES:
+            own = self._own.face(face)
+            if self._own.line_of(face) in (None, line) and own.address == found.unit:
+                if own.serial is not None and found.serial != own.serial:
+                    return f"; the {face} face is configured here, with serial number {own.serial}: INTERCHANGED?"
+                return f"; configured as the {face} face"
+        return "; not configured"
+
+    async def _clear(self, bus: ModbusBus, unit: int) -> None:
+        (code,) = await bus.read(unit, READ_INPUT, _SMP_ERROR_CODE, 1, self._within_s)
+        if not code:
+            self._say("    it keeps no error")
+            return
+        await bus.ask(write_coil(unit, _SMP_CLEAR_ERROR, on=True), self._within_s)
+        self._say(f"    error {code} cleared")
+
+    @property
+    def _within_s(self) -> float:
+        return self._own.answer_within_s
+
+    def _bus(self, line: str, *, writes: bool) -> ModbusBus:
+        own = self._own
+        if self._path is not None:
+            path = self._path(line)
+        else:
+            try:
+                path = path_to("cube", line, own.serial_speed, own.serial_form, self._clock.monotonic, self._tap)
+            except ValueError:
+                raise UserError(
+                    f"--line {line!r} is neither a serial port whose name outlives a replug, nor tcp:HOST:PORT, nor"
+                    " rtu-over-tcp:HOST:PORT"
+                ) from None
+        return ModbusBus(path, "cube", own.gap_s, self._clock.monotonic, writes=writes)
+
+
+def unit_range(text: str) -> range:
+    """Return the addresses that `1-32` or `7` means; `UserError` for what is none."""
+    first, _, last = text.partition("-")
+    try:
+        units = range(int(first), int(last or first) + 1)
+    except ValueError:
+        units = range(0)
+    if not units or not set(units) <= set(range(1, 248)):
+        raise UserError(f"--addresses {text!r} is no range of addresses from 1 to 247, such as 1-32")
+    return units

@@ -1,0 +1,143 @@
+"""`heliocube probe cube` on simulated sensors: who answers, old errors, and new addresses one at a time."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.clock import LoopClock
+from daemon.base.errors import UserError
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.settings import Settings
+from daemon.rigs.probe_modbus import ModbusProbe, unit_range
+from sim_drivers.modbus.line import DeviceLineCore
+from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedSmp
+from sim_drivers.transports import InMemoryModbus
+
+
+def bright(_now_s):
+    return 321.0
+
+
+class Bus:
+    """A line of simulated sensors, and what the probe has said of it."""
+
+    def __init__(self, *sensors, **keys):
+        self.core = DeviceLineCore(sensors)
+        self.settings = Settings.model_validate(
+            {"instruments": {"cube": {"driver": "modbus-pyranometers", "gap_s": 0.0, **keys}}}
+        )
+        self.said = []
+
+    def run(self, work):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            clock = LoopClock(runner.get_loop().time, 1.7e9)
+            probe = ModbusProbe(
+                self.settings,
+                "COM5",
+                clock,
+                self.said.append,
+                path=lambda _line: InMemoryModbus("cube", self.core, clock.monotonic),
+            )
+            runner.run(work(probe))
+        return "\n".join(self.said)
+
+
+def test_it_lists_who_answers():
+    bus = Bus(
+        SimulatedSmp(1, 101, bright),
+        SimulatedHukseflux(3, 103, bright),
+        SimulatedApogee(9, 0, bright),
+        west={"serial": 7},
+    )
+    said = bus.run(lambda probe: probe.report(range(1, 11), clear=False))
+    assert "address 1: SMP3 no. 101 of 2023, software 108: 321.00 W/m2; configured as the east face" in said
+    assert "address 3: SR20-D2 no. 103: 321.00 W/m2; the west face is configured here, with serial number 7" in said
+    assert "address 9: answers; its make is not known here" in said
+    assert len(bus.said) == 4
+
+
+def test_it_knows_the_make_that_is_configured():
+    bus = Bus(SimulatedApogee(2, 0, bright), make="apogee")
+    assert "address 2: Apogee SP-500: 321.00 W/m2; configured as the south face" in bus.run(
+        lambda probe: probe.report(range(1, 4), clear=False)
+    )
+
+
+def test_two_of_one_address_and_nobody_at_all():
+    bus = Bus(SimulatedSmp(1, 101, bright), SimulatedSmp(1, 102, bright))
+    assert "garbage: are there two" in bus.run(lambda probe: probe.report(range(1, 3), clear=False))
+    assert "A and B the right way round" in Bus().run(lambda probe: probe.report(range(1, 3), clear=False))
+
+
+def test_an_old_error_is_cleared_only_when_asked_for():
+    sensor = SimulatedSmp(1, 101, bright)
+    sensor.status = 8
+    assert "--clear" in Bus(sensor).run(lambda probe: probe.report(range(1, 2), clear=False))
+    assert sensor.status == 8
+    assert "error 9 cleared" in Bus(sensor).run(lambda probe: probe.report(range(1, 2), clear=True))
+    assert sensor.status == 0
+
+
+class Person:
+    """Connects one sensor after another, switches it off and on when asked to, and answers as the test says."""
+
+    def __init__(self, bus, sensors, **answers):
+        self.bus, self.sensors, self.answers = bus, iter(sensors), answers
+        self.asked = []
+
+    def __call__(self, question):
+        self.asked.append(question)
+        if question.startswith("Connect"):
+            self.bus.core.sensors[:] = next(self.sensors)
+            return "" if self.bus.core.sensors else "s"
+        if question.startswith("Give"):
+            return self.answers.get("first", "yes")
+        if question.startswith("Type"):
+            return self.answers.get("second", question.split("(")[1].split(")")[0])
+        self.bus.core.power_cycle(0.0)
+        return ""
+
+
+def test_four_new_sensors_get_their_addresses_one_at_a_time():
+    new = [SimulatedHukseflux(1, 101 + face, bright) for face in range(4)]
+    bus = Bus(make="hukseflux")
+    person = Person(bus, [[each] for each in new])
+    said = bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
+    assert [sensor.address for sensor in new] == [1, 2, 3, 4]
+    assert "it has the address 1 already" in said
+    assert said.count("it answers at") == 3
+    assert "pin it: serial = 104 in [instruments.cube.zenith]" in said
+    assert sum(question.startswith(("Give", "Type")) for question in person.asked) == 6
+
+
+@pytest.mark.parametrize("answers", [{"first": "no"}, {"second": "9"}])
+def test_nothing_is_written_unless_it_was_said_twice(answers):
+    new = SimulatedHukseflux(9, 101, bright)
+    bus = Bus(make="hukseflux")
+    bus.run(lambda probe: probe.set_addresses(Person(bus, [[new], [], [], []], **answers), range(1, 11)))
+    assert new.stored_address == 9
+
+
+def test_two_on_the_line_at_once_are_sent_back():
+    new = [SimulatedHukseflux(5, 101, bright), SimulatedHukseflux(6, 102, bright)]
+    bus = Bus(make="hukseflux")
+    said = bus.run(lambda probe: probe.set_addresses(Person(bus, [new, [], [], [], []]), range(1, 9)))
+    assert "2 devices answer, at 5, 6: take the others off" in said
+    assert [sensor.stored_address for sensor in new] == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "make", "why"),
+    [(SimulatedSmp(9, 101, bright), "smp", "Smart Explorer"), (SimulatedApogee(9, 0, bright), "apogee", "calibration")],
+)
+def test_where_no_register_is_for_that_nothing_is_written(sensor, make, why):
+    bus = Bus(make=make)
+    said = bus.run(lambda probe: probe.set_addresses(Person(bus, [[sensor], [], [], []]), range(1, 11)))
+    assert why in said
+
+
+def test_wrong_options_are_one_sentence():
+    with pytest.raises(UserError, match="1 to 247"):
+        unit_range("0-300")
+    with pytest.raises(UserError, match='only the cube "modbus-pyranometers"'):
+        ModbusProbe(Settings(), "COM5", None, print)
