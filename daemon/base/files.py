@@ -5,6 +5,7 @@ import logging
 import os
 import stat
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("heliocube.state")
 
 _CLOSE_WITHIN_S = 3.0
+_SLOW_AFTER_S = 5.0
 
 State = TypeVar("State", bound="BaseModel")
 
@@ -49,13 +51,13 @@ def replace_file(path: Path, text: str) -> None:
 
 @dataclass(slots=True)
 class _Content:
-    """What one file is to hold: `tried` once it has been attempted, `slow` once that took longer than it should."""
+    """What one file is to hold, since when [s]; `tried` once it has been attempted."""
 
     text: str
     forgotten: str
     logger: logging.Logger
+    since_s: float
     tried: bool = False
-    slow: bool = False
 
 
 class StateFolder:
@@ -71,14 +73,22 @@ class StateFolder:
         Whether a thread writes, as a service in real time needs; without it, `put` writes before it returns.
     replace
         Writes a text to a path so that a crash leaves the whole old or the whole new file; raises `OSError`.
+    now_s
+        The machine's own time [s], whatever the service's is: disks know no other.
     """
 
     def __init__(
-        self, directory: Path | None, *, behind: bool = False, replace: Callable[[Path, str], None] = replace_file
+        self,
+        directory: Path | None,
+        *,
+        behind: bool = False,
+        replace: Callable[[Path, str], None] = replace_file,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.directory = directory
         self._behind = behind
         self._replace = replace
+        self._now_s = now_s
         self._changed = threading.Condition()
         self._waiting: dict[Path, _Content] = {}
         self._failed: dict[Path, str] = {}
@@ -99,7 +109,7 @@ class StateFolder:
         with self._changed:
             # At the end of the queue: the files are written in the order of their latest contents.
             self._waiting.pop(path, None)
-            self._waiting[path] = _Content(text, forgotten, logger)
+            self._waiting[path] = _Content(text, forgotten, logger, self._now_s())
         self._write()
 
     @property
@@ -118,18 +128,17 @@ class StateFolder:
     def trouble(self) -> str | None:
         """What is unsaved because the disk fails or does not answer, or None; a disk at work is no trouble."""
         with self._changed:
-            return self._sentence([path for path, kept in self._waiting.items() if path in self._failed or kept.slow])
+            latest_s = self._now_s() - _SLOW_AFTER_S
+            slow = [path for path, kept in self._waiting.items() if path in self._failed or kept.since_s <= latest_s]
+            return self._sentence(slow)
 
     def retry(self) -> None:
         """Try again what could not be written; to be called every few seconds."""
         with self._changed:
-            if not self._waiting:
+            if not self._failed:
                 return
-            for path, kept in self._waiting.items():
-                if path in self._failed:
-                    kept.tried = False
-                else:
-                    kept.slow = True
+            for path in self._failed:
+                self._waiting[path].tried = False
         self._write()
 
     def settle(self, within_s: float) -> bool:

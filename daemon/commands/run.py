@@ -160,6 +160,10 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(service.bus.publish, event)
 
+    def alarm(name: str, text: str | None) -> None:
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(service.cube_alarms.set, name, text)
+
     origin = Origin(
         started_utc_s=service.clock.utc(),
         role=role.value,
@@ -172,7 +176,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
         # In a run of several trackers each record bears the name of its own.
         tracker="" if len(service.settings.trackers) > 1 else service.settings.mqtt.name or role.value,
     )
-    store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish)
+    store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)
     service.bus.subscribe(store.keep)
     try:
         yield store

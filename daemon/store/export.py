@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql, unreadable
 from daemon.store.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
 
@@ -81,7 +81,7 @@ def export(
             with TableWriter(out, table_format, columns) as writer:
                 return {name: table.copy(connection, writer, start, end) for name, table in tables.items()}
         except sqlite3.Error as error:
-            raise UserError(f"the store {directory / FILE_NAME} cannot be read: {error}") from None
+            raise unreadable(directory / FILE_NAME, error) from None
         except OSError as error:
             raise UserError(f"{out} cannot take the tables: {error.strerror}") from None
 

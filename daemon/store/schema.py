@@ -1,9 +1,8 @@
 """The store's file: a table for each kind of record, all made from the one list of columns."""
 
-import errno
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ VERSION = 6
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
+_MAGIC = b"SQLite format 3\0"
 _BUSY_S = 10.0
-_FAILING_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
 _TYPES = {"time": "REAL", "float": "REAL", "int": "INTEGER", "bool": "INTEGER", "text": "TEXT"}
 
 _RUNS = """CREATE TABLE runs (
@@ -38,6 +37,14 @@ _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
 class StoreError(UserError):
     """The store cannot be used; the message is one sentence with the file and the remedy."""
+
+
+class UnusableStoreError(StoreError):
+    """What is in the store's place can never be one; `kind` is one of `daemon.store.aside.KINDS`."""
+
+    def __init__(self, message: str, kind: str) -> None:
+        super().__init__(message)
+        self.kind = kind
 
 
 def schema() -> list[str]:
@@ -69,14 +76,22 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
 
     Raises
     ------
-    StoreError
-        The file is no store, or that of a newer program.
+    UnusableStoreError
+        What is there is no store, damaged, or that of a newer program.
     sqlite3.Error
         The disk is full or fails.
     """
+    if path.is_dir():
+        raise UnusableStoreError(f"{path} is a folder: move it away", "folder")
+    # SQLite would remove the log that lies beside a file that it does not know.
+    if path.is_file() and _beginning(path) not in (b"", _MAGIC):
+        raise UnusableStoreError(f"{path} is no store of heliocube, or its beginning is damaged", "foreign")
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
     try:
         with _naming(path):
+            if not _is_empty(connection):
+                # Before anything is written to what may not be ours.
+                check_is_store(connection, path)
             connection.execute("PRAGMA journal_mode = WAL")
             # A commit then survives the end of the process, and a power cut costs the last seconds but never the file.
             connection.execute("PRAGMA synchronous = NORMAL")
@@ -88,13 +103,17 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
                 connection.execute(f"PRAGMA application_id = {_APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {VERSION}")
             else:
-                _check(connection, path)
                 _bring_up_to_date(connection)
             connection.execute("COMMIT")
     except BaseException:
         connection.close()
         raise
     return connection
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(len(_MAGIC))
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
@@ -104,45 +123,21 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_BUSY_S, isolation_level=None)
     try:
         with _naming(path):
-            _check(connection, path)
+            check_is_store(connection, path)
     except sqlite3.Error as error:
         connection.close()
-        raise StoreError(f"the store {path} cannot be read: {error}") from None
+        raise unreadable(path, error) from None
     except BaseException:
         connection.close()
         raise
     return connection
 
 
-def check_store(directory: Path) -> None:
-    """Make sure that a folder can take the store, before the service starts; a full disk is no reason not to.
-
-    Raises
-    ------
-    StoreError
-        The folder cannot be written to, or what is there is no store of this program.
-    """
-    path = directory / FILE_NAME
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with path.open("ab"):
-            pass
-    except OSError as error:
-        if error.errno in _FAILING_DISK:
-            return
-        raise StoreError(f"store.directory: {path} cannot be written: {error.strerror}") from None
-    try:
-        with closing(open_for_writing(path)):
-            pass
-    except sqlite3.Error as error:
-        if not is_passing(error):
-            raise StoreError(f"the store {path} cannot be opened: {error}; move it away to begin a new one") from None
-
-
-def is_passing(error: sqlite3.Error) -> bool:
-    """Whether an error may go away by itself: a full disk, a failing one, another program's lock."""
-    codes = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN)
-    return getattr(error, "sqlite_errorcode", 0) & 0xFF in codes
+def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
+    """Return what is raised where a store cannot be read on."""
+    damaged = damage(error) is not None
+    remedy = f"; 'heliocube store salvage {path}' gets what can be read from it" if damaged else ""
+    return StoreError(f"the store {path} cannot be read: {error}{remedy}")
 
 
 class Rows:
@@ -166,6 +161,8 @@ def _is_empty(connection: sqlite3.Connection) -> bool:
 
 def _bring_up_to_date(connection: sqlite3.Connection) -> None:
     """Give a store of an older version the tables and columns it lacks; these are new at the end of their tables."""
+    if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
+        return
     for kind, (name, columns) in COLUMNS.items():
         there = columns_of(connection, name)
         if not there:
@@ -195,14 +192,17 @@ def tracker_sql(connection: sqlite3.Connection, table: str, alias: str) -> str:
     return f"COALESCE({', '.join([*names, *['NULL', repr('')]])})"
 
 
-def _check(connection: sqlite3.Connection, path: Path) -> None:
+def check_is_store(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise `UnusableStoreError` for another program's database, and for the store of a newer version."""
     if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
-        raise StoreError(f"{path} is no store of heliocube; name another folder, or move the file away")
+        sentence = f"{path} is no store of heliocube; name another folder, or move the file away"
+        raise UnusableStoreError(sentence, "foreign")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version > VERSION:
-        raise StoreError(
+        raise UnusableStoreError(
             f"the store {path} is of version {version} and this program knows version {VERSION}: it was written by a"
-            " newer heliocube; update this one, or name another folder"
+            " newer heliocube; update this one, or name another folder",
+            "newer",
         )
 
 
@@ -210,7 +210,24 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
 def _naming(path: Path) -> Iterator[None]:
     try:
         yield
-    except sqlite3.DatabaseError as error:
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF not in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+    except sqlite3.Error as error:
+        kind = damage(error)
+        if kind is None:
             raise
-        raise StoreError(f"{path} is no store of heliocube, or is damaged ({error}); move it away") from None
+        remedy = f"'heliocube store salvage {path}' gets what can be read from it"
+        sentence = f"{path} is no store of heliocube, or is damaged ({error}); {remedy}"
+        raise UnusableStoreError(sentence, kind) from None
+
+
+def damage(error: sqlite3.Error) -> str | None:
+    """Return what an error says about the file, ``damaged`` or ``foreign``; None for one that may go away by itself."""
+    code = getattr(error, "sqlite_errorcode", None)
+    if code is None:
+        # What the file gives as text is none.
+        return "damaged" if isinstance(error, sqlite3.OperationalError) else None
+    if code & 0xFF == sqlite3.SQLITE_NOTADB:
+        return "foreign"
+    # SQLite has one code for SQL that does not fit: ours fits every store that is whole.
+    damaged = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_MISMATCH, sqlite3.SQLITE_FORMAT)
+    unreadable = (sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ)
+    return "damaged" if code & 0xFF in damaged or code in unreadable else None

@@ -2,6 +2,8 @@
 
 import contextlib
 import logging
+import math
+import os
 import shutil
 import sqlite3
 import threading
@@ -15,7 +17,8 @@ from pathlib import Path
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Record
-from daemon.store.schema import FILE_NAME, Rows, StoreError, check_store, open_for_writing
+from daemon.store.aside import aside_text, move_aside
+from daemon.store.schema import FILE_NAME, Rows, StoreError, UnusableStoreError, damage, open_for_writing
 from daemon.store.tables import COLUMNS
 
 log = logging.getLogger("heliocube.store")
@@ -26,6 +29,7 @@ _MOST_WAITING = 50_000
 _CLOSE_WITHIN_S = 10.0
 _DELETE_ROWS = 5000
 _DAY_S = 86400.0
+_MOVE_AGAIN_S = 3600.0
 # SQLite needs a few pages to begin anything at all.
 _ROOM_BYTES = 65536
 
@@ -70,7 +74,8 @@ class Store:
     """Keeps records; taking one never blocks and never fails.
 
     A batch is written after `batch_s` seconds of wall time at the latest, in one transaction. While the disk is full
-    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time.
+    or fails, records wait in memory, the oldest giving way, and writing is tried again after the same time. What is in
+    the store's place and cannot be one, or is found damaged while writing, is moved aside, and a new store begun.
 
     Parameters
     ----------
@@ -84,11 +89,8 @@ class Store:
         The service's time.
     publish
         Called from the store's own thread with events about the store itself.
-
-    Raises
-    ------
-    StoreError
-        What is in the folder is no store of this program, or the folder cannot be written to.
+    alarm
+        Called from the same thread with an alarm's name and its text, None at its end.
     """
 
     def __init__(
@@ -99,14 +101,15 @@ class Store:
         origin: Origin,
         clock: Clock,
         publish: Callable[[Event], None],
+        alarm: Callable[[str, str | None], None] = lambda _name, _text: None,
     ) -> None:
-        check_store(directory)
         self._path = directory / FILE_NAME
         self._batch_s = batch_s
         self._keep_days = keep_days
         self._origin = origin
         self._clock = clock
         self._publish = publish
+        self._set_alarm = alarm
         self._outage = Outage(log, "the store")
         self._rows = {kind: Rows(kind) for kind in COLUMNS}
         self._waiting: deque[tuple[int, Record]] = deque(maxlen=_MOST_WAITING)
@@ -118,6 +121,8 @@ class Store:
         self._reported_lost = 0
         self._run: int | None = None
         self._newest_day: int | None = None
+        self._moved_s = -math.inf
+        self._alarms: dict[str, str | None] = {}
         self._thread = threading.Thread(target=self._work, name="store", daemon=True)
         self._thread.start()
 
@@ -158,6 +163,8 @@ class Store:
                 with closing(open_for_writing(self._path)) as connection:
                     self._serve(connection)
             except (sqlite3.Error, OSError, StoreError) as error:
+                if self._moved_aside(error):
+                    continue
                 self._failed(self._reason(error))
             except Exception as error:
                 log.exception("the store's thread met what it should not")
@@ -169,8 +176,43 @@ class Store:
                     return
                 self._changed.wait_for(lambda: self._closing, self._batch_s)
 
+    def _moved_aside(self, error: Exception) -> bool:
+        """Move what cannot be used out of the way, if that is what is wrong; return whether a new store can begin."""
+        kind = self._unusable(error)
+        # A disk that damages one store after the other is not filled with them.
+        if kind is None or not self._clock.monotonic() - self._moved_s >= _MOVE_AGAIN_S:
+            return False
+        try:
+            aside = move_aside(self._path, kind, self._clock.utc())
+        except OSError:
+            return False
+        self._moved_s = self._clock.monotonic()
+        self._run = self._newest_day = None
+        log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
+        self._check_aside()
+        return True
+
+    def _unusable(self, error: Exception) -> str | None:
+        """Return why what is in the store's place can never be used, of `KINDS`; None if the disk may yet let it."""
+        if isinstance(error, UnusableStoreError):
+            return error.kind
+        if not self._path.is_file():
+            return None
+        if not os.access(self._path, os.R_OK | os.W_OK) and os.access(self._path.parent, os.W_OK):
+            return "locked"
+        return damage(error) if isinstance(error, sqlite3.Error) else None
+
+    def _check_aside(self) -> None:
+        self._alarm("store-aside", aside_text(self._path))
+
+    def _alarm(self, name: str, text: str | None) -> None:
+        if self._alarms.get(name) != text:
+            self._alarms[name] = text
+            self._set_alarm(name, text)
+
     def _serve(self, connection: sqlite3.Connection) -> None:
         while True:
+            self._check_aside()
             with self._changed:
                 self._changed.wait_for(lambda: self._closing or len(self._waiting) >= _BATCH_ROWS, self._batch_s)
                 ended = self._closing
@@ -194,8 +236,9 @@ class Store:
             connection.executemany("INSERT OR IGNORE INTO days VALUES (?)", [(day,) for day in days])
             connection.execute("COMMIT")
         except BaseException:
-            if connection.in_transaction:
-                connection.execute("ROLLBACK")
+            with contextlib.suppress(sqlite3.Error):
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
             raise
         newest = max(days)
         if self._newest_day is None or newest > self._newest_day:
@@ -246,6 +289,7 @@ class Store:
             reported = self._outage.up(self._clock.monotonic())
             if reported:
                 self._reported_lost = self._lost
+        self._alarm("store-down", None)
         if reported:
             self._report(f"writes again; {lost} records were lost" if lost else "writes again; nothing was lost")
 
@@ -262,6 +306,7 @@ class Store:
             reported = self._outage.down(self._clock.monotonic(), reason)
         if first and reported:
             self._report(f"cannot write: {reason}; records wait in memory")
+        self._alarm("store-down", f"the store cannot write: {reason}; records wait in memory")
 
     def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "store", text))

@@ -13,6 +13,7 @@ import pytest
 
 from daemon.api.token import generate_token, write_token
 from tests.support import ROOT
+from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
 PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
@@ -122,6 +123,23 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert err == (
         f"heliocube: nothing listens at {address}: the service is not running, or its api.listen is another address\n"
     )
+
+
+@pytest.fixture
+def no_store(tmp_path):
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "heliocube.sqlite").write_bytes(b"SQLite format 3\0" + bytes(5000))
+    return tmp_path / "records"
+
+
+def test_a_service_that_finds_no_store_in_its_place_starts_and_shows_what_it_moved(no_store, service):
+    _, _, address = service
+    # The store's thread moves it while the service starts.
+    out = wait_until(lambda: "moved aside" in (out := heliocube("status", "--api", address)[1]) and out, 60, "alarm")
+    assert re.search(r"^alarm +a store that is no store of heliocube was moved aside as ", out, re.MULTILINE), out
+    (aside,) = no_store.glob("heliocube.*.foreign.sqlite")
+    assert aside.read_bytes() == b"SQLite format 3\0" + bytes(5000)
+    wait_until(lambda: json.loads(heliocube("status", "--json", "--api", address)[1])["store"]["written"], 60, "rows")
 
 
 def test_a_file_with_a_mistake_elsewhere_still_stops_the_tracker(service, tmp_path):

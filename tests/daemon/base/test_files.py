@@ -82,8 +82,8 @@ class SlowDisk:
 
 
 def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order(tmp_path):
-    disk = SlowDisk()
-    folder = StateFolder(tmp_path, behind=True, replace=disk.replace)
+    disk, now_s = SlowDisk(), [100.0]
+    folder = StateFolder(tmp_path, behind=True, replace=disk.replace, now_s=lambda: now_s[0])
     first, second = (StateFile(folder, name, Kept, LOG, f"the {name}") for name in ("a.json", "b.json"))
     first.save(Kept(count=1))
     assert disk.begun.acquire(timeout=60)
@@ -94,7 +94,7 @@ def test_a_slow_disk_is_not_waited_for_and_gets_the_newest_of_each_file_in_order
     assert folder.at_work
     assert folder.unsaved.startswith("a restart would forget the b.json and the a.json: ")
     assert folder.trouble is None, "a disk at work is no trouble yet"
-    folder.retry()
+    now_s[0] += 6.0
     assert folder.trouble == folder.unsaved
     assert folder.trouble.endswith("b.json cannot be written (the disk has not answered yet)")
     disk.let.release(3)

@@ -1,6 +1,7 @@
 """A disk that is slow, full or gone: motion does not wait for it, and whoever commands is not left in the belief."""
 
 import asyncio
+import itertools
 import threading
 from functools import partial
 
@@ -35,7 +36,8 @@ def stuck_disk(monkeypatch):
         assert released.wait(60)
         replace_file(path, text)
 
-    made = partial(StateFolder, behind=True, replace=replace)
+    hours_s = itertools.count(0.0, 3600.0)
+    made = partial(StateFolder, behind=True, replace=replace, now_s=lambda: next(hours_s))
     monkeypatch.setattr(ServiceRig, "kept_in", staticmethod(made))
     yield released
     released.set()

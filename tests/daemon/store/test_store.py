@@ -224,11 +224,7 @@ def test_a_store_whose_runs_do_not_name_their_tracker_is_read_as_it_is_and_can_n
 # What cannot be used
 
 
-def open_store(folder):
-    return Store(folder, 60.0, 400, ORIGIN, SystemClock(), lambda event: None)
-
-
-def test_a_store_of_a_newer_version_is_refused_by_service_and_export(keep, tmp_path):
+def test_a_store_of_a_newer_version_is_refused_by_an_export(keep, tmp_path):
     folder = keep(scan(0))
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         connection.execute(f"PRAGMA user_version = {VERSION + 1}")
@@ -237,30 +233,8 @@ def test_a_store_of_a_newer_version_is_refused_by_service_and_export(keep, tmp_p
         " written by a newer heliocube; update this one, or name another folder"
     )
     with pytest.raises(UserError, match=sentence):
-        open_store(folder)
-    with pytest.raises(UserError, match=sentence):
         export(folder, tmp_path / "out", "csv", None, None, ())
     assert not (tmp_path / "out").exists()
-
-
-def test_what_is_no_store_is_refused_and_left_alone(tmp_path):
-    (tmp_path / FILE_NAME).write_text("my notes, long enough to be taken for a header of a database" * 20)
-    with pytest.raises(UserError, match=r"is no store of heliocube, or is damaged"):
-        open_store(tmp_path)
-    assert (tmp_path / FILE_NAME).read_text().startswith("my notes")
-
-
-def test_another_programs_database_is_refused_and_left_alone(tmp_path):
-    with closing(sqlite3.connect(tmp_path / FILE_NAME)) as connection:
-        connection.execute("CREATE TABLE mine (x)")
-    with pytest.raises(UserError, match=r"is no store of heliocube; name another folder"):
-        open_store(tmp_path)
-
-
-def test_a_folder_that_cannot_be_is_one_sentence(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"store\.directory: .*file/x/heliocube\.sqlite cannot be written: Not a dir"):
-        open_store(tmp_path / "file" / "x")
 
 
 @pytest.fixture

@@ -1,0 +1,34 @@
+"""`heliocube store`: what can be done with the records' file itself."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(help="The file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Keep `salvage` a command of a group although it is the only one."""
+
+
+@app.command()
+def salvage(
+    file: Annotated[Path, typer.Argument(help="Store that is damaged, or was moved aside. It is only read.")],
+    into: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the store that takes the records: the service's own, or a new one."
+        ),
+    ],
+) -> None:
+    """Write what can be read from a store into another one, even while the service runs."""
+    from daemon.store.salvage import salvage as write_records
+
+    found = write_records(file, into)
+    counts = ", ".join(f"{count} {name}" for name, count in found.read.items())
+    state = "is damaged" if found.damaged else "is whole"
+    typer.echo(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")
+    if found.missing:
+        typer.echo(f"{found.missing} records between them are missing: unreadable here, or in another store")

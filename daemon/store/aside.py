@@ -1,0 +1,71 @@
+"""A store that cannot be used is moved aside, with its date and the reason in its name; nothing in it is touched."""
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+# What SQLite keeps beside a database under its name: without them the latest records are lost.
+_COMPANIONS = ("-wal", "-shm", "-journal")
+# Why a store was moved aside, as its name says it and as a sentence goes on.
+KINDS = {
+    "damaged": "is damaged",
+    "newer": "was written by a newer heliocube",
+    "foreign": "is no store of heliocube",
+    "folder": "is a folder",
+    "locked": "may not be written by this user",
+}
+
+
+def companions(path: Path) -> list[Path]:
+    """Return the files that SQLite keeps beside a database and that are there."""
+    return [beside for suffix in _COMPANIONS if os.path.lexists(beside := Path(f"{path}{suffix}"))]
+
+
+def move_aside(path: Path, kind: str, utc_s: float) -> Path:
+    """Give a store and what belongs to it a new name in its folder, and return that.
+
+    Parameters
+    ----------
+    path
+        The file, or the folder in its place.
+    kind
+        Of `KINDS`.
+    utc_s
+        Now [s].
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written to.
+    """
+    stamp = datetime.fromtimestamp(utc_s, UTC).strftime("%Y%m%dT%H%M%SZ")
+    again, aside = 1, path.with_name(f"{path.stem}.{stamp}.{kind}{path.suffix}")
+    while os.path.lexists(aside):
+        again += 1
+        aside = path.with_name(f"{path.stem}.{stamp}-{again}.{kind}{path.suffix}")
+    # These first: a store that is still there without them would be used again, and lose what is in them.
+    for beside in companions(path):
+        beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
+    path.rename(aside)
+    return aside
+
+
+def stores_aside(path: Path) -> list[Path]:
+    """Return what has been moved aside from a store's path and is still there, the oldest first."""
+    found = path.parent.glob(f"{path.stem}.*Z*.*{path.suffix}")
+    return sorted(one for one in found if one.name.split(".")[-2] in KINDS)
+
+
+def aside_text(path: Path) -> str | None:
+    """Return in a sentence what has been moved aside from a store's path, and what to do; None for nothing."""
+    found = stores_aside(path)
+    if not found:
+        return None
+    newest = found[-1]
+    more = f", and {len(found) - 1} before it" if len(found) > 1 else ""
+    kind = newest.name.split(".")[-2]
+    remedy = "" if kind == "folder" else f"'heliocube store salvage {newest}' gets what can be read from it; "
+    return (
+        f"a store that {KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
+        "this alarm ends when it is moved to another folder"
+    )
