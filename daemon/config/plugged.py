@@ -23,6 +23,7 @@ DRIVER = "driver"
 MULTIPLEXED = "multiplexed"
 """The cube whose keys stand in sections of their own."""
 PYRANOMETERS = "modbus-pyranometers"
+LABJACK = "labjack"
 Loc = tuple[int | str, ...]
 
 

@@ -17,7 +17,7 @@ from daemon.base.records import FACES
 from daemon.config.file import override
 from daemon.config.keys import Chosen
 from daemon.config.keys import keys as every_key
-from daemon.config.plugged import CUBE, MULTIPLEXED
+from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import DEFAULT_START, BenchPorts, build_weather, run_bench
@@ -101,6 +101,8 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
     own = settings.instruments.cube
     if own.driver == MULTIPLEXED:
         return {"driver": MULTIPLEXED}
+    if own.driver == LABJACK:
+        return CUBE.changed(own, {"line": f"tcp:127.0.0.1:{ports.modbus}"})
     # Of a pseudo-terminal Linux takes no parity.
     values: dict[str, Any] = CUBE.changed(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
     if str(getattr(own, "line", "")).startswith("tcp:"):

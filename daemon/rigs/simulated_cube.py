@@ -9,7 +9,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import MULTIPLEXED, PYRANOMETERS
+from daemon.config.plugged import LABJACK, MULTIPLEXED, PYRANOMETERS
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
 from drivers.interfaces import Cube
@@ -41,6 +41,10 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
         from daemon.rigs.simulated_modbus import simulated_pyranometers  # noqa: PLC0415 - loads the driver
 
         return simulated_pyranometers(settings, clock, _sensors(clock, scene))
+    if own.driver == LABJACK:
+        from daemon.rigs.simulated_modbus import simulated_labjack  # noqa: PLC0415 - loads the driver
+
+        return simulated_labjack(settings, clock, _sensors(clock, scene))
     simulate = getattr(plugins.load(plugins.CUBES, own.driver), "simulate", None)
     if simulate is None:
         raise UserError(
@@ -62,9 +66,13 @@ def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Seque
         from daemon.rigs.simulated_modbus import build_pyranometers  # noqa: PLC0415 - loads the driver
 
         return build_pyranometers(own, _sensors(clock, scene))
+    if own.driver == LABJACK:
+        from daemon.rigs.simulated_modbus import build_labjack  # noqa: PLC0415 - loads the driver
+
+        return [build_labjack(own, _sensors(clock, scene))] * len(FACES)
     raise UserError(
         f'instruments.cube.driver = "{own.driver}" has no simulator for the bench, which has'
-        f' "{MULTIPLEXED}" and "{PYRANOMETERS}"; choose with --cube NAME'
+        f' "{MULTIPLEXED}", "{PYRANOMETERS}" and "{LABJACK}"; choose with --cube NAME'
     )
 
 

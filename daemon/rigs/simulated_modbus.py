@@ -1,4 +1,4 @@
-"""Simulated pyranometers on Modbus, with the makes and addresses that the configuration says of the real ones."""
+"""Simulated instruments on Modbus, with the makes, addresses and inputs that the configuration says of real ones."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,9 +7,12 @@ from typing import cast
 from daemon.base.clock import Clock
 from daemon.config.settings import Settings
 from daemon.rigs.real import cube_surroundings
+from drivers.cube import labjack
+from drivers.cube.labjack import LabjackCube, LabjackSettings
 from drivers.cube.pyranometers.driver import DEVICE, PyranometerCube, build
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.settings import CubeDriverSettings
+from sim_drivers.modbus.labjack import SimulatedLabjack
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedMapped, SimulatedPyranometer, simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
@@ -61,3 +64,23 @@ def build_pyranometers(section: CubeDriverSettings, sensor_v: SensorVoltage) -> 
         serial = own.face(name).serial or _FIRST_SERIAL + face
         found.append(simulated_pyranometer(own.make_of(name), own.face(name).address, serial, light, used))
     return found
+
+
+def simulated_labjack(settings: Settings, clock: Clock, sensor_v: SensorVoltage) -> LabjackCube:
+    """Return the cube on a simulated LabJack, not yet connected."""
+    own = cast("LabjackSettings", settings.instruments.cube)
+    core = DeviceLineCore([build_labjack(own, sensor_v)])
+    return labjack.build(
+        own, cube_surroundings(settings, clock), lambda _line: InMemoryModbus(DEVICE, core, clock.monotonic)
+    )
+
+
+def build_labjack(section: CubeDriverSettings, sensor_v: SensorVoltage) -> SimulatedLabjack:
+    """Return a LabJack T7 with the sensors of the four faces at their inputs, each against the next one."""
+    face_of_input = {each: face for face, each in enumerate(cast("LabjackSettings", section).inputs)}
+
+    def input_v(each: int, now_s: float) -> float:
+        face = face_of_input.get(each)
+        return 0.0 if face is None else sensor_v(face, now_s)
+
+    return SimulatedLabjack(input_v)

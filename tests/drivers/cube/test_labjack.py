@@ -1,0 +1,122 @@
+"""Four inputs of a LabJack: on a server that is not ours, on the simulated one, and what is no LabJack."""
+
+import asyncio
+
+import pytest
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from daemon.base.clock import LoopClock, SystemClock
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.file import ConfigError, load_settings
+from drivers.cube.labjack import LabjackSettings, build
+from drivers.errors import IdentityError, LinkLostError, ProtocolError
+from drivers.settings import CubeSurroundings
+from sim_drivers.modbus.labjack import SimulatedLabjack
+from sim_drivers.modbus.line import DeviceLineCore
+from sim_drivers.transports import InMemoryModbus
+
+VOLTS = {0: 0.030, 2: 0.041, 4: 0.006, 6: 0.047}
+
+
+def test_on_a_server_that_is_not_ours():
+    inputs = [value for pair in zip(VOLTS.values(), [0.0] * 4, strict=True) for value in pair]
+    registers = [
+        SimData(0, values=inputs, datatype=DataType.FLOAT32),
+        SimData(40000, values=[10.0] * 8, datatype=DataType.FLOAT32),
+        SimData(41000, values=[199] * 8, datatype=DataType.REGISTERS),
+        SimData(41500, values=[0] * 8, datatype=DataType.REGISTERS),
+        SimData(55100, values=[0x0011, 0x2233], datatype=DataType.REGISTERS),
+        SimData(60000, values=[7.0], datatype=DataType.FLOAT32),
+        SimData(60028, values=[470012345], datatype=DataType.UINT32),
+    ]
+
+    async def work():
+        server = ModbusTcpServer([SimDevice(id=1, simdata=registers)], address=("127.0.0.1", 0))
+        await server.listen()
+        port = server.transport.sockets[0].getsockname()[1]
+        clock = SystemClock()
+        cube = build(
+            LabjackSettings(line=f"tcp:127.0.0.1:{port}", range_v=0.1),
+            CubeSurroundings(clock.utc, clock.monotonic, 5.0, lambda: None),
+        )
+        try:
+            identity, reading = await cube.open(), await cube.read()
+            ranges = await server.async_getValues(1, 3, 40000, 2)
+            negative = await server.async_getValues(1, 3, 41004, 1)
+        finally:
+            await cube.close()
+            await server.shutdown()
+        with pytest.raises(LinkLostError):
+            await cube.read()
+        return identity, reading, ranges, negative
+
+    identity, reading, ranges, negative = asyncio.run(work())
+    assert identity == "LabJack T7 no. 470012345"
+    assert [face.value for face in reading.faces] == pytest.approx(list(VOLTS.values()))
+    assert reading.unit == "V"
+    assert ranges == [0x3DCC, 0xCCCD]
+    assert negative == [5]
+
+
+def on_simulated(work, **keys):
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        clock = LoopClock(runner.get_loop().time, 1.7e9)
+        device = SimulatedLabjack(lambda each, _now: VOLTS.get(each, 0.0))
+        path = InMemoryModbus("cube", DeviceLineCore([device]), clock.monotonic)
+        around = CubeSurroundings(clock.utc, clock.monotonic, 2.0, lambda: None)
+        cube = build(LabjackSettings(**keys), around, lambda _line: path)
+        return runner.run(work(cube, device))
+
+
+async def read(cube, _device):
+    await cube.open()
+    return await cube.read()
+
+
+def test_the_simulated_one_reads_as_fine_as_its_range():
+    volts = [face.value for face in on_simulated(read, range_v=0.1).faces]
+    assert volts == pytest.approx(list(VOLTS.values()), abs=0.1 / 2**15)
+    assert volts != list(VOLTS.values())
+
+
+def test_beyond_its_range_there_is_no_value():
+    faces = on_simulated(read, range_v=0.01).faces
+    assert [face.flaw for face in faces] == ["over-range", "over-range", None, "over-range"]
+
+
+@pytest.mark.parametrize(("name", "value", "error"), [("product", 4, IdentityError), ("address", 2, LinkLostError)])
+def test_what_is_not_expected_is_not_read(name, value, error):
+    async def work(cube, device):
+        setattr(device, name, value)
+        with pytest.raises(error):
+            await cube.open()
+
+    on_simulated(work)
+
+
+def test_odd_inputs_are_for_a_t8_alone():
+    async def work(cube, device):
+        with pytest.raises(ProtocolError, match="3 is odd"):
+            await cube.open()
+        device.product = 8
+        return await cube.open()
+
+    assert on_simulated(work, inputs=(0, 3, 4, 6)).startswith("LabJack T8")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("inputs = [0, 2, 2, 6]", "instruments.cube.inputs = [0, 2, 2, 6]: has an input twice; each face needs one"),
+        ("line = 'COM5'", 'instruments.cube.line = "COM5": is a serial port; a LabJack is in the network'),
+        ("line = 'rtu-over-tcp:h:1'", "is not Modbus TCP"),
+    ],
+)
+def test_mistakes_are_one_sentence(tmp_path, text, line):
+    path = tmp_path / "wrong.toml"
+    path.write_text(f"[instruments.cube]\ndriver = 'labjack'\n{text}\n")
+    with pytest.raises(ConfigError) as caught:
+        load_settings(path)
+    (problem,) = caught.value.problems
+    assert line in problem
