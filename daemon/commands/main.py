@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 from daemon.commands import config as config_commands
 from daemon.commands import export, operate, probe, store, tools
 from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, CubeOption, LawOption, RoleChoice, TableFormat
-from daemon.commands.studies import calibrate, compare, energy, gain
+from daemon.commands.studies import calibrate, campaign, compare, energy, gain
 from daemon.commands.studies.simulate import progress_bar, replay, report
 from daemon.studies.inputs import instant, settings_for, site_values
 
@@ -34,6 +34,7 @@ app.add_typer(calibrate.app, name="calibrate", rich_help_panel=SCIENCE)
 app.add_typer(compare.app, name="compare", rich_help_panel=SCIENCE)
 app.add_typer(probe.app, name="probe", rich_help_panel=BENCH)
 app.command("bench-ctl", rich_help_panel=BENCH)(tools.control)
+app.command(rich_help_panel=BENCH)(campaign.campaign)
 app.add_typer(export.app)
 app.add_typer(store.app, name="store", rich_help_panel=FILES)
 

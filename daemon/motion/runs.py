@@ -145,6 +145,9 @@ class Runs:
                 await self._pause()
             if guard.stray is not None:
                 return await self._quell()
+            if not self._is_interrupted() and not guard.watch.settled:
+                # What is left of the last move begins any moment, and a target that finds an axis turning is lost.
+                await guard.halt()
             if self._is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
             try:

@@ -113,7 +113,7 @@ class PositionerCore:
 
     def next_screen(self, now: float) -> bytes:
         """Return the next screen in the unit's own order; a host pulls one every 20 ms."""
-        readout = self._readout(now)
+        readout = self.readout(now)
         self._slot = self._slot % screens.SLOTS + 1
         if self._slot < screens.SLOTS:
             return screens.fast_screen(self._slot, readout)
@@ -124,7 +124,7 @@ class PositionerCore:
 
     def screens(self, now: float) -> bytes:
         """Return all screens as they would read now, in one piece, without touching their rotation."""
-        readout = self._readout(now)
+        readout = self.readout(now)
         fast = [screens.fast_screen(slot, readout) for slot in range(1, screens.SLOTS)]
         slow = [screens.slow_screen(i, readout, self.parameters) for i in range(len(screens.SLOW_SCREENS))]
         return b"".join(fast + slow)
@@ -134,8 +134,13 @@ class PositionerCore:
         self.advance(now)
         standstill = self._unit.standstill
         if standstill is None or standstill != self._standstill:
-            self._live, self._standstill = screens.live_screens(self._readout(now)), standstill
+            self._live, self._standstill = screens.live_screens(self.readout(now)), standstill
         return self._live
+
+    def readout(self, now: float) -> Readout:
+        """Return what the screens are printed from."""
+        self.advance(now)
+        return self._unit.readout(now, self._links)
 
     def inject(self, fault: str, now: float) -> None:
         """Cause one of `FAULTS`; `ValueError` for anything else. Conditions last until `repair`."""
@@ -163,10 +168,6 @@ class PositionerCore:
         self._poll_s = self._reboot_s = math.inf
         self._mislays_packet = True
         self._start_s = now
-
-    def _readout(self, now: float) -> Readout:
-        self.advance(now)
-        return self._unit.readout(now, self._links)
 
     def _poll(self, now: float) -> None:
         self._poll_s = math.inf

@@ -18,6 +18,11 @@ class InMemoryStream(Cabled):
         The simulated unit.
     now
         The event loop's time [s].
+
+    Attributes
+    ----------
+    silent
+        Nothing comes from the unit any more, although the cable is in and the unit obeys.
     """
 
     simulated = True
@@ -30,6 +35,7 @@ class InMemoryStream(Cabled):
         self._state = LinkState({})
         self._table = FieldTable()
         self._screens = b""
+        self.silent = False
         core.enumerate_usb(now())
 
     async def open(self) -> None:
@@ -38,6 +44,9 @@ class InMemoryStream(Cabled):
         now_s = self._now()
         # Nothing is garbled on the way, so every change is believed at once.
         self._table, self._screens = FieldTable({}), b""
+        if self.silent:
+            self._state = LinkState({})
+            return
         self._take(self._core.screens(now_s), now_s)
 
     async def close(self) -> None:
@@ -53,6 +62,9 @@ class InMemoryStream(Cabled):
     def state(self) -> LinkState:
         """Return what the unit would have said by now."""
         self._require_open()
+        if self.silent:
+            # Other values for the driver, and as old as they are.
+            return self._state._replace(values=dict(self._state.values))
         now_s = self._now()
         screens = self._core.live_screens(now_s)
         if screens != self._screens:

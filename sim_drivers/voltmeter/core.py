@@ -65,7 +65,8 @@ class VoltmeterCore(VoltmeterInstrument):
         self._programs: dict[bytes, tuple[Step, ...]] = {}
         self._buffer = bytearray()
         self._overrun = False
-        self._drops = self._corruptions = 0
+        self._rest = b""
+        self._drops = self._corruptions = self._cuts = 0
 
     def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         """Take in bytes and return the replies that they cause, each with the time [s] at which it is complete."""
@@ -94,6 +95,10 @@ class VoltmeterCore(VoltmeterInstrument):
     def corrupt_next(self, count: int = 1) -> None:
         """Garble one byte of each of the next replies."""
         self._corruptions += count
+
+    def cut_next(self, count: int = 1) -> None:
+        """Lose the second half of each of the next replies, its end with it."""
+        self._cuts += count
 
     def power_cycle(self, now: float) -> None:
         """Switch off and on: defaults, free-running, the power-on mark set, everything under way forgotten."""
@@ -145,10 +150,17 @@ class VoltmeterCore(VoltmeterInstrument):
             garbled = bytearray(data)
             garbled[int(self._random.integers(len(garbled)))] ^= 0x40
             data = bytes(garbled)
+        if self._cuts:
+            self._cuts -= 1
+            self._rest += data[: len(data) // 2]
+            return []
+        # Without its end half a line is the beginning of the next one.
+        data, self._rest = self._rest + data, b""
         return [(self._cursor_s + self.reply_delay_s, data + self._terminator)]
 
     def _drop_output(self, now: float) -> None:
         self._buffer.clear()
+        self._rest = b""
         self._overrun = False
         self._now = now
         self.abort()

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 from daemon.api.app import Api
@@ -12,15 +11,7 @@ from daemon.service.operator import CommandError, Operator
 from daemon.service.operator_commands import NAMES, Operators
 from daemon.service.recent import Recent
 from daemon.service.snapshot import snapshot
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """What a door says came of a command."""
-
-    done: bool
-    text: str
-
+from daemon.studies.campaign.door import DirectDoor, DoorReply
 
 _TOKEN = "t" * 43
 _DONE_BY_MQTT_S = 30.0
@@ -31,17 +22,6 @@ def _said(name, value, why):
     if name == "goto":
         said |= dict(zip(("a_deg", "b_deg"), value, strict=True))
     return said
-
-
-class Direct:
-    """Calls in the process."""
-
-    def has(self, name):
-        return hasattr(Operator, name)
-
-    async def give(self, service, name, value, why):
-        answer = await getattr(Operator(service.trackers[0], 1.0), name)(*value, why)
-        return Reply(answer.done, answer.text)
 
 
 class Http:
@@ -57,7 +37,7 @@ class Http:
             raise AssertionError(f"{name} is answered with {status}: {found}")
         if status != 200:
             raise CommandError(found["error"], wrong=status == 422)
-        return Reply(found["done"], found["text"])
+        return DoorReply(found["done"], found["text"])
 
     async def _post(self, service, name, body):
         recent = Recent()
@@ -93,7 +73,7 @@ class Mqtt:
             reply = SimpleNamespace(**await replies.get())
         if not reply.accepted:
             raise CommandError(reply.text)
-        return Reply(reply.done, reply.text)
+        return DoorReply(reply.done, reply.text)
 
 
-DOORS = {"direct": Direct(), "HTTP": Http(), "MQTT": Mqtt()}
+DOORS = {"direct": DirectDoor(), "HTTP": Http(), "MQTT": Mqtt()}

@@ -2,21 +2,21 @@
 
 import pytest
 
-from tests.campaign.campaign import run
+from daemon.studies.campaign.person import known
+from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.schedule import Happening, Schedule
 from tests.campaign.doors import DOORS
-from tests.campaign.person import known
-from tests.campaign.schedule import Event, Schedule
 
 BEGUN_S = 150.0
 FAR = (-45.0, 30.0)
 
 
 def fault(at_s, name, lasts_s=0.0, *value):
-    return Event(at_s, "fault", name, value, lasts_s)
+    return Happening(at_s, "fault", name, value, lasts_s)
 
 
 def command(at_s, name, *value):
-    return Event(at_s, "command", name, value)
+    return Happening(at_s, "command", name, value)
 
 
 FAR_MOVE = (command(BEGUN_S, "goto", *FAR),)
@@ -79,7 +79,7 @@ def schedule(phase, after_s, commands, *, rehome="automatic"):
 @pytest.mark.parametrize(("phase", "after_s", "door"), CASES)
 def test_a_stop_holds_in_every_phase_against_every_other_command(phase, after_s, door):
     chosen = schedule(phase, after_s, known(DOORS[door]))
-    outcome = run(chosen, DOORS[door], heal=False)
+    outcome = run_schedule(chosen, DOORS[door], heal=False)
     assert not outcome.violations, "\n".join([*map(str, outcome.violations), chosen.text()])
 
 

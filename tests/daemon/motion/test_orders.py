@@ -200,6 +200,23 @@ def test_a_stop_between_two_attempts_ends_the_move(run_rig, monkeypatch):
     run_rig(scenario)
 
 
+def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.order(Target(10, 60, "test"))
+        await rig.until(lambda: rig.motion.target is not None, 3, "the move")
+        await rig.until(lambda: rig.motion.target is None, 90, "its end")
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.order(Target(0, 90, "storm"), stow=True)
+        await rig.until(lambda: targets(sent), 5, "the next target")
+        assert [data[:3] for _, data in sent][:2] == [STOP_PACKET] * 2
+        assert targets(sent)[0].startswith(B_PACKET)
+        await rig.until(lambda: rig.motion.target is None, 90, "its end")
+        assert rig.motion.last_move.outcome is MoveOutcome.ARRIVED
+
+    run_rig(scenario)
+
+
 def test_what_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)

@@ -1,19 +1,24 @@
-"""The person of a schedule: gives commands, and holds the answers against the truth."""
+"""The person of a schedule: gives commands, and compares the answers with the truth."""
 
 import asyncio
 import math
 
 from daemon.base.records import Mode
+from daemon.rigs.campaign.plant import Plant
 from daemon.service.operator import CommandError
+from daemon.studies.campaign.door import Door
+from daemon.studies.campaign.draw import COMMANDS
+from daemon.studies.campaign.watch.truth import TruthWatch
 
 ARRIVED_DEG = 1.3
-COMMANDS = ("stop", "stow", "hold", "goto", "auto", "home", "clear", "snow", "maintenance", "bad")
+STANDS_DEG = 0.003
+WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
 
 
-def known(door):
-    """Return the commands of this module that go through a door."""
+def known(door: Door) -> list[str]:
+    """Return the commands of the campaign that go through a door."""
     return [name for name in COMMANDS if name == "bad" or door.has(name)]
 
 
@@ -23,25 +28,26 @@ class Person:
     Parameters
     ----------
     plant, watch
-        The rig, and what holds it against the promises.
+        The rig, and what compares it with the promises.
     door
-        Through which commands go; see `tests.campaign.doors`.
+        Through which commands go.
     """
 
-    def __init__(self, plant, watch, door):
+    def __init__(self, plant: Plant, watch: TruthWatch, door: Door) -> None:
         self._door = door
         self._plant = plant
         self._watch = watch
         self._given = 0
 
-    async def give(self, name, value=()):
-        """Give a command as soon as a service is there and look at what comes of it."""
+    async def give(self, name: str, value: tuple[float, ...] = ()) -> None:
+        """Give a command as soon as a service is there, and check what comes of it."""
         await self._plant.served.wait()
         self._given += 1
+        self._watch.storms.disturbed(self._now_s)
         if name == "bad":
             await self._give_wrong(value)
             return
-        stopped_before = self._watch.stopped and self._now > self._watch.stop_asked_s
+        stopped_before = self._watch.stopped and self._now_s > self._watch.stop_asked_s
         maintained_before = self._watch.maintained
         self._begins(name)
         given, plant, watch = self._given, self._plant, self._watch
@@ -63,10 +69,10 @@ class Person:
             await self._check_done(name, value, answer.text, given)
 
     @property
-    def _now(self):
+    def _now_s(self) -> float:
         return self._plant.clock.monotonic()
 
-    def _begins(self, name):
+    def _begins(self, name: str) -> None:
         if name == "stop":
             self._watch.stop_is_asked()
         elif name == "maintenance":
@@ -78,7 +84,7 @@ class Person:
             # From here on a person answers for the count.
             self._watch.reference_excused = True
 
-    async def _give_wrong(self, value):
+    async def _give_wrong(self, value: tuple[float, ...]) -> None:
         plant, watch = self._plant, self._watch
         orders = watch.explained.packets
         wishes = plant.wishes()
@@ -92,42 +98,50 @@ class Person:
         if plant.wishes() != wishes or (not moving and watch.explained.packets != orders):
             watch.fails("bad-input", f"goto {value} changed what was asked before, or sent something")
 
-    def _check_sentence(self, name, sentence):
+    def _check_sentence(self, name: str, sentence: str) -> None:
         if not sentence or "\n" in sentence or len(sentence) > _LONGEST_SENTENCE:
             self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
 
-    def _check_refusal(self, name, sentence):
+    def _check_refusal(self, name: str, sentence: str) -> None:
         if "auto" not in sentence or not any(latch in sentence for latch in ("stop", "maintenance", "button")):
             self._watch.fails("refusal", f"{name} under a stop does not say how it is released: {sentence!r}")
 
-    async def _check_done(self, name, value, text, given):
-        """Look whether what is said to be done is so, in truth."""
-        watch, plant = self._watch, self._plant
+    async def _check_done(self, name: str, value: tuple[float, ...], text: str, given: int) -> None:
+        """Compare what is said to be done with the truth."""
         if name in ("stop", "hold"):
-            before, mode = plant.truth(), plant.mode
-            await asyncio.sleep(0.1)
-            after, undisturbed = plant.truth(), given == self._given and plant.mode is mode
-            turned_deg = max(abs(before.a_deg - after.a_deg), abs(before.b_deg - after.b_deg))
-            if turned_deg > 0.003 and undisturbed and not watch.disturbed(0.3):
-                watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")
-            return
-        safety = plant.service.settings.safety
-        wanted = {
+            await self._check_standing(name, text, given)
+        elif name in ("goto", "stow", "snow"):
+            self._check_place(name, value, text)
+        elif name == "home" and self._plant.motion.homing:
+            self._watch.fails("false-done", f"home is said to be done while it is under way: {text}")
+        elif name == "clear":
+            self._check_cleared(text)
+
+    async def _check_standing(self, name: str, text: str, given: int) -> None:
+        plant = self._plant
+        before, mode = plant.truth(), plant.mode
+        await asyncio.sleep(0.1)
+        after, undisturbed = plant.truth(), given == self._given and plant.mode is mode
+        turned_deg = max(abs(before.a_deg - after.a_deg), abs(before.b_deg - after.b_deg))
+        if turned_deg > STANDS_DEG and undisturbed and not self._watch.disturbed(0.3):
+            self._watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")
+
+    def _check_place(self, name: str, value: tuple[float, ...], text: str) -> None:
+        safety, at = self._plant.service.settings.safety, self._plant.truth()
+        a_deg, b_deg = {
             "goto": value,
             "stow": (safety.stow_a_deg, safety.stow_b_deg),
-            "snow": (getattr(safety, "snow_a_deg", math.nan), getattr(safety, "snow_b_deg", math.nan)),
-        }.get(name)
-        if wanted is not None and not watch.is_wrong():
-            at = plant.truth()
-            if not max(abs(at.a_deg - wanted[0]), abs(at.b_deg - wanted[1])) <= ARRIVED_DEG:
-                watch.fails("false-done", f"{name} is said to be done, the truth is {at}: {text}")
-        elif name == "home" and plant.motion.homing:
-            watch.fails("false-done", f"home is said to be done while it is under way: {text}")
-        elif name == "clear" and plant.motion.connected:
-            forgiven = text.partition("; standing")[0]
-            left = [fault for fault in plant.motion.telemetry.faults if fault in forgiven]
-            if left and text.startswith("forgiven"):
-                watch.fails("false-done", f"clear is said to be done with {left}: {text}")
+            "snow": (safety.snow_a_deg, safety.snow_b_deg),
+        }[name]
+        near = max(abs(at.a_deg - a_deg), abs(at.b_deg - b_deg)) <= ARRIVED_DEG
+        if not near and not self._watch.is_wrong() and math.isfinite(a_deg + b_deg):
+            self._watch.fails("false-done", f"{name} is said to be done, the truth is {at}: {text}")
 
-
-WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
+    def _check_cleared(self, text: str) -> None:
+        telemetry = self._plant.motion.telemetry
+        if telemetry is None or not text.startswith("forgiven"):
+            return
+        forgiven = text.partition("; standing")[0]
+        left = [fault for fault in telemetry.faults if fault in forgiven]
+        if left:
+            self._watch.fails("false-done", f"clear is said to be done with {left}: {text}")

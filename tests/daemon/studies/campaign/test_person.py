@@ -6,16 +6,17 @@ from dataclasses import replace
 import pytest
 
 from daemon.service.operator import CommandError
-from tests.campaign.campaign import run
-from tests.campaign.doors import DOORS, Reply
-from tests.campaign.schedule import Event, draw
+from daemon.studies.campaign.door import DirectDoor, DoorReply
+from daemon.studies.campaign.draw import draw
+from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.schedule import Happening
 
 STOP, GOTO, STOW = (
-    Event(150.0, "command", "stop"),
-    Event(145.0, "command", "goto", (-45.0, 30.0)),
-    Event(170.0, "command", "stow"),
+    Happening(150.0, "command", "stop"),
+    Happening(145.0, "command", "goto", (-45.0, 30.0)),
+    Happening(170.0, "command", "stow"),
 )
-BAD = Event(150.0, "command", "bad", (0.0, 14.0))
+BAD = Happening(150.0, "command", "bad", (0.0, 14.0))
 
 
 class Lying:
@@ -23,7 +24,7 @@ class Lying:
 
     def __init__(self, **lies):
         self._lies = lies
-        self._honest = DOORS["direct"]
+        self._honest = DirectDoor()
 
     def has(self, name):
         return True
@@ -36,7 +37,7 @@ class Lying:
 
 
 def says(done, text="standing"):
-    return lambda service: Reply(done, text)
+    return lambda service: DoorReply(done, text)
 
 
 def refuses(sentence):
@@ -53,17 +54,17 @@ def breaks(service):
 def kills(service):
     service.trackers[0].control.tick = None
     service.trackers[0].control.decide_again()
-    return Reply(done=False, text="")
+    return DoorReply(done=False, text="")
 
 
 def floods(service):
     for number in range(500):
         logging.getLogger("heliocube.test").info("line %d", number)
-    return Reply(done=False, text="")
+    return DoorReply(done=False, text="")
 
 
 def found(events, door, *, heal=False):
-    outcome = run(replace(draw(1, 0.08), events=events), door, heal=heal)
+    outcome = run_schedule(replace(draw(1, 0.08), events=events), door, heal=heal)
     return outcome.promises
 
 

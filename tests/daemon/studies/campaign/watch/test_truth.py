@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from daemon.base.records import Event, Mode
+from daemon.base.records import Event, FaceReading, Mode, Quality, Scan
 from daemon.config.settings import Settings
+from daemon.rigs.campaign.faults import FORGED_W_M2
+from daemon.studies.campaign.watch.truth import TruthWatch
 from solar.frames import Angles
-from tests.campaign.watch import Watch
 
 
 class Scripted:
@@ -16,7 +17,7 @@ class Scripted:
 
     def __init__(self, watch):
         self.now_s = 1000.0
-        self.clock = SimpleNamespace(monotonic=lambda: self.now_s, step_s=0.0)
+        self.clock = SimpleNamespace(monotonic=lambda: self.now_s, utc=lambda: self.now_s, step_s=0.0)
         self.at = {"a": 0.0, "b": 60.0}
         self.count_off = 0.0
         self.destination = {"a": 100.0, "b": 100.0}
@@ -25,24 +26,28 @@ class Scripted:
         self.wind_m_s = 3.0
         self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
         self.motion.last_move_started_s = 0.0
-        actuator = SimpleNamespace(angle_deg=lambda position: position / 5)
-        self.setup = SimpleNamespace(a_actuator=actuator, b_actuator=actuator)
         self.records = []
         self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
-        self.service = SimpleNamespace(settings=Settings.model_validate({}))
+        self.sun_deg = 30.0
+        self.is_silent = False
+        self.service = SimpleNamespace(
+            settings=Settings.model_validate({}), sun_elevation_deg=lambda utc_s: self.sun_deg
+        )
         self.unit = self
         self.watch = watch
-        watch.plant = self
+        watch.attach(self)
         watch.service_begins()
         self.wait(20)
 
     def truth(self):
         return Angles(self.at["a"], self.at["b"])
 
-    def live_screens(self, now_s):
-        a, b = self.at["a"] + self.count_off, self.at["b"]
-        numbers = {44: a, 45: a * 5, 46: self.destination["a"], 48: b, 49: b * 5, 50: self.destination["b"]}
-        return b"".join(b"$" + bytes([code]) + f"{value:.4f}".encode() for code, value in numbers.items())
+    def readout(self, now_s):
+        def axis(name, count_off=0.0):
+            at = self.at[name]
+            return SimpleNamespace(angle_deg=at + count_off, position_mm=at * 5, destination_mm=self.destination[name])
+
+        return SimpleNamespace(a=axis("a", self.count_off), b=axis("b"))
 
     def wait(self, duration_s, a=0.0, b=0.0):
         """Let time pass in samples, the axes turning by so many degrees in all."""
@@ -57,29 +62,29 @@ class Scripted:
         """Let the service order a move and the unit take it, or the driver say that it did not."""
         self.motion.target, self.motion.last_move_started_s = (a, b), self.now_s
         with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
-            self.watch.heard(b"$\x2c%g" % a, self.now_s)
-            self.watch.heard(b"$\x30%g" % b, self.now_s)
+            self.watch.packet(b"$\x2c%g" % a, self.now_s)
+            self.watch.packet(b"$\x30%g" % b, self.now_s)
             self.destination = {"a": a * 5, "b": b * 5}
             if not taken:
                 raise ConnectionError
 
     def sends_stop(self):
         self.motion.target = None
-        self.watch.heard(b"$9s\r", self.now_s)
+        self.watch.packet(b"$9s\r", self.now_s)
 
 
 @pytest.fixture
 def plant():
-    return Scripted(Watch())
+    return Scripted(TruthWatch())
 
 
 def promises(plant):
     """The broken promises about motion itself."""
-    return [found.promise for found in plant.watch.violations if found.promise not in ("untold", "false-alarm")]
+    return [found.promise for found in plant.watch.violations if found.promise not in ("unreported", "false-alarm")]
 
 
-def tellings(plant):
-    return [found.promise for found in plant.watch.violations if found.promise in ("untold", "false-alarm")]
+def reports(plant):
+    return [found.promise for found in plant.watch.violations if found.promise in ("unreported", "false-alarm")]
 
 
 def test_a_move_that_was_ordered_and_taken_is_explained(plant):
@@ -137,7 +142,7 @@ def test_an_axis_may_run_out_after_a_stop_for_3_s(plant, lasts_s):
 def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(plant):
     plant.watch.homes("a")
     plant.sends_stop()
-    plant.watch.heard(b"$95\r", plant.now_s)
+    plant.watch.packet(b"$95\r", plant.now_s)
     plant.motion.homing = True
     plant.wait(30, a=-30)
     assert promises(plant) == []
@@ -147,11 +152,11 @@ def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(
 
 
 def test_a_person_at_the_buttons_explains_motion_and_no_one_else_does(plant):
-    plant.watch.explained.held(is_held=True, now=plant.now_s)
+    plant.watch.explained.held(is_held=True, now_s=plant.now_s)
     plant.watch.stop_is_asked()
     plant.wait(20, a=20)
     assert promises(plant) == []
-    plant.watch.explained.held(is_held=False, now=plant.now_s)
+    plant.watch.explained.held(is_held=False, now_s=plant.now_s)
     plant.wait(8, a=8)
     assert set(promises(plant)) == {"unexplained-motion", "moves-under-stop"}
 
@@ -271,16 +276,28 @@ def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     plant.control.mode = Mode.NIGHT
     plant.order(1, 60)
     assert promises(plant) == ["clock"]
+    plant.watch.violations.clear()
+    plant.wait(60)
+    plant.sun_deg = -5.0
+    plant.order(0, 60)
+    assert promises(plant) == [], "it is night in truth"
 
 
-@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("reported", [False, True])
 @pytest.mark.parametrize("turned_deg", [0.2, 1.5])
-def test_what_turns_without_an_order_has_to_be_told(plant, turned_deg, told):
+def test_what_turns_without_an_order_has_to_be_reported(plant, turned_deg, reported):
     plant.wait(1.5, a=turned_deg)
-    if told:
+    if reported:
         plant.records.append(Event(0.0, plant.now_s, "alarm", "A moved"))
     plant.wait(20)
-    assert tellings(plant) == (["untold"] if turned_deg > 0.5 and not told else [])
+    assert reports(plant) == (["unreported"] if turned_deg > 0.5 and not reported else [])
+
+
+def test_two_hairs_a_minute_apart_are_not_one_turn(plant):
+    for _ in range(4):
+        plant.wait(0.4, a=0.3)
+        plant.wait(60)
+    assert reports(plant) == []
 
 
 @pytest.mark.parametrize("cause", [False, True])
@@ -289,4 +306,52 @@ def test_an_alarm_of_what_never_happened_is_seen(plant, cause):
         plant.watch.disturbs()
     plant.motion.unexplained = "A moved from 3 to 4 degrees without an order"
     plant.wait(5)
-    assert tellings(plant) == ([] if cause else ["false-alarm"])
+    assert reports(plant) == ([] if cause else ["false-alarm"])
+
+
+@pytest.mark.parametrize("excused", [False, True])
+def test_a_storm_that_does_not_end_in_the_stow_position_is_seen(plant, excused):
+    plant.control.mode, plant.wind_m_s = Mode.STOW, 25.0
+    plant.watch.lasting = 2 if excused else 1
+    plant.wait(500)
+    assert promises(plant) == ([] if excused else ["stow"] * len(promises(plant)))
+    assert bool(promises(plant)) is not excused
+    plant.watch.violations.clear()
+    plant.at = {"a": 0.0, "b": 90.0}
+    plant.watch.disturbs()
+    plant.wait(500)
+    assert promises(plant) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "quality", "broken"),
+    [
+        (500.0, Quality.OK, []),
+        (FORGED_W_M2, Quality.OK, ["forged"]),
+        (9000.0, Quality.OK, ["implausible"]),
+        (float("nan"), Quality.OK, ["implausible"]),
+        (9000.0, Quality.OVER_RANGE, []),
+    ],
+)
+def test_a_scan_that_must_not_be_believed_is_seen(plant, value, quality, broken):
+    face = FaceReading(irradiance_w_m2=value, quality=quality, time_utc_s=0.0, time_monotonic_s=0.0)
+    scan = Scan(
+        source="cube",
+        session="1",
+        sequence=1,
+        time_utc_s=0.0,
+        time_monotonic_s=0.0,
+        east=face,
+        south=face,
+        west=face,
+        zenith=face,
+    )
+    plant.watch.scan(scan)
+    assert promises(plant) == broken
+
+
+def test_a_unit_that_is_not_heard_binds_nobody(plant):
+    plant.is_silent = True
+    plant.watch.link_changes()
+    plant.wait(60, a=30)
+    assert promises(plant) == []

@@ -1,0 +1,50 @@
+"""`heliocube campaign`: faults and commands at random, against where the axes truly stand."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+
+def campaign(
+    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
+    first: Annotated[int, typer.Option("--from", min=0, metavar="SEED", help="The first seed.")] = 1,
+    hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Of virtual time for each.")] = 3.0,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="FAULTS", help="Only these faults, by commas; or COMPONENT or COMPONENT:FAULT."),
+    ] = None,
+    without: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Leave these faults and commands out, by commas.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, max=256, metavar="N", help="In how many processes.")] = 1,
+    schedule: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Run this one instead, as a reduced failure was written.")
+    ] = None,
+    show: Annotated[bool, typer.Option("--show", help="Print each schedule and the service's log.")] = False,
+    keep: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Reduce each failure and write it here as seed-N.json.")
+    ] = None,
+) -> None:
+    """Attack the simulated rig with faults and commands from seeds, and hold every promise against the truth.
+
+    The same seed and hours give the same run. Exit code 1: a promise was broken.
+    """
+    from daemon.commands.studies.simulate import progress_bar
+    from daemon.studies.campaign.attack import Attack, chosen_schedules
+
+    names = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
+    out, errors = Console(), Console(stderr=True)
+
+    def say(text: str) -> None:
+        out.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    attack = Attack(names, jobs, say, keep, show=show)
+    with progress_bar(errors, "attacking") as progress:
+        broken = attack.run(progress)
+    raise typer.Exit(1 if broken else 0)
+
+
+def _words(text: str | None) -> tuple[str, ...]:
+    return () if text is None else tuple(word.strip() for word in text.split(",") if word.strip())

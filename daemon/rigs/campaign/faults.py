@@ -1,0 +1,289 @@
+"""How each fault of a schedule is caused and ended on the plant."""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from daemon.base.records import FaceReading, Quality, Scan
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.bridge.sender import pack
+from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.rig import CALM_M_S, KEY
+from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
+
+Value = tuple[float, ...]
+Call = Callable[[Plant, Value], Awaitable[None] | None]
+
+FORGED_W_M2 = 1234.5
+"""What every face of a forged scan says."""
+_STRANGER = ("127.0.0.1", 9)
+_FORGED_EVERY_S = 1.0
+_READING_S = 0.04
+
+
+@dataclass(frozen=True, slots=True)
+class PlantFault:
+    """One fault.
+
+    Attributes
+    ----------
+    begin, end
+        Called with the plant and the event's value; `end` is None for what is over at once.
+    moves
+        The unit may begin to move by itself.
+    by_hand
+        A person moves it.
+    uncounts
+        The unit may lose counts without a word.
+    """
+
+    begin: Call
+    end: Call | None = None
+    moves: bool = False
+    by_hand: bool = False
+    uncounts: bool = False
+
+
+def _injected(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = False) -> PlantFault:
+    if name not in UNIT_FAULTS:
+        raise ValueError(f"the simulated positioner has no fault {name!r}")
+
+    def begin(plant: Plant, _value: Value) -> None:
+        plant.unit.inject(name, plant.clock.monotonic())
+
+    def end(plant: Plant, _value: Value) -> None:
+        plant.unit.repair(name, plant.clock.monotonic())
+
+    uncounts = name == "undervoltage" or name.endswith(("hall_loss", "slip", "pulse_loss"))
+    return PlantFault(begin, end if lasting else None, moves=moves, by_hand=by_hand, uncounts=uncounts)
+
+
+def _unplugged(device: str) -> PlantFault:
+    return PlantFault(
+        lambda plant, _value: plant.plug(device, up=False),
+        lambda plant, _value: plant.plug(device, up=True),
+    )
+
+
+async def _restart_unit(plant: Plant, _value: Value, *, keep_position: bool) -> None:
+    """Switch it off and on: the unit's USB is gone for a second."""
+    plant.plug("positioner", up=False)
+    plant.unit.power_cycle(plant.clock.monotonic(), keep_position=keep_position)
+    await asyncio.sleep(1.0)
+    plant.plug("positioner", up=True)
+
+
+def _silence(plant: Plant, _value: Value, *, silent: bool) -> None:
+    plant.silence(silent=silent)
+
+
+def _wind(plant: Plant, value: Value) -> None:
+    plant.wind_m_s = value[0]
+
+
+def _silence_wind(plant: Plant, _value: Value) -> None:
+    plant.wind_m_s = None
+
+
+def _calm(plant: Plant, _value: Value) -> None:
+    plant.wind_m_s = CALM_M_S
+
+
+def _freeze_meter(plant: Plant, _value: Value) -> None:
+    # What it shows at this moment is what it shows from now on.
+    shown_v = plant.switch.output_voltage(plant.clock.monotonic())
+    vars(plant.voltmeter)["read_voltage"] = lambda: asyncio.sleep(_READING_S, shown_v)
+
+
+def _thaw_meter(plant: Plant, _value: Value) -> None:
+    vars(plant.voltmeter).pop("read_voltage", None)
+
+
+def _delay_meter(plant: Plant, value: Value) -> None:
+    plant.meter.reply_delay_s = value[0]
+
+
+def _hurry_meter(plant: Plant, _value: Value) -> None:
+    plant.meter.reply_delay_s = 0.0
+
+
+def _disturb_sensors(plant: Plant, value: Value) -> None:
+    plant.noise_v = value[0]
+
+
+def _calm_sensors(plant: Plant, _value: Value) -> None:
+    plant.noise_v = 0.0
+
+
+def _step_clock(plant: Plant, value: Value) -> None:
+    plant.clock.step_s = value[0]
+
+
+def _set_clock_right(plant: Plant, _value: Value) -> None:
+    plant.clock.step_s = 0.0
+
+
+class _Bridge:
+    """Stands in the place of the bridge's sender, and loses, delays or repeats what goes through it."""
+
+    def __init__(self, plant: Plant, kind: str, delay_s: float = 0.0) -> None:
+        sender = plant.service.sender
+        assert sender is not None  # noqa: S101 - narrowing; looked at before
+        self.kept = sender
+        self.statistics = sender.statistics
+        self.open, self.close = sender.open, sender.close
+        self._kind, self._delay_s = kind, delay_s
+        self._last: Scan | None = None
+
+    def send(self, scan: Scan) -> None:
+        """Do with a scan what the fault does."""
+        if self._kind == "lost":
+            return
+        if self._kind == "late":
+            asyncio.get_running_loop().call_later(self._delay_s, self._send_late, scan)
+            return
+        self.kept.send(scan)
+        self.kept.send(scan)
+        if self._last is not None:
+            self.kept.send(self._last)
+        self._last = scan
+
+    def _send_late(self, scan: Scan) -> None:
+        # The process that had it may be gone.
+        with contextlib.suppress(RuntimeError):
+            self.kept.send(scan)
+
+
+def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
+    sender: object = plant.service.sender
+    if sender is not None and not isinstance(sender, _Bridge):
+        plant.service.sender = _Bridge(plant, kind, *value)  # type: ignore[assignment] # it passes for the sender
+
+
+def _set_bridge_right(plant: Plant, _value: Value) -> None:
+    sender: object = plant.service.sender
+    if isinstance(sender, _Bridge):
+        plant.service.sender = sender.kept
+
+
+def _forgeries(plant: Plant) -> Iterator[bytes]:
+    """Yield datagrams that must not be believed: no scan at all, one of another key, one that nobody signed."""
+    utc_s, now_s = plant.clock.utc(), plant.clock.monotonic()
+    face = FaceReading(irradiance_w_m2=FORGED_W_M2, quality=Quality.OK, time_utc_s=utc_s, time_monotonic_s=now_s)
+    scan = Scan(
+        source=plant.settings.cube.name,
+        session="f" * 16,
+        sequence=10**6,
+        time_utc_s=utc_s,
+        time_monotonic_s=now_s,
+        east=face,
+        south=face,
+        west=face,
+        zenith=replace(face, irradiance_w_m2=FORGED_W_M2),
+        simulated=True,
+    )
+    yield b"\x00\xff" * 40
+    yield pack(scan, KEY[::-1])
+    yield pack(scan, None)
+
+
+async def _forge(plant: Plant, value: Value) -> None:
+    for _ in range(int(value[0])):
+        receiver = plant.service.receiver
+        if plant.is_served and receiver is not None:
+            for datagram in _forgeries(plant):
+                receiver.datagram_received(datagram, _STRANGER)
+        await asyncio.sleep(_FORGED_EVERY_S)
+
+
+def _fill_disk(plant: Plant, _value: Value, *, full: bool) -> None:
+    plant.disk.is_full = full
+
+
+async def _kill_while_writing(plant: Plant, value: Value) -> None:
+    """Die in the middle of writing one of the kept files, as no file system should let it happen."""
+    await plant.kill()
+    files = plant.kept_files()
+    if files:
+        torn = files[int(value[0]) % len(files)]
+        torn.write_bytes(torn.read_bytes()[: int(value[1])])
+
+
+def _suspend(plant: Plant, value: Value) -> None:
+    """Let the process stand still while the world goes on."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; no plant has another
+    loop.skip(value[0])
+    plant.witness.link_changes()
+
+
+async def _kill(plant: Plant, _value: Value) -> None:
+    await plant.kill()
+
+
+async def _end(plant: Plant, _value: Value) -> None:
+    await plant.end()
+
+
+def _replace_process(plant: Plant, _value: Value) -> None:
+    plant.renew()
+
+
+_AXIS_LASTING = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")
+_AXIS_AT_ONCE = ("overcurrent", "pulse_loss", "destination", "slip")
+PROCESS = ("kill", "kill_torn", "end")
+"""Those that need a process, and bring another one."""
+
+FAULTS: dict[str, PlantFault] = {
+    **{f"unplug_{device}": _unplugged(device) for device in ("positioner", "multiplexer", "voltmeter")},
+    "deaf": _injected("deaf", lasting=True),
+    "positioner_silent": PlantFault(partial(_silence, silent=True), partial(_silence, silent=False)),
+    "undervoltage": _injected("undervoltage", lasting=True),
+    "own_tracking": _injected("own_tracking", lasting=True, moves=True),
+    "slave_mode": _injected("slave_mode", lasting=True, moves=True),
+    "slave_standby": _injected("slave_standby", lasting=True),
+    "re_reference": _injected("re_reference", lasting=False, moves=True),
+    **{name: _injected(name, lasting=True, by_hand=True) for name in ("button", "button_in", "buttons_both")},
+    "unit_wind": _injected("wind", lasting=True, moves=True),
+    "unit_snow": _injected("snow", lasting=True, moves=True),
+    **{f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=True) for axis in "ab" for kind in _AXIS_LASTING},
+    **{f"{axis}_{kind}": _injected(f"{axis}_{kind}", lasting=False) for axis in "ab" for kind in _AXIS_AT_ONCE},
+    "reset_position_kept": PlantFault(partial(_restart_unit, keep_position=True)),
+    "reset_position_lost": PlantFault(partial(_restart_unit, keep_position=False)),
+    "wind": PlantFault(_wind, _calm),
+    "wind_silent": PlantFault(_silence_wind, _calm),
+    "clock_step": PlantFault(_step_clock, _set_clock_right),
+    "face_stuck": PlantFault(
+        lambda plant, value: plant.scene.break_sensor(int(value[0]), value[1]),
+        lambda plant, value: plant.scene.repair_sensor(int(value[0])),
+    ),
+    "face_shaded": PlantFault(
+        lambda plant, value: plant.scene.shade(int(value[0]), value[1]),
+        lambda plant, value: plant.scene.shade(int(value[0]), 1.0),
+    ),
+    "face_noise": PlantFault(_disturb_sensors, _calm_sensors),
+    "meter_frozen": PlantFault(_freeze_meter, _thaw_meter),
+    "meter_garbled": PlantFault(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
+    "meter_cut": PlantFault(lambda plant, value: plant.meter.cut_next(int(value[0]))),
+    "meter_mute": PlantFault(lambda plant, value: plant.meter.drop_next(int(value[0]))),
+    "meter_late": PlantFault(_delay_meter, _hurry_meter),
+    "meter_restart": PlantFault(lambda plant, _value: plant.meter.power_cycle(plant.clock.monotonic())),
+    "switch_fails": PlantFault(lambda plant, value: plant.switch.fail_next(times=int(value[0]))),
+    "switch_reset": PlantFault(lambda plant, _value: plant.switch.power_cycle(plant.clock.monotonic())),
+    "switch_line_stuck": PlantFault(
+        lambda plant, value: plant.switch.stick(int(value[0]), bool(value[1]), plant.clock.monotonic()),
+        lambda plant, _value: plant.switch.unstick(plant.clock.monotonic()),
+    ),
+    "bridge_lost": PlantFault(partial(_disturb_bridge, kind="lost"), _set_bridge_right),
+    "bridge_late": PlantFault(partial(_disturb_bridge, kind="late"), _set_bridge_right),
+    "bridge_replayed": PlantFault(partial(_disturb_bridge, kind="replayed"), _set_bridge_right),
+    "bridge_forged": PlantFault(_forge),
+    "disk_full": PlantFault(partial(_fill_disk, full=True), partial(_fill_disk, full=False)),
+    "kill": PlantFault(_kill, _replace_process),
+    "kill_torn": PlantFault(_kill_while_writing, _replace_process),
+    "suspended": PlantFault(_suspend),
+    "end": PlantFault(_end, _replace_process),
+}
+"""Every fault that a schedule may name."""

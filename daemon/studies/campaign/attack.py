@@ -1,0 +1,121 @@
+"""What `heliocube campaign` does: chooses schedules, carries them out, and reduces what fails."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from daemon.base.errors import UserError
+from daemon.studies.campaign.door import DirectDoor
+from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.many import run_many
+from daemon.studies.campaign.matrix import chosen_faults, refuse_unknown
+from daemon.studies.campaign.person import known
+from daemon.studies.campaign.reduce import reduce
+from daemon.studies.campaign.run import CampaignOutcome
+from daemon.studies.campaign.schedule import Schedule
+
+
+def chosen_schedules(
+    seeds: int, first: int, hours: float, only: Collection[str], without: Collection[str], file: Path | None
+) -> list[Schedule]:
+    """Return the schedules that a person asks for.
+
+    Parameters
+    ----------
+    seeds, first, hours
+        How many seeds, from which on, of how many hours.
+    only, without
+        Names of faults, and of cells of the matrix; names of faults and commands.
+    file
+        A schedule that `reduce` has left, in place of all that.
+
+    Raises
+    ------
+    UserError
+        A name is not known, or cannot be done; the file cannot be read.
+    """
+    if file is not None:
+        try:
+            schedule = Schedule.from_json(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise UserError(f"--schedule: {file} cannot be used: {error}") from error
+        refuse_unknown(schedule.events, known(DirectDoor()))
+        return [schedule]
+    unknown = sorted(set(without) - {*SPANS, *COMMANDS})
+    if unknown:
+        raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
+    faults = chosen_faults(only)
+    return [draw(seed, hours, without, faults) for seed in range(first, first + seeds)]
+
+
+class Attack:
+    """Carries out the schedules of a campaign and says what they show.
+
+    Parameters
+    ----------
+    schedules
+        What happens.
+    jobs
+        In how many processes.
+    say
+        Called with what people are to read.
+    keep
+        Where reduced failures are written, or None.
+    show
+        Whether each schedule and its log are printed.
+    """
+
+    def __init__(
+        self, schedules: list[Schedule], jobs: int, say: Callable[[str], None], keep: Path | None, *, show: bool
+    ) -> None:
+        self._schedules = schedules
+        self._jobs = jobs
+        self._say = say
+        self._keep = keep
+        self._show = show
+
+    def run(self, progress: Callable[[float], None]) -> bool:
+        """Carry them out and return whether a promise was broken; `progress` takes the share done, 0..1."""
+        done = 0
+
+        def note(schedule: Schedule, outcome: CampaignOutcome) -> None:
+            nonlocal done
+            done += 1
+            progress(done / len(self._schedules))
+            self._tell(schedule, outcome)
+
+        summary = run_many(self._schedules, self._jobs, note, with_log=self._show)
+        for line in summary.lines():
+            self._say(line)
+        if summary.done < len(self._schedules):
+            self._say(f"ended before {len(self._schedules) - summary.done} more")
+        elif self._keep is not None:
+            for schedule, outcome in sorted(summary.failed, key=_seed):
+                self._reduce(schedule, outcome)
+        return bool(summary.failed)
+
+    def _tell(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
+        if self._show:
+            self._say(schedule.text())
+            for at_s, level, name, text in outcome.lines:
+                self._say(f"{at_s:9.2f} s  {level} {name.removeprefix('heliocube.')}: {text}")
+        for violation in outcome.violations:
+            self._say(f"seed {schedule.seed}: {violation}")
+        if outcome.violations:
+            self._say(f"again: heliocube campaign --from {schedule.seed} --seeds 1 --hours {schedule.hours:g} --show")
+
+    def _reduce(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
+        assert self._keep is not None  # noqa: S101 - narrowing; looked at before
+        first = outcome.violations[0]
+        reduced = reduce(schedule, {first.promise}, first.at_s)
+        path = self._keep / f"seed-{schedule.seed}.json"
+        try:
+            self._keep.mkdir(parents=True, exist_ok=True)
+            path.write_text(reduced.json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"--keep: {path} cannot be written: {error}") from error
+        self._say(f"reduced to {len(reduced.events)} events, heliocube campaign --schedule {path}:")
+        self._say(reduced.text())
+
+
+def _seed(failed: tuple[Schedule, CampaignOutcome]) -> int:
+    return failed[0].seed

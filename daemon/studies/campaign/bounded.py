@@ -1,0 +1,79 @@
+"""What must not grow without bound: lines of the log, and moves."""
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from daemon.base.records import Move, Record
+from daemon.studies.campaign.schedule import Schedule
+
+LINES_OF_AN_OUTAGE = 50
+LINES_OF_A_COMMAND = 8
+MOVES_OF_AN_HOUR = 70
+"""A law may order one in a minute; and some."""
+MOVES_OF_AN_EVENT = 6
+_ROUTINE = ("moving", "staying")
+_HOUR_S = 3600
+
+
+class LogLine(NamedTuple):
+    """One line of the service's log, at a time [s] of the run."""
+
+    at_s: float
+    level: str
+    name: str
+    text: str
+
+
+class Bounded(logging.Handler):
+    """Keeps the service's log lines with their time, and compares what there was with what happened.
+
+    Parameters
+    ----------
+    now
+        The loop's time [s].
+
+    Attributes
+    ----------
+    lines
+        All lines so far.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        super().__init__(logging.INFO)
+        self._now = now
+        self.lines: list[LogLine] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a line."""
+        self.lines.append(LogLine(self._now(), record.levelname, record.name, record.getMessage()))
+
+    def check(self, schedule: Schedule, records: Iterable[Record], fails: Callable[[str, str], None]) -> None:
+        """Compare each hour's lines and moves with what happened in it."""
+        self._check_lines(schedule, fails)
+        moves = Counter(int(record.time_monotonic_s // _HOUR_S) for record in records if isinstance(record, Move))
+        events = Counter(int(event.at_s // _HOUR_S) for event in schedule.events)
+        for hour, count in moves.items():
+            allowed = MOVES_OF_AN_HOUR + MOVES_OF_AN_EVENT * (events[hour] + events[hour - 1])
+            if count > allowed:
+                fails("moves", f"{count} moves in hour {hour}, {allowed} allowed")
+
+    def _check_lines(self, schedule: Schedule, fails: Callable[[str, str], None]) -> None:
+        written: Counter[int] = Counter()
+        happened: Counter[int] = Counter()
+        for line in self.lines:
+            if line.text not in _ROUTINE:
+                written[int(line.at_s // _HOUR_S)] += 1
+        for event in schedule.events:
+            hour = int(event.at_s // _HOUR_S)
+            if event.what == "command":
+                happened[hour] += LINES_OF_A_COMMAND
+                continue
+            for during in range(hour, int((event.at_s + event.lasts_s) // _HOUR_S) + 1):
+                happened[during] += LINES_OF_AN_OUTAGE
+        for hour, count in written.items():
+            allowed = happened[hour] + LINES_OF_AN_OUTAGE
+            if count > allowed and hour < schedule.hours:
+                texts = Counter(line.text for line in self.lines if int(line.at_s // _HOUR_S) == hour)
+                fails("log", f"{count} lines in hour {hour}, {allowed} allowed; most: {texts.most_common(3)}")

@@ -1,0 +1,167 @@
+"""Component x fault: what each cell is called in a schedule, or why a simulator cannot do it."""
+
+from collections.abc import Collection, Iterable
+
+from daemon.base.errors import UserError
+from daemon.rigs.campaign.faults import FAULTS
+from daemon.studies.campaign.draw import SPANS
+from daemon.studies.campaign.schedule import Happening
+
+COMPONENTS = (
+    "sensor", "multiplexer", "meter-link", "positioner-link", "positioner", "broker", "udp", "clock", "disk", "process",
+    "wind-sensor",
+)  # fmt: skip
+FAULT_KINDS = (
+    "off", "stuck", "garbage", "wrong", "slow", "late", "dropped-reply", "partial-line", "unplug", "renamed-port",
+    "reset", "over-range", "drift", "noise", "full-buffer", "step", "full", "killed",
+)  # fmt: skip
+
+_NO_BYTES = "it gives a voltage, and sends nothing"
+_NO_MEASURE = "it measures nothing"
+_NO_CABLE = "it has no cable of its own"
+_ON_PTY = "in memory a line has no such state; what the bench can do of it, with real processes, is in docs/bench.md"
+_NO_BROKER = "the campaign's service has no broker, and no motion depends on one; the tests with mosquitto do it"
+_TIME_ONLY = "a clock has its time, and nothing else that could fail"
+_FILES_ONLY = "what is lost of a file is what `disk:full` and `process:killed` lose"
+_PROCESS_ONLY = "a process runs, stands still or dies"
+_NO_REPLY = "it is not asked, so it has no reply"
+_NO_CLOCK = "it has no clock that the service uses"
+
+CELLS: dict[tuple[str, str], tuple[str, ...] | str] = {
+    ("sensor", "off"): ("face_shaded", "face_stuck"),
+    ("sensor", "stuck"): ("face_stuck",),
+    ("sensor", "wrong"): ("switch_line_stuck",),
+    ("sensor", "unplug"): ("face_stuck",),
+    ("sensor", "over-range"): ("face_stuck",),
+    ("sensor", "drift"): ("face_shaded",),
+    ("sensor", "noise"): ("face_noise",),
+    ("multiplexer", "off"): ("unplug_multiplexer",),
+    ("multiplexer", "stuck"): ("switch_line_stuck",),
+    ("multiplexer", "wrong"): ("switch_line_stuck",),
+    ("multiplexer", "dropped-reply"): ("switch_fails",),
+    ("multiplexer", "unplug"): ("unplug_multiplexer",),
+    ("multiplexer", "reset"): ("switch_reset",),
+    ("meter-link", "off"): ("unplug_voltmeter",),
+    ("meter-link", "stuck"): ("meter_frozen",),
+    ("meter-link", "garbage"): ("meter_garbled",),
+    ("meter-link", "wrong"): ("meter_late",),
+    ("meter-link", "slow"): ("meter_late",),
+    ("meter-link", "late"): ("meter_late",),
+    ("meter-link", "dropped-reply"): ("meter_mute",),
+    ("meter-link", "partial-line"): ("meter_cut",),
+    ("meter-link", "unplug"): ("unplug_voltmeter",),
+    ("meter-link", "reset"): ("meter_restart",),
+    ("meter-link", "over-range"): ("face_stuck",),
+    ("meter-link", "noise"): ("face_noise",),
+    ("positioner-link", "off"): ("unplug_positioner",),
+    ("positioner-link", "stuck"): ("positioner_silent",),
+    ("positioner-link", "dropped-reply"): ("deaf",),
+    ("positioner-link", "unplug"): ("unplug_positioner",),
+    ("positioner-link", "reset"): ("reset_position_kept", "reset_position_lost"),
+    ("positioner", "off"): ("undervoltage",),
+    ("positioner", "stuck"): ("a_ignores_targets", "b_ignores_targets", "a_cable", "b_cable"),
+    ("positioner", "wrong"): ("own_tracking", "slave_mode", "slave_standby", "re_reference", "unit_wind", "unit_snow"),
+    ("positioner", "drift"): ("a_slip", "b_slip", "a_pulse_loss", "b_pulse_loss"),
+    ("positioner", "over-range"): ("a_overcurrent", "b_overcurrent", "a_destination", "b_destination"),
+    ("positioner", "dropped-reply"): ("a_hall_loss", "b_hall_loss"),
+    ("positioner", "garbage"): ("a_switch_closed", "b_switch_closed", "a_switch_open", "b_switch_open"),
+    ("positioner", "reset"): ("reset_position_kept", "reset_position_lost"),
+    ("udp", "off"): ("bridge_lost",),
+    ("udp", "wrong"): ("bridge_replayed",),
+    ("udp", "garbage"): ("bridge_forged",),
+    ("udp", "slow"): ("bridge_late",),
+    ("udp", "late"): ("bridge_late",),
+    ("udp", "dropped-reply"): ("bridge_lost",),
+    ("udp", "unplug"): ("bridge_lost",),
+    ("udp", "stuck"): ("bridge_replayed",),
+    ("clock", "step"): ("clock_step",),
+    ("disk", "full"): ("disk_full",),
+    ("disk", "partial-line"): ("kill_torn",),
+    ("process", "off"): ("end",),
+    ("process", "stuck"): ("suspended",),
+    ("process", "killed"): ("kill", "kill_torn"),
+    ("process", "reset"): ("kill", "end"),
+    ("wind-sensor", "off"): ("wind_silent",),
+    ("wind-sensor", "unplug"): ("wind_silent",),
+    ("wind-sensor", "over-range"): ("wind",),
+}
+"""Names of the campaign's faults by component and kind of fault."""
+
+_WHY_NOT: dict[str, dict[str, str]] = {
+    "sensor": dict.fromkeys(("garbage", "slow", "late", "dropped-reply", "partial-line", "reset"), _NO_BYTES),
+    "multiplexer": {
+        **dict.fromkeys(("garbage", "partial-line", "full-buffer"), "its driver is called, and there are no bytes"),
+        **dict.fromkeys(("slow", "late"), "a call of its driver has no reply that could be late"),
+        **dict.fromkeys(("over-range", "drift", "noise"), _NO_MEASURE),
+    },
+    "meter-link": {"full-buffer": _ON_PTY, "drift": "that is the sensor's, `sensor:drift`"},
+    "positioner-link": {
+        **dict.fromkeys(("garbage", "wrong", "slow", "late", "partial-line", "noise", "full-buffer"), _ON_PTY),
+        **dict.fromkeys(("over-range", "drift"), "that is the positioner's own"),
+    },
+    "positioner": dict.fromkeys(
+        ("slow", "late", "partial-line", "unplug", "renamed-port", "noise", "full-buffer"), "that is its link's"
+    ),
+    "udp": {
+        "partial-line": "a datagram comes whole or not at all",
+        "full-buffer": "the system drops what is too much, which is `udp:off`",
+        "reset": "there is no connection that could be reset",
+        **dict.fromkeys(("over-range", "drift", "noise"), "that is the sensor's"),
+    },
+    "wind-sensor": dict.fromkeys(FAULT_KINDS, "the campaign sets the wind by hand; MQTT has sensors of its own"),
+    "broker": dict.fromkeys(FAULT_KINDS, _NO_BROKER),
+    "clock": dict.fromkeys(FAULT_KINDS, _TIME_ONLY),
+    "disk": dict.fromkeys(FAULT_KINDS, _FILES_ONLY),
+    "process": dict.fromkeys(FAULT_KINDS, _PROCESS_ONLY),
+}
+_WHY_NEVER = {
+    "renamed-port": _ON_PTY,
+    "full-buffer": _NO_BYTES,
+    "step": _NO_CLOCK,
+    "full": "it keeps no files",
+    "killed": "it is no process of ours",
+    "drift": _NO_MEASURE,
+}
+
+
+def cell(component: str, kind: str) -> tuple[str, ...] | str:
+    """Return the names of the campaign's faults in a cell, or the sentence why there are none."""
+    done = CELLS.get((component, kind))
+    return done or _WHY_NOT.get(component, {}).get(kind) or _WHY_NEVER.get(kind) or _NO_REPLY
+
+
+def chosen_faults(words: Collection[str]) -> tuple[str, ...]:
+    """Return the faults that words name: a fault, ``component``, or ``component:fault``.
+
+    Raises `UserError` for a word that names none, and for a cell that no simulator can do.
+    """
+    chosen: list[str] = []
+    for word in words:
+        component, _, kind = word.partition(":")
+        if word in SPANS:
+            chosen.append(word)
+        elif component not in COMPONENTS or (kind and kind not in FAULT_KINDS):
+            raise UserError(
+                f"--only: there is no {word}; faults are {', '.join(SPANS)}; components are {', '.join(COMPONENTS)};"
+                f" and of a component, as in sensor:stuck, {', '.join(FAULT_KINDS)}"
+            )
+        elif kind:
+            names = cell(component, kind)
+            if isinstance(names, str):
+                raise UserError(f"--only: {word} cannot be simulated: {names}")
+            chosen += names
+        else:
+            mine = [names for (one, _), names in CELLS.items() if one == component and not isinstance(names, str)]
+            if not mine:
+                raise UserError(f"--only: {word} cannot be simulated: {cell(component, FAULT_KINDS[0])}")
+            chosen += [name for names in mine for name in names]
+    return tuple(dict.fromkeys(chosen))
+
+
+def refuse_unknown(events: Iterable[Happening], commands: Collection[str]) -> None:
+    """Raise `UserError` for the first event that simulator or service does not know: to skip it would be a lie."""
+    for event in events:
+        if event.what == "command" and event.name not in commands:
+            raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")
+        if event.what == "fault" and event.name not in FAULTS:
+            raise UserError(f"the campaign has no fault '{event.name}'; it has {', '.join(FAULTS)}")

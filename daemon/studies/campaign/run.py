@@ -1,0 +1,320 @@
+"""One run of the campaign: a schedule carried out on the plant under virtual time, watched all along."""
+
+import asyncio
+import gc
+import logging
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daemon.base.records import Mode, ModeChange, Move
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
+from daemon.rigs.campaign.plant import build_plant
+from daemon.studies.campaign.bounded import Bounded, LogLine
+from daemon.studies.campaign.door import DirectDoor, Door
+from daemon.studies.campaign.matrix import refuse_unknown
+from daemon.studies.campaign.person import WORKS, Person, known
+from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.watch.truth import TruthWatch, Violation
+
+GUST_S = 1.3
+RECOVERS_WITHIN_S = 3000.0
+_MEMORY = Path("/dev/shm")  # noqa: S108 - only a place for a directory of our own
+_HANDLES = Path("/proc/self/fd")
+_ASKED_AGAIN_AFTER = 10
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignOutcome:
+    """What a run showed.
+
+    Attributes
+    ----------
+    violations
+        Broken promises.
+    stop_latencies_s
+        How soon stops stood.
+    lines
+        The service's log.
+    moves
+        How many there were.
+    modes
+        How often each was entered.
+    """
+
+    violations: tuple[Violation, ...]
+    stop_latencies_s: tuple[float, ...]
+    lines: tuple[LogLine, ...]
+    moves: int
+    modes: "Counter[Mode]"
+
+    @property
+    def promises(self) -> set[str]:
+        """The names of the broken promises."""
+        return {violation.promise for violation in self.violations}
+
+
+class CampaignRun:
+    """Carries out one schedule.
+
+    Parameters
+    ----------
+    loop
+        With virtual time.
+    schedule
+        What happens; `UserError` for what simulator or service cannot do.
+    directory
+        For what the service keeps.
+    bounded
+        Counts what must not grow.
+    door
+        Through which the commands go.
+    """
+
+    def __init__(
+        self, loop: VirtualTimeLoop, schedule: Schedule, directory: Path, bounded: Bounded, door: Door
+    ) -> None:
+        refuse_unknown(schedule.events, known(door))
+        self.watch = TruthWatch()
+        self.plant = build_plant(
+            loop,
+            schedule.begin,
+            directory,
+            self.watch,
+            law=schedule.law,
+            rehome=schedule.rehome,
+            synchronous=schedule.synchronous,
+            sky_w_m2=schedule.sky,
+        )
+        self.watch.attach(self.plant)
+        self._schedule = schedule
+        self._person = Person(self.plant, self.watch, door)
+        self._bounded = bounded
+        self._acting: set[asyncio.Task[None]] = set()
+        self._lasting: Counter[str] = Counter()
+        loop.set_exception_handler(self._unhandled)
+
+    def _unhandled(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        self.watch.fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
+
+    async def carry_out(self, *, heal: bool) -> None:
+        """Let everything of the schedule happen; with `heal` set everything right and see the tracker work again."""
+        plant, events = self.plant, list(self._schedule.events)
+        while events and events[0].at_s < 0:
+            # Before there is a service.
+            self._act(events.pop(0))
+            await asyncio.sleep(0)
+        plant.start()
+        watching = asyncio.create_task(self.watch.run(), name="watch")
+        try:
+            for event in events:
+                await asyncio.sleep(max(event.at_s - plant.clock.monotonic(), 0.0))
+                self._act(event)
+            await asyncio.sleep(max(self._schedule.hours * 3600 - plant.clock.monotonic(), 0.0))
+            if heal:
+                await self._set_right()
+                await self._see_it_work()
+            self._bounded.check(self._schedule, plant.records, self.watch.fails)
+        finally:
+            await self._leave(watching)
+
+    async def _leave(self, watching: "asyncio.Task[None]") -> None:
+        plant = self.plant
+        acting = {*self._acting, *plant.commands}
+        for task in acting:
+            task.cancel()
+        await asyncio.gather(*acting, return_exceptions=True)
+        if plant.is_served:
+            await plant.end()
+        watching.cancel()
+        (outcome,) = await asyncio.gather(watching, return_exceptions=True)
+        if isinstance(outcome, Exception):
+            raise outcome
+        # What has been cancelled gets the round that it takes to end.
+        await asyncio.sleep(0)
+        left = [task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        if left:
+            self.watch.fails("leak", f"tasks that outlive their service: {left}")
+
+    def _act(self, event: Happening) -> None:
+        if event.what == "command":
+            task = asyncio.create_task(self._person.give(event.name, event.value), name=event.name)
+            self.plant.commands.add(task)
+        else:
+            task = asyncio.create_task(self._fault(event), name=event.name)
+            self._acting.add(task)
+        task.add_done_callback(self._acted)
+
+    def _acted(self, task: "asyncio.Task[None]") -> None:
+        self.plant.commands.discard(task)
+        self._acting.discard(task)
+        if not task.cancelled() and task.exception() is not None:
+            self.watch.fails("defect", f"{task.get_name()} ended in {task.exception()!r}")
+
+    async def _fault(self, event: Happening) -> None:
+        fault, plant = FAULTS[event.name], self.plant
+        if event.name in PROCESS and not plant.is_served:
+            return
+        self._note(event.name, fault)
+        self._lasting[event.name] += 1
+        await _done(fault.begin(plant, event.value))
+        self.watch.lasting += 1
+        try:
+            await asyncio.sleep(event.lasts_s)
+        finally:
+            self.watch.lasting -= 1
+        # Another fault may have taken the sensor away meanwhile, or the service.
+        served_s = plant.clock.monotonic() - plant.served_since_s
+        if event.name == "wind" and plant.wind_m_s == event.value[0] and GUST_S <= event.lasts_s <= served_s:
+            self.watch.gust()
+        self._lasting[event.name] -= 1
+        if fault.end is not None and not self._lasting[event.name]:
+            await _done(fault.end(plant, event.value))
+            self._note_end(event.name, fault)
+
+    def _note(self, name: str, fault: PlantFault) -> None:
+        watch = self.watch
+        if fault.moves:
+            watch.moves_itself()
+        if name == "deaf":
+            watch.deaf(is_deaf=True)
+        elif name == "clock_step":
+            watch.clock_steps()
+        if fault.uncounts:
+            watch.reference_excused = True
+        if name.endswith("hall_loss"):
+            watch.blind.add("a" if name[0] == "a" else "b")
+        if fault.by_hand:
+            watch.explained.held(is_held=True, now_s=watch.now_s)
+        watch.disturbs()
+
+    def _note_end(self, name: str, fault: PlantFault) -> None:
+        watch = self.watch
+        if fault.moves:
+            watch.moves_itself()
+        if fault.by_hand:
+            watch.explained.held(is_held=False, now_s=watch.now_s)
+        if name.endswith("hall_loss"):
+            watch.blind.discard("a" if name[0] == "a" else "b")
+        if name == "deaf":
+            watch.deaf(is_deaf=False)
+        watch.disturbs()
+
+    async def _set_right(self) -> None:
+        """End whatever still lasts."""
+        lasting = [task for task in self._acting if not task.done()]
+        for task in lasting:
+            task.cancel()
+        await asyncio.gather(*lasting, return_exceptions=True)
+        for name, count in self._lasting.items():
+            fault = FAULTS[name]
+            if count and fault.end is not None and name not in PROCESS:
+                value = next(event.value for event in self._schedule.events if event.name == name)
+                await _done(fault.end(self.plant, value))
+                self._note_end(name, fault)
+        for device in self.plant.plugged:
+            self.plant.plug(device, up=True)
+        if not self.plant.is_served:
+            self.plant.renew()
+
+    async def _see_it_work(self) -> None:
+        """Set the tracker right as a person would, with the commands there are, and homing; it has to work then."""
+        plant, begun_s = self.plant, self.plant.clock.monotonic()
+        for command in ("clear", "auto"):
+            await self._person.give(command)
+            await asyncio.sleep(30.0)
+        turn = 0
+        while plant.clock.monotonic() - begun_s < RECOVERS_WITHIN_S:
+            if turn and turn % _ASKED_AGAIN_AFTER == 0:
+                await self._person.give("clear")
+            if not plant.motion.homing and not plant.has_homed(begun_s):
+                # Under a stow it is refused, so it is asked for until it has been made.
+                await self._person.give("home")
+            await asyncio.sleep(60.0)
+            turn += 1
+            at_rest = not plant.motion.doubt and not plant.motion.moving
+            if plant.mode in WORKS and at_rest and plant.has_homed(begun_s):
+                break
+        else:
+            text = f"mode {plant.mode}: {plant.control.why} {RECOVERS_WITHIN_S:g} s after everything was set right"
+            self.watch.fails("does-not-recover", text)
+            return
+        if self.watch.is_wrong():
+            text = f"after a reference run the truth is {plant.truth()}, and the service says {plant.motion.pose}"
+            self.watch.fails("believes-a-wrong-count", text)
+
+
+async def _done(result: Any) -> None:
+    if result is not None:
+        await result
+
+
+def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = True) -> CampaignOutcome:
+    """Carry out a schedule and return what it showed.
+
+    Parameters
+    ----------
+    schedule
+        What happens; events before 0 s happen before the service starts.
+    door
+        Through which the commands go; None for calls.
+    heal
+        Whether everything is set right at the end and the tracker has to work again.
+
+    Raises
+    ------
+    UserError
+        The schedule asks for something that simulator or service cannot do.
+    """
+    handles = _open_handles()
+    # In memory where there is such a place: a run writes more often than a disk likes.
+    with (
+        tempfile.TemporaryDirectory(dir=_MEMORY if _MEMORY.is_dir() else None) as folder,
+        asyncio.Runner(loop_factory=VirtualTimeLoop) as runner,
+    ):
+        loop = runner.get_loop()
+        assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; it has just been made
+        bounded = Bounded(loop.time)
+        with _listening(bounded):
+            running = CampaignRun(loop, schedule, Path(folder), bounded, door or DirectDoor())
+            runner.run(running.carry_out(heal=heal))
+    watch, plant = running.watch, running.plant
+    left = _open_handles() - handles
+    if left > 0:
+        watch.violations.append(Violation("leak", schedule.hours * 3600, f"{left} files or sockets are left open"))
+    return CampaignOutcome(
+        violations=tuple(watch.violations),
+        stop_latencies_s=tuple(watch.stop_latencies_s),
+        lines=tuple(bounded.lines),
+        moves=sum(isinstance(record, Move) for record in plant.records),
+        modes=Counter(record.after for record in plant.records if isinstance(record, ModeChange)),
+    )
+
+
+@contextmanager
+def _listening(handler: logging.Handler) -> Iterator[None]:
+    """Let the service's log go to the handler and nowhere else."""
+    logger = logging.getLogger("heliocube")
+    level, propagate = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagate
+
+
+def _open_handles() -> int:
+    if sys.platform != "linux":
+        return 0
+    gc.collect()
+    return sum(1 for _ in _HANDLES.iterdir())

@@ -1,0 +1,1 @@
+"""The watch of a campaign: what truly happens, compared with what was promised."""

@@ -1,0 +1,116 @@
+"""Which motion of an axis is explained: what counts as an order, and for how long after it an axis may run out."""
+
+import math
+from typing import Literal, NamedTuple
+
+from drivers.interfaces import AxisName
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.wire import Field
+
+RUN_OUT_S = 3.0
+AT_TARGET = 1.5
+"""Units of position within which direction says nothing any more."""
+_SAME_DESTINATION = 0.5
+
+_TARGETS: dict[int, AxisName] = {
+    Field.A_ANGLE: "a", Field.B_ANGLE: "b", Field.A_DESTINATION: "a", Field.B_DESTINATION: "b"
+}  # fmt: skip
+_HOMES: dict[bytes, AxisName] = {wire.HOME_A.encode(): "a", wire.HOME_B.encode(): "b"}
+
+Why = Literal["hand", "home", "order", "run-out"]
+
+
+class Counted(NamedTuple):
+    """What the unit itself says of an axis: its angle [deg], and position and destination in what it counts in."""
+
+    angle_deg: float
+    position: float
+    destination: float
+
+
+class Explained:
+    """What has been ordered of each axis and not been taken back.
+
+    An order counts from when the driver has seen the unit take it, as long as the unit's own destination stays what it
+    was then, and in its direction only. Nobody else's destination is ours.
+
+    Attributes
+    ----------
+    packets
+        How many packets have reached the unit.
+    """
+
+    def __init__(self) -> None:
+        self._destination: dict[AxisName, float | None] = {"a": None, "b": None}
+        self._homing: set[AxisName] = set()
+        self._run_out_s = -math.inf
+        self._held = False
+        self._released_s = -math.inf
+        self.packets = 0
+
+    def packet(self, data: bytes, now_s: float) -> None:
+        """Note a packet: whatever it was about, the last order is over, or there is a new one to come."""
+        self.packets += 1
+        at = data.find(b"$")
+        if not 0 <= at < len(data) - 1:
+            return
+        code, value = data[at + 1], data[at + 2 : at + 3].lower()
+        if code in _TARGETS:
+            axis = _TARGETS[code]
+            if self._destination[axis] is not None:
+                # On a reversal it runs the old way first.
+                self._run_out_s = now_s + RUN_OUT_S
+            self._destination[axis] = None
+        elif code == Field.ACTION and value in _HOMES:
+            self._take_back(now_s)
+            self._homing.add(_HOMES[value])
+        elif code == Field.STATUS or (code == Field.ACTION and value == wire.STOP.encode()):
+            self._take_back(now_s)
+
+    def _take_back(self, now_s: float) -> None:
+        if self._homing or any(destination is not None for destination in self._destination.values()):
+            self._run_out_s = now_s + RUN_OUT_S
+        self._destination = {"a": None, "b": None}
+        self._homing.clear()
+
+    def confirmed(self, a: Counted, b: Counted) -> None:
+        """Take the unit's destinations for ours from now on: the driver has seen it take a target."""
+        self._destination = {"a": a.destination, "b": b.destination}
+
+    def held(self, *, is_held: bool, now_s: float) -> None:
+        """Note that a person holds a button at the unit, or lets it go."""
+        self._held = is_held
+        self._released_s = now_s
+
+    def by_hand(self, now_s: float) -> bool:
+        """Tell whether a person's hand may move an axis."""
+        return self._held or now_s - self._released_s < RUN_OUT_S
+
+    def why(
+        self, axis: AxisName, turned_deg: float, counted: Counted, now_s: float, *, homing: bool, heading: bool
+    ) -> Why | None:
+        """Return why an axis may move, or None.
+
+        Parameters
+        ----------
+        axis, turned_deg, counted
+            The axis, which way it turns, and what the unit says of it.
+        now_s
+            The time.
+        homing, heading
+            Whether the service itself says that a reference run, or a move to a target, is on.
+        """
+        if self.by_hand(now_s):
+            return "hand"
+        if axis in self._homing and homing:
+            return "home"
+        if heading and self._is_ordered(axis, turned_deg, counted):
+            return "order"
+        return "run-out" if now_s < self._run_out_s else None
+
+    def _is_ordered(self, axis: AxisName, turned_deg: float, counted: Counted) -> bool:
+        destination = self._destination[axis]
+        if destination is None or abs(counted.destination - destination) > _SAME_DESTINATION:
+            return False
+        way = destination - counted.position
+        return abs(way) <= AT_TARGET or (way > 0) == (turned_deg > 0)

@@ -1,0 +1,64 @@
+"""From when on a service can be held to its promises: the unit is plugged in and hears it, and it has had its time."""
+
+import math
+
+from daemon.rigs.campaign.plant import Plant
+
+CONNECTED_S = 2.0
+"""From the first telemetry on the service has this long before everything binds."""
+CONNECTS_WITHIN_S = 15.0
+HEARS_AGAIN_S = 6.0
+"""After a unit was deaf: the service's pauses between stops may have grown by then."""
+
+
+class Reach:
+    """Whether the service reaches the unit.
+
+    Attributes
+    ----------
+    since_s
+        When the unit came within reach last, or went out of it.
+    connected_s
+        When the service had telemetry first since it lost it last; infinite while it has none.
+    begun_s
+        When the present service began.
+    """
+
+    def __init__(self) -> None:
+        self.since_s = 0.0
+        self.connected_s = math.inf
+        self.begun_s = 0.0
+        self._connected = False
+        self._grace_s = 0.0
+        self._deaf = False
+
+    def service_begins(self, now_s: float) -> None:
+        """Take note of a new process."""
+        self.begun_s = self.since_s = now_s
+        self._connected, self.connected_s, self._grace_s = False, math.inf, 0.0
+
+    def link_changes(self, now_s: float) -> None:
+        """Take note that a plug was pulled or put back, or that the unit is heard again."""
+        self.since_s, self._grace_s = now_s, 0.0
+
+    def deaf(self, now_s: float, *, is_deaf: bool) -> None:
+        """Take note that the unit takes no commands, or takes them again."""
+        self._deaf, self.since_s, self._grace_s = is_deaf, now_s, HEARS_AGAIN_S
+
+    def sample(self, plant: Plant, now_s: float) -> None:
+        """See whether there is telemetry."""
+        connected = plant.is_served and plant.motion.connected
+        if connected and not self._connected:
+            self.connected_s = now_s
+        elif not connected:
+            self.connected_s = math.inf
+        self._connected = connected
+
+    def live(self, plant: Plant, now_s: float) -> bool:
+        """Tell whether the service can keep its promises: it has had time to connect and to be heard."""
+        if not (plant.is_served and plant.plugged["positioner"]) or self._deaf or plant.is_silent:
+            return False
+        if now_s - self.since_s > CONNECTS_WITHIN_S:
+            return True
+        since_s = max(self.connected_s, self.since_s)
+        return self._connected and now_s - since_s > max(CONNECTED_S, self._grace_s)

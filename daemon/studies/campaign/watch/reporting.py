@@ -1,0 +1,78 @@
+"""Whether what the unit does by itself is reported, and nothing is reported that never happened."""
+
+import math
+from collections.abc import Callable
+from itertools import islice
+
+from daemon.base.records import Event, Record
+from daemon.rigs.campaign.plant import Plant
+
+WORTH_REPORTING_DEG = 0.5
+REPORTED_WITHIN_S = 10.0
+"""The unit shows some things in its slow screens only, and control decides every 5 s."""
+CAUSE_WITHIN_S = 30.0
+_SUBJECTS = ("alarm", "positioner", "control")
+_LATE_RECORDS = 500
+
+
+class Reporting:
+    """Compares what the axes did without an order with what the service has reported.
+
+    Parameters
+    ----------
+    fails
+        Called with a promise and a text.
+    """
+
+    def __init__(self, fails: Callable[[str, str], None]) -> None:
+        self._fails = fails
+        self._turned_deg = 0.0
+        self._turned_s = -math.inf
+        self._begun_s: float | None = None
+        self._unreported: list[tuple[float, float]] = []
+        self._cause_s = -math.inf
+        self._blocked: str | None = None
+
+    def cause(self, now_s: float) -> None:
+        """Note that a fault begins or ends, or that a hand is at the unit."""
+        self._cause_s = now_s
+
+    def unexplained(self, turned_deg: float, now_s: float) -> None:
+        """Note that an axis turns without an order while the service could know."""
+        self._cause_s = now_s
+        if self._begun_s is None or now_s - self._turned_s > REPORTED_WITHIN_S:
+            self._begun_s, self._turned_deg = now_s, 0.0
+        self._turned_s = now_s
+        self._turned_deg += abs(turned_deg)
+        if self._turned_deg >= WORTH_REPORTING_DEG:
+            self._unreported.append((self._begun_s, self._turned_deg))
+            self._begun_s = None
+
+    def stands(self) -> None:
+        """Note that both axes stand, or move by an order."""
+        self._begun_s = None
+
+    def check(self, plant: Plant, now_s: float, *, by_hand: bool) -> None:
+        """Compare with what has been reported by now; nothing is asked of a service that has ended meanwhile."""
+        blocked = plant.motion.unexplained
+        if by_hand:
+            self._cause_s = now_s
+        if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
+            self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
+        self._blocked = blocked
+        while self._unreported and now_s - self._unreported[0][0] > REPORTED_WITHIN_S:
+            begun_s, turned_deg = self._unreported.pop(0)
+            late = islice(reversed(plant.records), _LATE_RECORDS)
+            if not blocked and not any(_reports(record, begun_s) for record in late):
+                self._fails(
+                    "unreported", f"from {begun_s:.1f} s on an axis turned {turned_deg:.1f} deg, and nobody was told"
+                )
+
+    def forget(self) -> None:
+        """Hold the service to nothing: it is gone, or cannot be heard."""
+        self._unreported.clear()
+        self._begun_s = None
+
+
+def _reports(record: Record, since_s: float) -> bool:
+    return isinstance(record, Event) and record.subject in _SUBJECTS and record.time_monotonic_s >= since_s - 1.0

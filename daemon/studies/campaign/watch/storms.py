@@ -1,0 +1,71 @@
+"""Whether the tracker is stowed in a storm, arrives there, and stays so after a gust."""
+
+import math
+from collections.abc import Callable
+
+from daemon.base.records import Mode
+from daemon.rigs.campaign.plant import Plant
+from solar.frames import Angles
+
+STORM_S = 11.0
+"""Two decisions of control, and a little."""
+GUST_STOWS_S = 60.0
+STOWED_WITHIN_S = 420.0
+"""From one corner of the limits to the stow position, one axis after the other, with a second try."""
+STOWED_DEG = 1.3
+FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
+
+
+class Storms:
+    """Compares the wind with the mode.
+
+    Parameters
+    ----------
+    fails
+        Called with a promise and a text.
+
+    Attributes
+    ----------
+    gust_s
+        When a gust ended that lasted longer than the service looks away.
+    excused
+        Another fault is on, or the unit's count is wrong: a stow may be impossible, or end elsewhere.
+    """
+
+    def __init__(self, fails: Callable[[str, str], None]) -> None:
+        self._fails = fails
+        self._storm_s: float | None = None
+        self._undisturbed_s = -math.inf
+        self.gust_s = -math.inf
+        self.excused = False
+
+    def disturbed(self, now_s: float) -> None:
+        """Note that a fault or a person's command comes in between: a stow may take longer."""
+        self._undisturbed_s = now_s
+
+    def check(self, plant: Plant, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
+        """Compare wind, mode and where the axes truly stand.
+
+        `reachable_s` and `live` say since when, and whether, the service can do anything.
+        """
+        self._check_storm(plant, at, now_s, reachable_s, live=live)
+        after_gust = self.gust_s + STORM_S < now_s < self.gust_s + GUST_STOWS_S
+        if after_gust and reachable_s < now_s - STORM_S and plant.control.mode in FREE and live:
+            self._fails("storm", f"mode {plant.control.mode} {now_s - self.gust_s:.0f} s after a gust")
+
+    def _check_storm(self, plant: Plant, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
+        wind = plant.wind_m_s
+        strong = wind is not None and wind >= plant.service.settings.safety.stow_wind_m_s
+        if not strong or not plant.is_served:
+            self._storm_s = None
+            return
+        if self._storm_s is None:
+            self._storm_s = now_s
+        since_s = max(self._storm_s, reachable_s)
+        if now_s - since_s > STORM_S and plant.control.mode in FREE and live:
+            self._fails("storm", f"mode {plant.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
+        since_s = max(since_s, self._undisturbed_s)
+        if live and now_s - since_s > STOWED_WITHIN_S and not self.excused and plant.control.mode is Mode.STOW:
+            safety = plant.service.settings.safety
+            if not max(abs(at.a_deg - safety.stow_a_deg), abs(at.b_deg - safety.stow_b_deg)) <= STOWED_DEG:
+                self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")

@@ -1,0 +1,403 @@
+"""The watch: it sees where the axes truly stand, knows what was ordered, and holds both against the promises.
+
+What the promises are, and from when on each of them binds, is in the constants here and in the methods that begin with
+``_check``. A promise binds only while the service can keep it: the unit plugged in, hearing, and a service there.
+"""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from daemon.base.records import Mode, Scan
+from daemon.base.timeloop import wait_at_most
+from daemon.rigs.campaign.faults import FORGED_W_M2
+from daemon.rigs.campaign.plant import Plant
+from daemon.studies.campaign.watch.explained import Counted, Explained
+from daemon.studies.campaign.watch.reach import Reach
+from daemon.studies.campaign.watch.reporting import Reporting
+from daemon.studies.campaign.watch.storms import STORM_S, Storms
+from drivers.interfaces import AxisName
+from solar.frames import Angles
+
+SAMPLE_S = 0.1
+IDLE_SAMPLE_S = 2.0
+MOVES_DEG = 0.003
+"""What an axis turns within one sample at least to count as moving; a thirtieth of its full speed."""
+
+STANDSTILL_S = 0.7
+UNEXPLAINED_S = 2.0
+SAMPLING_S = 0.15
+UNIT_TRIPS_S = 1.5
+"""Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
+LIMIT_DEG = 0.02
+COUNTED_DEG = 0.02
+REFERENCE_DEG = 0.8
+REFERENCE_EVERY_S = 5.0
+DOUBTS_WITHIN_S = 30.0
+STALE_S = 16.0
+CLOCK_SETTLES_S = 890.0
+CLOCK_STEP_S = 30.0
+LEAST_W_M2, MOST_W_M2 = -100.0, 2000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A broken promise: its name, when, and what was seen."""
+
+    promise: str
+    at_s: float
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.promise} at {self.at_s:.2f} s: {self.text}"
+
+
+class TruthWatch:
+    """Holds what truly happens against what was promised; it is the plant's `Witness`.
+
+    Attributes
+    ----------
+    plant
+        What is watched.
+    violations
+        The broken promises.
+    stop_latencies_s
+        From each stop that was given in mid-move to standstill in truth.
+    moving
+        Which axes turn.
+    reference_excused
+        A person, or a fault that nobody can see, answers for the unit's count.
+    blind
+        Axes without Hall pulses.
+    lasting
+        How many faults are on at present.
+    """
+
+    def __init__(self) -> None:
+        self.violations: list[Violation] = []
+        self.stop_latencies_s: list[float] = []
+        self.explained = Explained()
+        self.reporting = Reporting(self.fails)
+        self.storms = Storms(self.fails)
+        self.reach = Reach()
+        self.moving: dict[AxisName, bool] = {"a": False, "b": False}
+        self.reference_excused = False
+        self.blind: set[AxisName] = set()
+        self.lasting = 0
+        self._at: Angles | None = None
+        self._sampled_s = -math.inf
+        self._wake = asyncio.Event()
+        self._fast_until_s = 0.0
+        self._unexplained_s: dict[AxisName, float | None] = {"a": None, "b": None}
+        self._self_moved_s = -math.inf
+        self._stop_s: float | None = None
+        self._stop_measured = True
+        self._maintenance_s: float | None = None
+        self._wrong_s: float | None = None
+        self._compared_s = -math.inf
+        self._stepped_s = -math.inf
+        self._sendings = 0
+        self._sent_s = -math.inf
+        self._noted: set[tuple[str, int]] = set()
+
+    def attach(self, plant: Plant) -> None:
+        """Watch a plant; it is built with this watch, so it comes later."""
+        self.plant = plant
+
+    @property
+    def now_s(self) -> float:
+        """The plant's time."""
+        return self.plant.clock.monotonic()
+
+    def fails(self, promise: str, text: str) -> None:
+        """Take note of a broken promise, the first time in a minute."""
+        key = (promise, int(self.now_s // 60))
+        if key not in self._noted:
+            self._noted.add(key)
+            self.violations.append(Violation(promise, self.now_s, text))
+
+    # What the taps, the faults and the persons report.
+
+    def packet(self, data: bytes, now_s: float) -> None:
+        """Take note of a packet that reaches the unit."""
+        self.explained.packet(data, now_s)
+        self.wake()
+
+    @contextlib.contextmanager
+    def sending(self, target: tuple[float, float]) -> Iterator[None]:
+        """Accompany a target while it is sent; it counts once the driver says that the unit has taken it."""
+        self._check_target(target)
+        self._sendings += 1
+        try:
+            yield
+        finally:
+            self._sendings -= 1
+            self._sent_s = self.now_s
+        self.explained.confirmed(*self._counted())
+
+    def homes(self, axis: AxisName) -> None:
+        """Take note that a reference run is ordered."""
+        if self._sendings:
+            self.fails("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
+
+    def service_begins(self) -> None:
+        """Take note that a new process is there."""
+        self.reach.service_begins(self.now_s)
+
+    def link_changes(self) -> None:
+        """Take note that a plug was pulled or put back, or that the unit hears or is heard again."""
+        self.reach.link_changes(self.now_s)
+        self.wake()
+
+    def deaf(self, *, is_deaf: bool) -> None:
+        """Take note that the unit takes no commands, or takes them again."""
+        self.reach.deaf(self.now_s, is_deaf=is_deaf)
+        self.wake()
+
+    def moves_itself(self) -> None:
+        """Take note that the unit may move by itself from now on."""
+        self._self_moved_s = self.now_s
+        self.wake()
+
+    def stop_is_asked(self) -> None:
+        """Take note of a person's stop."""
+        self._stop_s, self._stop_measured = self.now_s, not (self._live(self.now_s) and any(self.moving.values()))
+        self.wake()
+
+    def stop_is_released(self) -> None:
+        """Take note that a person has released it."""
+        self._stop_s = None
+        self._stop_measured = True
+
+    def maintenance_begins(self) -> None:
+        """Take note of maintenance."""
+        if self._maintenance_s is None:
+            self._maintenance_s = self.now_s
+
+    def maintenance_ends(self) -> None:
+        """Take note that it is over, or was refused."""
+        self._maintenance_s = None
+
+    def gust(self) -> None:
+        """Take note that the wind has been strong for more than a second."""
+        if self.plant.is_served and self.now_s - self.reach.begun_s > STORM_S:
+            self.storms.gust_s = self.now_s
+
+    def clock_steps(self) -> None:
+        """Take note that the clock is set."""
+        self._stepped_s = self.now_s
+
+    def scan(self, scan: Scan) -> None:
+        """Take note of a scan that the service has accepted."""
+        for face in scan.faces:
+            value = face.irradiance_w_m2
+            if value == FORGED_W_M2:
+                self.fails("forged", "a scan that nobody with the key has signed was accepted")
+            elif scan.ok and not LEAST_W_M2 <= value <= MOST_W_M2:
+                self.fails("implausible", f"an irradiance of {value:g} W/m2 passes for good")
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a person's stop is latched."""
+        return self._stop_s is not None
+
+    @property
+    def maintained(self) -> bool:
+        """Whether the tracker is in maintenance."""
+        return self._maintenance_s is not None
+
+    @property
+    def stop_asked_s(self) -> float:
+        """When the stop was asked for that is latched; infinite for none."""
+        return math.inf if self._stop_s is None else self._stop_s
+
+    def disturbed(self, within_s: float) -> bool:
+        """Tell whether a fault or a hand may have moved an axis lately."""
+        now_s = self.now_s
+        return now_s - max(self._self_moved_s, self.reach.since_s) < within_s or self.explained.by_hand(now_s)
+
+    def disturbs(self) -> None:
+        """Take note that a fault begins or ends, or that a person gives a command."""
+        self.reporting.cause(self.now_s)
+        self.storms.disturbed(self.now_s)
+        self.wake()
+
+    def wake(self) -> None:
+        """Sample often for a while: something may begin to move."""
+        self._fast_until_s = max(self._fast_until_s, self.now_s + 1.0)
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Sample until cancelled."""
+        while True:
+            self.sample()
+            if any(self.moving.values()) or self.now_s < self._fast_until_s:
+                await asyncio.sleep(SAMPLE_S)
+                continue
+            self._wake.clear()
+            due_s = self.plant.unit.next_event(self.now_s)
+            wait_s = IDLE_SAMPLE_S if due_s is None else min(max(due_s - self.now_s, SAMPLE_S), IDLE_SAMPLE_S)
+            await wait_at_most(self._wake, wait_s)
+
+    def sample(self) -> None:
+        """Compare truth and promises once."""
+        now_s, at = self.now_s, self.plant.truth()
+        before, gone_s, self._at = self._at, now_s - self._sampled_s, at
+        self._sampled_s = now_s
+        self.reach.sample(self.plant, now_s)
+        if before is not None and gone_s > 0:
+            least = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
+            self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least, now_s)
+            self._check_axis("b", at.b_deg, at.b_deg - before.b_deg, least, now_s)
+        live = self._live(now_s)
+        self._check_stop(now_s, live=live)
+        self._check_reference(at, now_s)
+        # The storm itself is one of them.
+        self.storms.excused = self.lasting > 1 or self.reference_excused or self._wrong_s is not None
+        self.storms.check(self.plant, at, now_s, self.reach.since_s, live=live)
+        if live:
+            self.reporting.check(self.plant, now_s, by_hand=self.explained.by_hand(now_s))
+        else:
+            self.reporting.forget()
+
+    def _check_axis(self, axis: AxisName, at_deg: float, turned_deg: float, least_deg: float, now_s: float) -> None:
+        moving = self.moving[axis] = abs(turned_deg) > least_deg
+        if not moving:
+            self._unexplained_s[axis] = None
+            return
+        self._fast_until_s = max(self._fast_until_s, now_s + 0.5)
+        motion = self.plant.motion
+        counted = self._counted()[0 if axis == "a" else 1]
+        heading = motion.target is not None
+        why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
+        if not self._live(now_s):
+            self._unexplained_s[axis] = None
+            return
+        if why is None:
+            self._check_unexplained(axis, at_deg, now_s)
+            # One axis may have taken a target that the other did not take: the move fails, and that is reported.
+            if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
+                self.reporting.unexplained(turned_deg, now_s)
+        else:
+            self._unexplained_s[axis] = None
+            self.reporting.stands()
+            if why == "order":
+                self._check_limits(axis, at_deg, turned_deg)
+
+    def _live(self, now_s: float) -> bool:
+        return self.reach.live(self.plant, now_s)
+
+    def _counted(self) -> tuple[Counted, Counted]:
+        """Return what the unit itself says of the axes A and B."""
+        shown = self.plant.unit.readout(self.now_s)
+        a, b = shown.a, shown.b
+        return (
+            Counted(a.angle_deg, a.position_mm, a.destination_mm),
+            Counted(b.angle_deg, b.position_mm, b.destination_mm),
+        )
+
+    # The promises.
+
+    def _check_unexplained(self, axis: AxisName, at_deg: float, now_s: float) -> None:
+        since_s = self._unexplained_s[axis]
+        if since_s is None:
+            self._unexplained_s[axis] = now_s - SAMPLE_S
+        elif now_s - since_s > UNEXPLAINED_S + SAMPLING_S + (UNIT_TRIPS_S if axis in self.blind else 0.0):
+            motion, control = self.plant.motion, self.plant.control
+            self.fails(
+                "unexplained-motion",
+                f"axis {axis} has moved for {now_s - since_s:.1f} s without an order and stands at {at_deg:.2f} deg;"
+                f" mode {control.mode}: {control.why}; target {motion.target}",
+            )
+
+    def _check_limits(self, axis: AxisName, at_deg: float, turned_deg: float) -> None:
+        limits = self.plant.service.settings.limits
+        low, high = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
+        beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
+        if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
+            self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
+
+    def _check_stop(self, now_s: float, *, live: bool) -> None:
+        if self._stop_s is None and self._maintenance_s is None:
+            return
+        moving = any(self.moving.values())
+        if not live:
+            self._stop_measured = True
+        if self._stop_s is not None and not self._stop_measured and not moving:
+            self._stop_measured = True
+            self.stop_latencies_s.append(now_s - self._stop_s)
+        if not moving or not live or self.explained.by_hand(now_s):
+            return
+        since_s = self._stop_s if self._stop_s is not None else self._maintenance_s
+        assert since_s is not None  # noqa: S101 - narrowing; one of the two is on
+        free_s = max(since_s + STANDSTILL_S, self._self_moved_s + UNEXPLAINED_S) + SAMPLING_S
+        if now_s > free_s:
+            kind = "stop" if self._stop_s is not None else "maintenance"
+            axes = " and ".join(axis for axis, moves in self.moving.items() if moves)
+            self.fails(
+                f"moves-under-{kind}",
+                f"axis {axes} moves {now_s - since_s:.1f} s after {kind} and stands at {self._at};"
+                f" mode {self.plant.control.mode}: {self.plant.control.why}",
+            )
+
+    def _counts(self, axis: AxisName, at_deg: float) -> bool:
+        """Tell whether the unit's count of an axis is the truth, to a hair."""
+        return abs(self._counted()[0 if axis == "a" else 1].angle_deg - at_deg) < COUNTED_DEG
+
+    def is_wrong(self) -> bool:
+        """Tell whether the unit's count is not what is true."""
+        (a, b), at = self._counted(), self._at or self.plant.truth()
+        return max(abs(a.angle_deg - at.a_deg), abs(b.angle_deg - at.b_deg)) > REFERENCE_DEG
+
+    def _check_reference(self, at: Angles, now_s: float) -> None:
+        if any(self.moving.values()) or not self.plant.is_served or now_s - self._compared_s < REFERENCE_EVERY_S:
+            return
+        self._compared_s = now_s
+        if not self.is_wrong():
+            self._wrong_s = None
+            # What is a hair at one angle may be a degree at another.
+            true = self._counts("a", at.a_deg) and self._counts("b", at.b_deg)
+            self.reference_excused = self.reference_excused and bool(self.blind or not true)
+            return
+        if self._wrong_s is None:
+            self._wrong_s = now_s
+        motion, control = self.plant.motion, self.plant.control
+        tracks = control.mode in (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
+        since_s = max(self._wrong_s, self.reach.since_s, self.reach.connected_s)
+        late = now_s - since_s > DOUBTS_WITHIN_S
+        if tracks and late and not self.reference_excused and motion.doubt is None and self._live(now_s):
+            self.fails(
+                "believes-a-wrong-count",
+                f"the unit says {self._counted()}, the truth is {at}; mode {control.mode}, no doubt",
+            )
+
+    def _check_target(self, target: tuple[float, float]) -> None:
+        control, now_s = self.plant.control, self.now_s
+        if self._sendings:
+            self.fails("two-targets", f"{target} is sent while another target is being sent")
+        itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
+        seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
+        near = now_s - self._sampled_s <= SAMPLING_S
+        if any(self.moving.values()) and near and seen and not itself and self._live(now_s):
+            self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
+        if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
+            self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
+        # A second try of the same move is no new decision.
+        begins = now_s - self.plant.motion.last_move_started_s < 1.0
+        if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
+            self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
+        if control.mode in (Mode.FALLBACK, Mode.NIGHT):
+            self._check_clock(target, now_s)
+
+    def _check_clock(self, target: tuple[float, float], now_s: float) -> None:
+        clock, control = self.plant.clock, self.plant.control
+        # A process that began after the step has never known another time.
+        known = self._stepped_s > self.reach.begun_s
+        wrong = known and abs(clock.step_s) > CLOCK_STEP_S and 1.0 < now_s - self._stepped_s < CLOCK_SETTLES_S
+        # To be parked when it is night in truth takes no clock.
+        parked = control.mode is Mode.NIGHT and self.plant.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
+        if wrong and not parked:
+            text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
+            self.fails("clock", text)

@@ -1,0 +1,106 @@
+"""The campaign itself: the same seed is the same run, what cannot be done is refused, a failure becomes small."""
+
+import json
+import logging
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.rigs.campaign.faults import FAULTS
+from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.many import run_many
+from daemon.studies.campaign.reduce import reduce
+from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.schedule import Happening, Schedule
+from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
+
+
+def test_a_seed_is_the_same_schedule_and_the_same_run_each_time():
+    schedule = draw(7, 0.2)
+    assert schedule == draw(7, 0.2)
+    assert schedule == Schedule.from_json(schedule.json())
+    assert schedule != draw(8, 0.2)
+    assert run_schedule(schedule, heal=False) == run_schedule(schedule, heal=False)
+
+
+def test_several_processes_show_what_one_shows():
+    schedules = [draw(seed, 0.1) for seed in (3, 4)]
+    one, two = (run_many(schedules, jobs, lambda *_: None, with_log=True) for jobs in (1, 2))
+    assert sorted(one.lines()) == sorted(two.lines())
+    assert one.done == 2
+
+
+def test_every_fault_and_command_can_be_drawn():
+    assert set(SPANS) == set(FAULTS)
+    events = [event for seed in range(400) for event in draw(seed, 3).events]
+    assert {event.name for event in events} == {*FAULTS, *COMMANDS}
+
+
+def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
+    names = {"unit_wind" if name == "wind" else "unit_snow" if name == "snow" else name for name in UNIT_FAULTS}
+    assert names <= set(FAULTS)
+
+
+def test_every_fault_begins_and_ends():
+    events = []
+    for name in FAULTS:
+        drawn = (event for seed in range(2000) for event in draw(seed, 1, only=[name]).events if event.name == name)
+        event = next(drawn)
+        at_s = 90.0 + 30 * len(events)
+        events += [
+            replace(event, at_s=at_s, lasts_s=min(event.lasts_s, 10.0)),
+            Happening(at_s + 20, "command", "clear"),
+        ]
+    hours = (events[-1].at_s + 60) / 3600
+    assert run_schedule(replace(draw(1, hours), events=tuple(events)), heal=False).violations == ()
+
+
+@pytest.mark.parametrize(
+    ("event", "sentence"),
+    [
+        (Happening(60, "fault", "lightning"), "no fault 'lightning'"),
+        (Happening(60, "command", "dance"), "no command 'dance'"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_not_skipped(event, sentence):
+    schedule = replace(draw(1, 0.2), events=(event,))
+    with pytest.raises(UserError, match=sentence):
+        run_schedule(schedule)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", json.dumps({"events": [1]}), '{"events": []}'])
+def test_what_is_no_schedule_is_refused(text):
+    with pytest.raises(ValueError, match=r"no schedule|Expecting"):
+        Schedule.from_json(text)
+
+
+class Pretended:
+    """A run that breaks a promise where everything needed happens, in its order."""
+
+    def __init__(self, *needed):
+        self._needed = needed
+        self.runs = 0
+
+    def __call__(self, schedule):
+        self.runs += 1
+        names = [event.name for event in schedule.events if event.name in self._needed]
+        return replace(OUTCOME, violations=(BROKEN,) if names == list(self._needed) else ())
+
+
+OUTCOME = run_schedule(replace(draw(1, 0.02), events=()), heal=False)
+BROKEN = type("Broken", (), {"promise": "a promise"})()
+
+
+def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_there_are_events():
+    names = [f"harmless {number}" for number in range(200)]
+    names[150], names[160] = "stop", "own_tracking"
+    events = tuple(Happening(300.0 * (1 + at), "fault", name) for at, name in enumerate(names))
+    pretended = Pretended("stop", "own_tracking")
+    schedule = replace(draw(1, 24), events=events)
+    reduced = reduce(schedule, {"a promise"}, events[160].at_s + 5, pretended)
+    assert [event.name for event in reduced.events] == ["stop", "own_tracking"]
+    assert pretended.runs < 60
+    assert reduced.hours < 6
+    assert (reduced.begin - schedule.begin).total_seconds() == events[150].at_s - reduced.events[0].at_s
+    assert logging.getLogger("heliocube").handlers == []
