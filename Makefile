@@ -9,7 +9,7 @@ WORKERS ?= 3
 .PHONY: run test lint format clean help
 
 help:
-	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig, 60 times real speed, until Ctrl-C"
+	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
 	@echo "make lint                       ruff, ruff format --check, mypy, import-linter"
 	@echo "make format                     ruff's fixes and formatting"
@@ -27,7 +27,7 @@ $(BIN)/.dev: deploy/lock/dev.txt $(BIN)/.runtime
 	@touch $@
 
 run: $(BIN)/.runtime
-	@$(BIN)/heliocube run $(ARGS)
+	@$(BIN)/heliocube run --dashboard $(ARGS)
 
 test: $(BIN)/.dev
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)

@@ -64,6 +64,7 @@ if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
 # The files outside of /opt/heliocube that belong to the program.
 system_files="
 /etc/systemd/system/heliocube-cube.service
+/etc/systemd/system/heliocube-dashboard.service
 /etc/systemd/system/heliocube-tracker.service
 /etc/udev/rules.d/70-heliocube.rules
 /etc/modules-load.d/heliocube.conf
@@ -86,7 +87,7 @@ reload() {
 }
 
 if [ $remove = yes ]; then
-  for role in cube tracker; do
+  for role in cube tracker dashboard; do
     unit=heliocube-$role.service
     [ $live = no ] || [ ! -e "/etc/systemd/system/$unit" ] || systemctl disable --quiet --now "$unit"
     rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit"
@@ -180,6 +181,8 @@ for other in cube tracker; do
     *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from before and stays" ;;
   esac
 done
+# The dashboard is for whoever wants one, on a machine of either role.
+put heliocube-dashboard.service /etc/systemd/system/heliocube-dashboard.service
 put heliocube.rules /etc/udev/rules.d/70-heliocube.rules
 put heliocube.modules-load.conf /etc/modules-load.d/heliocube.conf
 put heliocube.sysusers.conf /etc/sysusers.d/heliocube.conf
@@ -193,7 +196,7 @@ systemd-sysusers ${root:+--root="$root"} heliocube.conf
 
 umask 027
 mkdir -p "$etc"
-for role in $roles; do
+for role in $roles dashboard; do
   [ -e "$etc/$role.toml" ] || install -m 0640 "$here/examples/$role.toml" "$etc/$role.toml"
 done
 # The trackers' machines have the key of the cube's.
@@ -225,4 +228,5 @@ for role in $roles; do
 done
 [ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
 for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: systemctl restart)"; done
+say "      systemctl enable --now heliocube-dashboard    (if you want the page for browsers; see $etc/dashboard.toml)"
 say 'Before the first move: docs/install.md'

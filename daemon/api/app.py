@@ -15,6 +15,7 @@ from daemon.api.gate import AllowedHosts, Bodies, Gate, Token
 from daemon.api.metrics import Metrics
 from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
+from daemon.api.sun import sun_json
 from daemon.api.turns import ReadTurns
 from daemon.base.clock import Clock
 from daemon.service.operator import CommandError
@@ -76,6 +77,8 @@ class Api:
                 Route("/api/state", self._state),
                 Route("/api/scans", self._scans),
                 Route("/api/events", self._events),
+                Route("/api/sun", self._sun),
+                Route("/api/authorised", self._authorised, methods=["POST"]),
                 Route("/healthz", self._health),
                 Route("/metrics", self._metrics_text),
                 *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
@@ -95,6 +98,16 @@ class Api:
     async def _scans(self, request: Request) -> Response:
         since_utc_s = _since(request.query_params.get("since"))
         return Response(self._scan_log.page(since_utc_s), media_type="application/json")
+
+    async def _sun(self, request: Request) -> Response:
+        seen = self._see()
+        given = request.query_params.get("at")
+        at_s = seen.time_utc_s if given is None else _instant("at", given)
+        return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
+
+    async def _authorised(self, _: Request) -> Response:
+        """Answer a request whose token is the service's; the gate refuses any other."""
+        return JSONResponse({"ok": True})
 
     async def _events(self, _: Request) -> Response:
         if self._feed.listeners >= _MOST_LISTENERS:
@@ -184,12 +197,14 @@ def _down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
 
 
 def _since(text: str | None) -> float:
-    if text is None:
-        return -math.inf
+    return -math.inf if text is None else _instant("since", text)
+
+
+def _instant(name: str, text: str) -> float:
     try:
         found = datetime.fromisoformat(text)
     except ValueError:
-        raise HTTPException(400, f"since={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
+        raise HTTPException(400, f"{name}={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
     return (found.replace(tzinfo=UTC) if found.tzinfo is None else found).timestamp()
 
 

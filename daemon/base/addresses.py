@@ -82,3 +82,4 @@ def require_key(key: bytes | None, *, insecure: bool) -> None:
 
 
 DEFAULT_LISTEN = "127.0.0.1:20572"
+DEFAULT_DASHBOARD = "127.0.0.1:20574"

@@ -1,5 +1,6 @@
 """The command line: `heliocube`."""
 
+import contextlib
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +11,7 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands import config as config_commands
-from daemon.commands import export, operate, probe, store, tools
+from daemon.commands import dashboard, export, operate, probe, store, tools
 from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, CubeOption, LawOption, RoleChoice, TableFormat
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain
 from daemon.commands.studies.simulate import progress_bar, replay, report
@@ -81,6 +82,9 @@ def run(
     for_s: Annotated[
         float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
     ] = None,
+    with_dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Serve the dashboard as well, in a process of its own beside this one.")
+    ] = False,
 ) -> None:
     """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
     from daemon.commands.run import run_service
@@ -92,7 +96,10 @@ def run(
         settings = on_a_port_of_its_own(settings)
     if settings.instruments.kind == "real":
         _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
-    run_service(settings, Role(role), for_s, Console())
+    with contextlib.ExitStack() as stack:
+        if with_dashboard:
+            stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
+        run_service(settings, Role(role), for_s, Console())
 
 
 @app.command(rich_help_panel=SERVICE)
@@ -118,6 +125,7 @@ def simulate(
     report(summary, settings, out, console, Console())
 
 
+app.add_typer(dashboard.app)
 app.command(rich_help_panel=SERVICE)(replay)
 app.command(rich_help_panel=SCIENCE)(gain.gain)
 app.command(rich_help_panel=SCIENCE)(energy.energy)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daemon.base.addresses import DEFAULT_LISTEN, parse_address
+from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
 from daemon.config.section import Duration, FilePath, Section
 from drivers.settings import text_of
 
@@ -132,6 +132,27 @@ class ApiSettings(Section):
         strict=False,
         description="Names that requests may be for, such as that of a proxy, besides localhost and this machine's"
         " addresses. Others are refused: a page of the web could read the state under its own name.",
+    )
+
+
+class DashboardSettings(Section):
+    """The dashboard in the browser, a process of its own: `heliocube dashboard`."""
+
+    listen: ListenAddress = Field(
+        DEFAULT_DASHBOARD,
+        description="Address and port to serve on. Everyone who reaches it can look; orders need a service's token,"
+        " which travels unencrypted beyond this machine unless a proxy with TLS is in front.",
+    )
+    services: tuple[SendAddress, ...] = Field(
+        (),
+        strict=False,
+        description="Local interfaces of the services that it shows. Empty: the one that [api] of this file names.",
+    )
+    hosts: tuple[HostName, ...] = Field(
+        (),
+        strict=False,
+        description="Names under which browsers reach it, such as that of a proxy; localhost and numeric addresses"
+        " always do.",
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
 from daemon.config.instruments import Instruments
-from daemon.config.links import ApiSettings, BridgeSettings, MqttSettings, StoreSettings
+from daemon.config.links import ApiSettings, BridgeSettings, DashboardSettings, MqttSettings, StoreSettings
 from daemon.config.plugged import LAW, LOAD
 from daemon.config.section import Duration, FilePath, NotNegative, Section
 from daemon.config.simulation import SimulationSettings
@@ -208,5 +208,6 @@ class Sections(Section):
     bridge: BridgeSettings = BridgeSettings()
     store: StoreSettings = StoreSettings()
     api: ApiSettings = ApiSettings()
+    dashboard: DashboardSettings = DashboardSettings()
     mqtt: MqttSettings = MqttSettings()
     simulation: SimulationSettings = SimulationSettings()

@@ -26,6 +26,11 @@ from tests.system.conftest import ROOT
 DEPLOY = ROOT / "deploy"
 EXAMPLES = DEPLOY / "examples"
 ROLES = ("cube", "tracker")
+UNITS = (*ROLES, "dashboard")
+STARTS = {
+    **{role: f"run --role {role} --config /etc/heliocube/{role}.toml" for role in ROLES},
+    "dashboard": "dashboard --config %d/dashboard.toml",
+}
 pytestmark = pytest.mark.system
 needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
@@ -41,14 +46,14 @@ def stand_in(tmp_path, role, change=lambda text: text):
     """The unit, with a program that exists here in place of the installed one."""
     installed = "/opt/heliocube/current/bin/heliocube"
     text = (DEPLOY / f"heliocube-{role}.service").read_text()
-    assert f"ExecStart={installed} run --role {role} --config /etc/heliocube/{role}.toml\n" in text
+    assert f"ExecStart={installed} {STARTS[role]}\n" in text
     unit = tmp_path / f"heliocube-{role}.service"
     unit.write_text(change(text.replace(installed, "/bin/true")))
     return unit
 
 
 @needs_analyze
-@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("role", UNITS)
 def test_systemd_understands_every_line_of_the_units(tmp_path, role):
     done = run("systemd-analyze", "verify", stand_in(tmp_path, role))
     assert (done.returncode, done.stderr) == (0, "")
@@ -61,7 +66,7 @@ def test_a_misspelt_line_of_a_unit_would_be_told(tmp_path):
 
 
 @needs_analyze
-@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("role", UNITS)
 def test_the_units_may_do_little(tmp_path, role):
     done = run("systemd-analyze", "security", "--offline=true", "--threshold=20", stand_in(tmp_path, role))
     assert done.returncode == 0, done.stdout
@@ -123,7 +128,7 @@ def test_the_line_settings_of_the_rules_end_the_echo():
 # The examples
 
 
-@pytest.mark.parametrize("name", ["both", *ROLES])
+@pytest.mark.parametrize("name", ["both", *UNITS])
 def test_the_examples_are_good_configurations(tmp_path, name):
     shutil.copy(EXAMPLES / f"{name}.toml", tmp_path)
     write_key(tmp_path / "bridge.key", generate_key())
@@ -239,7 +244,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert "systemctl enable --now heliocube-tracker" in first.stdout
     program = tree / "opt/heliocube/current/bin/heliocube"
     assert run(program, "--version").stdout.startswith("heliocube ")
-    for role in ROLES:
+    for role in UNITS:
         checked = run(program, "config", "check", tree / f"etc/heliocube/{role}.toml")
         assert checked.returncode == 0, checked.stderr
     key = tree / "etc/heliocube/bridge.key"
@@ -264,6 +269,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
         "etc/heliocube/api.token",
         "etc/heliocube/bridge.key",
         "etc/heliocube/cube.toml",
+        "etc/heliocube/dashboard.toml",
         "etc/heliocube/tracker.toml",
         "var/lib/heliocube/records.sqlite",
     }

@@ -1,0 +1,80 @@
+"""`heliocube dashboard`, and the dashboard that `heliocube run --dashboard` has beside it."""
+
+import asyncio
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from daemon.commands.options import SERVICE
+
+app = typer.Typer()
+
+_ENDS_WITHIN_S = 5.0
+
+
+@app.command(rich_help_panel=SERVICE)
+def dashboard(
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", "-c", envvar="HELIOCUBE_CONFIG", help="Configuration, for its sections dashboard and api."
+        ),
+    ] = None,
+    api: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS:PORT", help="A service's local interface, instead. May be repeated."),
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="ADDRESS:PORT", help="Where to serve the page, instead of dashboard.listen.")
+    ] = None,
+    with_parent: Annotated[bool, typer.Option("--with-parent", help="End when standard input ends.")] = False,
+) -> None:
+    """Serve the dashboard for browsers until Ctrl-C or SIGTERM; it shows services that run already, or will."""
+    import logging
+    import os
+
+    from daemon.base import process
+    from daemon.base.clock import SystemClock
+    from daemon.dashboard.serve import addresses, bind, serve, settings_of_file, url_of
+
+    settings = settings_of_file(config)
+    services = addresses(api or settings.services)
+    # Beside a service its terminal says already how that is.
+    level = logging.ERROR if with_parent else logging.INFO
+    process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ, level=level)
+    # A line for each request would be a line a second.
+    logging.getLogger("httpx").setLevel(logging.WARNING)
+    bound = bind(listen or settings.listen)
+    typer.echo(f"dashboard at {url_of(bound)}, of {', '.join(str(service) for service in services)}")
+    notifier = process.Notifier(os.environ, os.getpid())
+    parent = sys.stdin.fileno() if with_parent else None
+    asyncio.run(serve(bound, services, settings.hosts, SystemClock(), notifier, parent))
+
+
+@contextlib.contextmanager
+def dashboard_beside(api: str, listen: str) -> Iterator[None]:
+    """Serve the dashboard of this process' service in a process of its own, which ends with the block or with us.
+
+    Its address is printed before anything else. Where it cannot start it says why itself; the service does without.
+    """
+    command = [sys.executable, "-m", "daemon.commands.main", "dashboard", "--with-parent"]
+    # Its standard input is a pipe that ends with this process, however that ends.
+    with subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "--api", api, "--listen", listen], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None  # noqa: S101 - narrowing; both are pipes
+        assert child.stdout is not None  # noqa: S101 - as above
+        typer.echo(child.stdout.readline(), nl=False)
+        try:
+            yield
+        finally:
+            child.stdin.close()
+            try:
+                child.wait(_ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                child.kill()

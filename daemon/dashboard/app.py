@@ -1,0 +1,234 @@
+"""The routes of the dashboard: the page, one stream of all services, and the operator's commands."""
+
+import asyncio
+import json
+import re
+from collections.abc import AsyncIterator, Collection, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import httpx
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from daemon.base.clock import Clock
+from daemon.dashboard.guard import PageGuard
+from daemon.dashboard.sessions import Session, Sessions
+from daemon.dashboard.upstream import Fleet, Upstream
+
+STATIC = Path(__file__).with_name("static")
+COOKIE = "heliocube"
+
+_COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn")
+_LONGEST_BODY = 4096
+_LONGEST_READ = 1 << 20
+_LONGEST_NAME = 60
+_TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
+_MOST_LISTENERS = 64
+# The service waits up to 6 s for a command's effect before it answers.
+_COMMAND_S = 15.0
+_READABLE = ("sun",)
+_READ_S = 30.0
+_ANSWER_S = 5.0
+
+
+class Dashboard:
+    """What the routes do.
+
+    Parameters
+    ----------
+    fleet
+        The services.
+    clock
+        For sessions.
+    hosts
+        Names under which browsers reach the dashboard.
+    """
+
+    def __init__(self, fleet: Fleet, clock: Clock, hosts: Collection[str]) -> None:
+        self._fleet = fleet
+        self._sessions = Sessions(clock.monotonic)
+        self._closing = asyncio.Event()
+        self.app = Starlette(
+            routes=[
+                Route("/", self._page),
+                Route("/events", self._events),
+                Route("/read/{what}", self._read),
+                Route("/session", self._session),
+                Route("/login", self._login, methods=["POST"]),
+                Route("/logout", self._logout, methods=["POST"]),
+                Route("/command", self._command, methods=["POST"]),
+                Route("/stow-all", self._stow_all, methods=["POST"]),
+                Route("/healthz", self._health),
+                Mount("/static", StaticFiles(directory=STATIC)),
+            ],
+            middleware=[Middleware(PageGuard, hosts=hosts)],
+            exception_handlers={HTTPException: _refused, httpx.HTTPError: _unreachable},
+        )
+
+    def close(self) -> None:
+        """End the streams of all browsers."""
+        self._closing.set()
+
+    async def _page(self, _: Request) -> Response:
+        return FileResponse(STATIC / "index.html")
+
+    async def _health(self, _: Request) -> Response:
+        return JSONResponse({"ok": True, "version": version("heliocube"), "listeners": self._fleet.listeners})
+
+    async def _events(self, _: Request) -> Response:
+        if self._fleet.listeners >= _MOST_LISTENERS:
+            raise HTTPException(503, "too many pages are open already; close some")
+        return StreamingResponse(self._stream(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+
+    async def _stream(self) -> AsyncIterator[str]:
+        hello = {"version": version("heliocube"), "services": list(self._fleet.services)}
+        yield f"event: hello\ndata: {json.dumps(hello)}\n\n"
+        with self._fleet.listening() as listener:
+            while not self._closing.is_set():
+                messages = await listener.next()
+                # A beat shows a page whose services are all gone that the dashboard is not.
+                yield "".join(f"data: {message}\n\n" for message in messages) or "event: beat\ndata: \n\n"
+
+    async def _read(self, request: Request) -> Response:
+        """Hand on what a service has of a kind, as it comes."""
+        what, query = request.path_params["what"], dict(request.query_params)
+        service = self._fleet.services.get(query.pop("service", ""))
+        if what not in _READABLE or service is None:
+            raise HTTPException(404, "the dashboard has no such reading of no such service")
+        url = f"{service.url}/api/{what}"
+        reply = await self._fleet.client.get(url, params=query, timeout=_READ_S)
+        return Response(reply.content, reply.status_code, media_type=reply.headers.get("content-type"))
+
+    async def _session(self, request: Request) -> Response:
+        return JSONResponse(_session_json(self._sessions.find(request.cookies.get(COOKIE))))
+
+    async def _login(self, request: Request) -> Response:
+        given = await _body(request)
+        token, by = str(given.get("token", "")).strip(), str(given.get("by", "")).strip()
+        if self._sessions.wait_s > 0:
+            raise HTTPException(429, f"too many wrong tokens: try again in {self._sessions.wait_s:.0f} s")
+        if not (0 < len(by) <= _LONGEST_NAME and by.isprintable()):
+            raise HTTPException(400, f"say who you are, in 1 to {_LONGEST_NAME} letters: it goes into the records")
+        if _TOKEN.fullmatch(token) is None:
+            raise HTTPException(400, "that is no token: copy the whole line of the service's api.token")
+        services = list(self._fleet.services.values())
+        accepted = await asyncio.gather(*(self._accepts(service, token) for service in services))
+        tokens = {service.name: token for service, yes in zip(services, accepted, strict=True) if yes}
+        if not tokens:
+            if all(yes is None for yes in accepted):
+                raise HTTPException(502, "no service answers now, so the token cannot be tried")
+            self._sessions.failed()
+            raise HTTPException(401, "no service takes this token: see api.token_file of its configuration")
+        before = request.cookies.get(COOKIE)
+        known = self._sessions.find(before)
+        name = self._sessions.open(by, (known.tokens if known else {}) | tokens)
+        self._sessions.close(before)
+        response = JSONResponse(_session_json(self._sessions.find(name)))
+        secure = request.url.scheme == "https"
+        response.set_cookie(COOKIE, name, max_age=30 * 86400, httponly=True, samesite="strict", secure=secure)
+        return response
+
+    async def _accepts(self, service: Upstream, token: str) -> bool | None:
+        """Return whether a service takes a token; None where it does not answer."""
+        try:
+            reply = await self._fleet.client.post(
+                f"{service.url}/api/authorised", headers=_bearer(token), timeout=_ANSWER_S
+            )
+        except httpx.HTTPError:
+            return None
+        return reply.status_code == httpx.codes.OK
+
+    async def _logout(self, request: Request) -> Response:
+        self._sessions.close(request.cookies.get(COOKIE))
+        response = JSONResponse(_session_json(None))
+        response.delete_cookie(COOKIE)
+        return response
+
+    async def _command(self, request: Request) -> Response:
+        given = await _body(request)
+        session = self._require(request)
+        name, service = given.pop("name", None), self._fleet.services.get(str(given.pop("service", "")))
+        if name not in _COMMANDS:
+            raise HTTPException(400, f"there is no command {ascii(name)[:40]}")
+        if service is None:
+            raise HTTPException(404, "the dashboard has no such service")
+        reply = await self._order(session, service, str(name), given)
+        return Response(reply.content, status_code=reply.status_code, media_type="application/json")
+
+    async def _stow_all(self, request: Request) -> Response:
+        given = await _body(request)
+        session = self._require(request)
+        services = list(self._fleet.services.values())
+        found = await asyncio.gather(*(self._stow(session, service, given) for service in services))
+        return JSONResponse({"results": found})
+
+    async def _stow(self, session: Session, service: Upstream, given: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            reply = await self._order(session, service, "stow", given)
+            found = reply.json()
+            accepted = reply.status_code == httpx.codes.OK
+            text = str(found.get("text") or found.get("error"))
+        except HTTPException as error:
+            accepted, text = False, error.detail
+        except (httpx.HTTPError, ValueError):
+            accepted, text = False, "the service does not answer"
+        return {"service": service.name, "accepted": accepted, "text": text}
+
+    async def _order(self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]) -> httpx.Response:
+        token = session.tokens.get(service.name)
+        if token is None:
+            raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
+        body = {**given, "by": session.by}
+        return await self._fleet.client.post(
+            f"{service.url}/api/{name}", json=body, headers=_bearer(token), timeout=_COMMAND_S
+        )
+
+    def _require(self, request: Request) -> Session:
+        session = self._sessions.find(request.cookies.get(COOKIE))
+        if session is None:
+            raise HTTPException(401, "log in first")
+        return session
+
+
+def _bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+def _session_json(session: Session | None) -> dict[str, Any]:
+    return {"by": None, "services": []} if session is None else {"by": session.by, "services": list(session.tokens)}
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    content = bytearray()
+    async for chunk in request.stream():
+        # What is too long is read to its end, so that its sender gets to see the answer; there is an end to that.
+        content += chunk
+        if len(content) > _LONGEST_READ:
+            break
+    if len(content) > _LONGEST_BODY:
+        raise HTTPException(413, f"the body is longer than {_LONGEST_BODY} bytes")
+    try:
+        found = json.loads(content or b"{}")
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise HTTPException(400, "the body is not a JSON object")
+    return found
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 - narrowing; Starlette calls this for no other
+    return JSONResponse({"error": error.detail}, status_code=error.status_code, headers=error.headers)
+
+
+async def _unreachable(_: Request, error: Exception) -> Response:
+    late = isinstance(error, httpx.TimeoutException)
+    sentence = "the service does not answer: look at the tracker" if late else "the service cannot be reached"
+    return JSONResponse({"error": sentence}, status_code=502)

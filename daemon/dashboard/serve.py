@@ -1,0 +1,188 @@
+"""Running the dashboard: its address, its signals, and its word to the service manager."""
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from threading import Thread
+from typing import Any, TypeVar
+
+import httpx
+import uvicorn
+from pydantic import ValidationError
+
+from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.process import Notifier, on_signals
+from daemon.config.links import ApiSettings, DashboardSettings
+from daemon.config.section import Section
+from daemon.dashboard.app import Dashboard
+from daemon.dashboard.upstream import Fleet
+
+_Kind = TypeVar("_Kind", bound=Section)
+
+_GRACE_S = 1
+_CONNECTIONS = 256
+
+
+class _Server(uvicorn.Server):
+    """A server that leaves signals to the process."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+
+def settings_of_file(path: Path | None) -> DashboardSettings:
+    """Return the section [dashboard] of a file, its services filled in from [api] where it names none.
+
+    Of the file nothing else is read: a mistake elsewhere in it is the service's.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or one of the two sections is wrong.
+    """
+    raw = {} if path is None else _read(path)
+    found = _section(path, raw, "dashboard", DashboardSettings)
+    if found.services:
+        return found
+    listen = DEFAULT_LISTEN if "api" not in raw else _section(path, raw, "api", ApiSettings).listen
+    return found.model_copy(update={"services": (str(parse_address(listen).reachable),)})
+
+
+def bind(listen: str) -> socket.socket:
+    """Return a socket that listens there; raises `UserError` where it cannot."""
+    try:
+        address = parse_address(listen)
+    except ValueError as error:
+        raise UserError(f"--listen: {error}") from None
+    bound = socket.socket(address.family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":  # Windows would let two programs share the port
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((address.host, address.port))
+        bound.listen()
+    except OSError as error:
+        bound.close()
+        raise UserError(
+            f"{address} cannot be listened on: {error.strerror}; is another dashboard running? Else set"
+            " dashboard.listen or --listen to another port"
+        ) from None
+    return bound
+
+
+def url_of(bound: socket.socket) -> str:
+    """Return where a browser of this machine finds what listens there."""
+    host, port = bound.getsockname()[:2]
+    return f"http://{Address(host, port).reachable}"
+
+
+def addresses(texts: Sequence[str]) -> list[Address]:
+    """Return the services' addresses; raises `UserError` for one that is none."""
+    try:
+        return [parse_address(text).reachable for text in texts]
+    except ValueError as error:
+        raise UserError(f"--api: {error}") from None
+
+
+async def serve(
+    bound: socket.socket,
+    services: Sequence[Address],
+    hosts: Collection[str],
+    clock: Clock,
+    notifier: Notifier,
+    parent: int | None = None,
+) -> None:
+    """Serve the dashboard of some services until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    bound
+        Listens already; is closed at the end.
+    services
+        Addresses of their local interfaces.
+    hosts
+        Names under which browsers reach the dashboard.
+    parent
+        A file descriptor that ends when the dashboard is to end; None where there is none.
+    """
+    loop = asyncio.get_running_loop()
+    limits = httpx.Limits(max_connections=None, max_keepalive_connections=2 * len(services))
+    # Proxies of the environment are for the world outside.
+    async with httpx.AsyncClient(trust_env=False, limits=limits) as client:
+        fleet = Fleet(services, client, clock)
+        dashboard = Dashboard(fleet, clock, hosts)
+        server = _server(dashboard)
+
+        def end() -> None:
+            dashboard.close()
+            server.should_exit = True
+
+        def end_from_outside() -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended already
+                loop.call_soon_threadsafe(end)
+
+        if parent is not None:
+            Thread(target=_await_end, args=(parent, end_from_outside), daemon=True).start()
+        with on_signals(end_from_outside):
+            tasks = [asyncio.create_task(fleet.run()), asyncio.create_task(_watchdog(notifier))]
+            notifier.ready()
+            try:
+                await server.serve(sockets=[bound])
+            finally:
+                notifier.stopping()
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _server(dashboard: Dashboard) -> _Server:
+    return _Server(
+        uvicorn.Config(
+            dashboard.app,
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            log_level=logging.WARNING,
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            limit_concurrency=_CONNECTIONS,
+            timeout_graceful_shutdown=_GRACE_S,
+        )
+    )
+
+
+def _await_end(descriptor: int, ended: Callable[[], None]) -> None:
+    while os.read(descriptor, 1):
+        pass
+    ended()
+
+
+async def _watchdog(notifier: Notifier) -> None:
+    while notifier.watchdog_interval_s is not None:
+        notifier.watchdog()
+        await asyncio.sleep(notifier.watchdog_interval_s)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"{path} is not TOML: {error}; see 'heliocube config check {path}'") from None
+
+
+def _section(path: Path | None, raw: dict[str, Any], name: str, kind: type[_Kind]) -> _Kind:
+    try:
+        return kind.model_validate(raw.get(name, {}))
+    except ValidationError:
+        raise UserError(f"the [{name}] of {path} is wrong; see 'heliocube config check {path}'") from None

@@ -1,0 +1,66 @@
+// Numbers, times and words as people read them. What is not known is a dash.
+
+export const UNKNOWN = "–";
+
+const known = (value) => typeof value === "number" && Number.isFinite(value);
+
+export function num(value, digits = 0, unit = "") {
+  if (!known(value)) return UNKNOWN;
+  const text = value.toFixed(digits);
+  const clean = Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
+  return unit ? `${clean} ${unit}` : clean;
+}
+
+export function deg(value, digits = 1) {
+  return known(value) ? `${num(value, digits)}°` : UNKNOWN;
+}
+
+export function signedDeg(value, digits = 1) {
+  if (!known(value)) return UNKNOWN;
+  const text = deg(value, digits);
+  return Number(value.toFixed(digits)) > 0 ? `+${text}` : text;
+}
+
+export function duration(seconds) {
+  if (!known(seconds)) return UNKNOWN;
+  const s = Math.max(0, seconds);
+  if (s < 9.95) return `${s.toFixed(1)} s`;
+  if (s < 99.5) return `${Math.round(s)} s`;
+  const minutes = Math.round(s / 60);
+  if (minutes < 60) return `${minutes} min`;
+  if (minutes < 48 * 60) return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+  return `${Math.floor(minutes / 1440)} d ${Math.floor((minutes % 1440) / 60)} h`;
+}
+
+// A countdown has to be exact where it is short.
+export function countdown(seconds) {
+  if (!known(seconds)) return UNKNOWN;
+  const s = Math.max(0, Math.round(seconds));
+  return `${Math.floor(s / 60)}:${String(s % 60).padStart(2, "0")} min`;
+}
+
+const two = (value) => String(value).padStart(2, "0");
+
+export function utcTime(ms, withSeconds = true) {
+  const at = new Date(ms);
+  const text = `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}`;
+  return withSeconds ? `${text}:${two(at.getUTCSeconds())}` : text;
+}
+
+export function localTime(ms, withSeconds = true) {
+  const at = new Date(ms);
+  const text = `${two(at.getHours())}:${two(at.getMinutes())}`;
+  return withSeconds ? `${text}:${two(at.getSeconds())}` : text;
+}
+
+export const utcDay = (ms) => new Date(ms).toISOString().slice(0, 10);
+
+// "11:27 local (09:27 UTC)", with the day where it is another one than that of `now`.
+export function at(iso, now) {
+  if (!iso) return UNKNOWN;
+  const ms = Date.parse(iso);
+  const day = now !== undefined && utcDay(ms) !== utcDay(now) ? `${utcDay(ms)} ` : "";
+  return `${day}${localTime(ms, false)} local (${utcTime(ms, false)} UTC)`;
+}
+
+export const sentence = (text) => (text ? text[0].toUpperCase() + text.slice(1) : "");

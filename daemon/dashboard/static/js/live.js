@@ -1,0 +1,88 @@
+// What is known of all services now, and since when.
+
+import { Stream } from "./stream.js";
+
+export class Live {
+  constructor(changed) {
+    this.changed = changed;
+    this.services = new Map();
+    this.version = null;
+    this.connected = null;
+    this.lostAt = null;
+    this.start();
+  }
+
+  start() {
+    if ("SharedWorker" in window) {
+      const { port } = new SharedWorker("/static/js/worker.js", { type: "module", name: "heliocube" });
+      port.onmessage = ({ data }) => this.take(data);
+      const tell = () => port.postMessage(document.visibilityState);
+      document.addEventListener("visibilitychange", tell);
+      window.addEventListener("pagehide", () => port.postMessage("bye"));
+      window.addEventListener("pageshow", tell);
+    } else {
+      const stream = new Stream((message) => this.take(message));
+      const settle = () => (document.visibilityState === "visible" ? stream.open() : stream.close());
+      document.addEventListener("visibilitychange", settle);
+      settle();
+    }
+  }
+
+  take({ kind, data }) {
+    if (kind === "lost") {
+      if (this.connected !== false) this.lostAt = Date.now();
+      this.connected = false;
+    } else this.connected = true;
+    if (kind === "hello") {
+      if (this.version !== null && this.version !== data.version) location.reload();
+      this.version = data.version;
+      for (const name of this.services.keys()) if (!data.services.includes(name)) this.services.delete(name);
+      for (const name of data.services) if (!this.services.has(name)) this.services.set(name, { name, up: null, why: null, state: null });
+    }
+    if (kind === "message") {
+      const service = this.services.get(data.service) ?? { name: data.service, state: null };
+      service.up = data.up;
+      service.why = data.why ?? null;
+      if (data.state) {
+        service.state = data.state;
+        service.at = performance.now();
+        service.atUtc = Date.parse(data.state.time);
+      }
+      this.services.set(data.service, service);
+    }
+    this.changed();
+  }
+
+  // All trackers of all services; a cube's process, which has none, is an entry without one.
+  get trackers() {
+    const found = [];
+    for (const service of this.services.values()) {
+      const own = Object.entries(service.state?.trackers ?? {});
+      if (own.length === 0) found.push({ key: service.name, service, name: null, tracker: null });
+      for (const [name, tracker] of own) found.push({ key: `${service.name}/${name}`, service, name, tracker });
+    }
+    const count = new Map();
+    for (const entry of found) {
+      const site = entry.service.state?.site.name ?? entry.service.name;
+      entry.label = entry.name ? `${entry.name}, ${site}` : entry.service.state ? `cube, ${site}` : entry.service.name;
+      count.set(entry.label, (count.get(entry.label) ?? 0) + 1);
+    }
+    for (const entry of found) if (count.get(entry.label) > 1) entry.label += ` (${entry.service.name})`;
+    return found;
+  }
+}
+
+// How long ago in the service's time its state was taken [s].
+export function elapsed(service) {
+  return service.at === undefined ? NaN : ((performance.now() - service.at) / 1000) * (service.state?.speed ?? 1);
+}
+
+// The service's own time now, as far as is known [ms].
+export function serviceNow(service) {
+  return service.atUtc + elapsed(service) * 1000;
+}
+
+// Whether what is shown of a service is no longer kept up to date.
+export function isOld(service, connected) {
+  return connected === false || !service.up || performance.now() - service.at > 5000;
+}

@@ -1,0 +1,158 @@
+// Who is logged in here, and the operator's commands: every one says what it will do and is answered by the tracker.
+
+import { h, icon } from "./dom.js";
+
+const WORDS = {
+  stow: { title: "Stow", about: "The tracker goes to its stow position and stays there until Auto." },
+  snow: { title: "Snow", about: "The tracker goes to the steep position that sheds snow and hail, and stays until Auto." },
+  maintenance: { title: "Maintenance", about: "Nothing moves and no alarm sounds until Auto. Before work on the mechanics switch the motors' supply off: software is no emergency stop." },
+  auto: { title: "Auto", about: "Ends stop, maintenance, stow, snow, hold and goto. The tracker may move at once: is nobody near it?" },
+  home: { title: "Reference run", about: "Both axes move over their whole range. Is nobody near the tracker?" },
+  clear: { title: "Clear faults", about: "Forgives the faults and doubts that are shown, without a reference run. The tracker may move at once." },
+  relearn: { title: "Relearn", about: "The law forgets what it has learned of this site: albedo and gains." },
+};
+
+async function call(path, body) {
+  let reply;
+  try {
+    reply = await fetch(path, body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+  } catch {
+    throw new Error("The dashboard does not answer; the order may not have arrived. Look at the tracker.");
+  }
+  const found = await reply.json().catch(() => ({}));
+  if (!reply.ok) throw Object.assign(new Error(found.error ?? `The dashboard answers ${reply.status}.`), { status: reply.status });
+  return found;
+}
+
+export class Orders {
+  constructor(outcome, changed) {
+    this.outcome = outcome;
+    this.changed = changed;
+    this.session = { by: null, services: [] };
+    call("/session").then((session) => this.set(session), () => {});
+  }
+
+  set(session) {
+    this.session = session;
+    this.changed();
+  }
+
+  may(service) {
+    return this.session.services.includes(service);
+  }
+
+  async logout() {
+    this.set(await call("/logout", {}));
+    this.say("Logged out.", "ok");
+  }
+
+  // Asks for the token once; resolves to whether the service has taken it.
+  login(service, about = "Orders need the service's token. Looking does not.") {
+    return new Promise((resolve) => {
+      const problem = h("p", { class: "problem", role: "alert" });
+      const by = h("input", { name: "by", autocomplete: "username", required: true, maxlength: 60, value: localStorage.getItem("by") ?? "" });
+      const token = h("input", { name: "token", type: "password", autocomplete: "current-password", required: true, maxlength: 600 });
+      const form = h("form", { method: "dialog" },
+        h("h2", null, "Log in"), h("p", null, about),
+        h("label", null, "Your name, for the records", by),
+        h("label", null, "Token", token),
+        h("p", { class: "hint" }, "The line in the service's api.token. A service without that file shows a token where it was started."),
+        problem,
+        h("div", { class: "choices" }, h("button", { type: "button", class: "plain", onclick: () => dialog.close() }, "Cancel"), h("button", { type: "submit", class: "strong" }, "Log in")));
+      const dialog = this.open(form, () => resolve(!service || this.may(service)));
+      form.addEventListener("submit", async (event) => {
+        event.preventDefault();
+        problem.textContent = "";
+        try {
+          this.set(await call("/login", { by: by.value, token: token.value }));
+          localStorage.setItem("by", by.value);
+          dialog.close();
+        } catch (error) {
+          problem.textContent = sentenceOf(error);
+        }
+      });
+      (by.value ? token : by).focus();
+    });
+  }
+
+  open(content, closed) {
+    const dialog = h("dialog", { "aria-label": content.querySelector("h2").textContent }, content);
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      closed();
+    });
+    document.body.append(dialog);
+    dialog.showModal();
+    return dialog;
+  }
+
+  // Asks whether it is meant; resolves to the reason to note, or null.
+  confirm(name, whom) {
+    return new Promise((resolve) => {
+      let answer = null;
+      const why = h("input", { name: "why", maxlength: 200, autocomplete: "off" });
+      const yes = h("button", { type: "submit", class: `go ${name}` }, icon(name), `${WORDS[name].title} now`);
+      const form = h("form", { method: "dialog" }, h("h2", null, `${WORDS[name].title}: ${whom}`), h("p", null, WORDS[name].about), yes,
+        h("label", null, "Reason, for the records (may stay empty)", why),
+        h("button", { type: "button", class: "plain wide", onclick: () => dialog.close() }, "Cancel"));
+      const dialog = this.open(form, () => resolve(answer));
+      form.addEventListener("submit", () => (answer = why.value.trim()));
+      yes.focus();
+    });
+  }
+
+  // Gives an order to one tracker and says what came of it.
+  async give(name, entry, more = {}) {
+    const service = entry.service.name;
+    if (!this.may(service) && !(await this.login(service))) return false;
+    const body = { service, name, ...more };
+    if (entry.name) body.tracker = entry.name;
+    return this.carryOut(name, entry.label, () => call("/command", body), service);
+  }
+
+  async ask(name, entry) {
+    if (!this.may(entry.service.name) && !(await this.login(entry.service.name))) return false;
+    const why = await this.confirm(name, entry.label);
+    return why === null ? false : this.give(name, entry, why ? { why } : {});
+  }
+
+  async carryOut(name, whom, action, service) {
+    this.say(`${name}: sent to ${whom} ...`, "wait");
+    try {
+      const found = await action();
+      const text = found.text ?? "";
+      const seen = { done: "ok", "under-way": "ok", "not-seen": "warn" }[found.state] ?? "ok";
+      this.say(seen === "warn" ? `${name}: no effect seen yet, look at the tracker: ${text}` : `${name}: ${text}`, seen);
+      return true;
+    } catch (error) {
+      if (error.status === 401) {
+        this.set({ by: null, services: [] });
+        if (await this.login(service, sentenceOf(error))) return this.carryOut(name, whom, action, service);
+      }
+      this.say(`${name}: ${sentenceOf(error)}`, "bad");
+      return false;
+    }
+  }
+
+  say(text, kind) {
+    this.outcome.replaceChildren(
+      h("p", null, text[0].toUpperCase() + text.slice(1)),
+      h("button", { type: "button", class: "plain", "aria-label": "Dismiss this message", onclick: () => this.say0() }, "×"),
+    );
+    this.outcome.dataset.kind = kind;
+    clearTimeout(this.timer);
+    if (kind === "ok") this.timer = setTimeout(() => this.say0(), 20000);
+  }
+
+  say0() {
+    this.outcome.replaceChildren();
+    delete this.outcome.dataset.kind;
+  }
+}
+
+export { call };
+
+function sentenceOf(error) {
+  const text = error.message;
+  return text[0].toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : ".");
+}

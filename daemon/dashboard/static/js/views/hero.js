@@ -1,0 +1,70 @@
+// The state in one line, the alarms, and who holds what.
+
+import { fill, h, icon, setAttr, setText } from "../dom.js";
+import { at, duration, sentence } from "../format.js";
+
+// Severity of each mode, for colour; the words say the same.
+export const KIND = {
+  tracking: "ok", night: "calm", starting: "calm", fallback: "warn", hold: "warn", snow: "warn", maintenance: "warn", stow: "warn", fault: "bad",
+};
+export const TITLE = {
+  tracking: "Tracking", night: "Night", starting: "Starting", fallback: "Fallback: by the clock", hold: "Held", snow: "Snow position", maintenance: "Maintenance", stow: "Stow", fault: "Fault",
+};
+const WISH = { maintenance: "Maintenance", stop: "Stopped", buttons: "Button pressed at the unit", stow: "Stow", snow: "Snow position", hold: "Held" };
+
+export function hero() {
+  const glyph = h("span", { class: "glyph" });
+  const title = h("h1", null);
+  const why = h("p", { class: "why" });
+  const since = h("p", { class: "since" });
+  const simulated = h("p", { class: "simulated", hidden: true }, "SIMULATED", h("span", null));
+  const alarms = h("div", { class: "alarms" });
+  const wishes = h("div", { class: "wishes" });
+  const node = h("section", { class: "hero", "aria-label": "State" },
+    h("div", { class: "mode" }, glyph, h("div", null, title, why, since)), simulated, alarms, wishes);
+
+  function update({ service, state, tracker, now, old }) {
+    const name = tracker ? tracker.mode.name : null;
+    const kind = !state ? "calm" : old ? "lost" : name ? KIND[name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
+    setAttr(node, "data-kind", kind);
+    const shown = !state ? "starting" : old ? "lost" : name ?? (state.cube_down_why ? "fault" : "ok");
+    fill(glyph, shown, () => icon(shown));
+    setText(title, headline(service, state, name, old));
+    setText(why, sentence(explain(service, state, tracker, old)));
+    const sinceMs = tracker ? Date.parse(tracker.mode.since) : NaN;
+    setText(since, tracker ? `since ${at(tracker.mode.since, now)}, for ${duration((now - sinceMs) / 1000)}` : "");
+    simulated.hidden = !state?.simulated;
+    setText(simulated.lastChild, state?.speed > 1 ? ` at ${state.speed} times real speed: nothing is moved` : ": no hardware is moved");
+    const own = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || tracker === null || alarm.tracker === tracker.tracker.name);
+    fill(alarms, [own, Boolean(tracker?.wishes.maintenance)], () => alarmList(own, tracker, now));
+    fill(wishes, [tracker?.wishes, tracker ? tracker.mode.name : ""], () => wishList(tracker?.wishes ?? {}, now));
+  }
+
+  return { node, update };
+}
+
+function headline(service, state, name, old) {
+  if (!state) return service?.up === false ? "No connection" : "Connecting ...";
+  if (old) return "No connection: what is shown is old";
+  return name ? TITLE[name] ?? sentence(name) : state.cube_down_why ? "The cube does not answer" : "The cube reads";
+}
+
+function explain(service, state, tracker, old) {
+  if (!state || old) return service?.why ? `the service at ${service.name} ${service.why}` : "";
+  return tracker ? tracker.mode.why : state.cube_down_why ?? "a process of the cube alone: it has no tracker";
+}
+
+function alarmList(alarms, tracker, now) {
+  const muted = tracker?.wishes.maintenance ? [h("p", { class: "hint" }, "Alarms are silent during maintenance.")] : [];
+  return [
+    ...muted,
+    ...alarms.map((alarm) =>
+      h("article", { class: "alarm" }, icon("fault"), h("div", null, h("h2", null, alarm.name), h("p", null, sentence(alarm.text)), h("p", { class: "hint" }, `since ${at(alarm.since, now)}`)))),
+  ];
+}
+
+function wishList(wishes, now) {
+  return Object.entries(wishes).filter(([, wish]) => wish).map(([name, wish]) =>
+    h("article", { class: "wish" }, icon(name === "buttons" ? "hold" : name),
+      h("p", null, h("strong", null, WISH[name] ?? name), wish.by ? ` by ${wish.by}` : "", wish.since ? ` since ${at(wish.since, now)}` : "", `: ${wish.why}. `, h("em", null, "Ends with Auto."))));
+}

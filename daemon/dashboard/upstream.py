@@ -1,0 +1,160 @@
+"""The services that the dashboard shows: one stream of events from each, handed on to any number of browsers."""
+
+import asyncio
+import json
+import logging
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import httpx
+from httpx_sse import SSEError, aconnect_sse
+
+from daemon.base.addresses import Address
+from daemon.base.clock import Clock, iso_utc
+from daemon.base.reconnect import Outage
+
+log = logging.getLogger("heliocube.dashboard")
+
+# The service sends its state once a second.
+_SILENT_S = 5.0
+_AGAIN_S = 1.0
+_BEAT_S = 2.0
+
+
+class Listener:
+    """One browser: what it has not been sent yet, the newest of each service only."""
+
+    def __init__(self) -> None:
+        self._pending: dict[str, str] = {}
+        self._news = asyncio.Event()
+
+    def put(self, service: str, message: str) -> None:
+        """Take a message; an older one of the same service that waits still is dropped."""
+        self._pending[service] = message
+        self._news.set()
+
+    async def next(self) -> list[str]:
+        """Return what there is to send, after a while nothing."""
+        try:
+            await asyncio.wait_for(self._news.wait(), _BEAT_S)
+        except TimeoutError:
+            return []
+        self._news.clear()
+        found, self._pending = list(self._pending.values()), {}
+        return found
+
+
+class Upstream:
+    """One service, followed for as long as `run` runs.
+
+    Parameters
+    ----------
+    address
+        Of its local interface.
+    client
+        Makes the requests.
+    clock
+        For stamps.
+    changed
+        Called with this object when there is a new message.
+    """
+
+    def __init__(
+        self, address: Address, client: httpx.AsyncClient, clock: Clock, changed: Callable[["Upstream"], None]
+    ) -> None:
+        self.name = str(address)
+        self.url = f"http://{address.reachable}"
+        self._client = client
+        self._clock = clock
+        self._changed = changed
+        self._outage = Outage(log, f"the service at {self.name}")
+        self.message = ""
+        self._down("has not answered yet")
+
+    async def run(self) -> None:
+        """Follow the service, and try again for ever when it is lost."""
+        while True:
+            try:
+                async for state in self._states():
+                    self._outage.up(self._clock.monotonic())
+                    self._publish(f'{{"service": {json.dumps(self.name)}, "up": true, "state": {state}}}')
+                reason = "has ended the connection"
+            except (httpx.HTTPError, SSEError, ValueError) as error:
+                reason = _reason(error)
+            self._outage.down(self._clock.monotonic(), reason)
+            self._down(reason)
+            await asyncio.sleep(_AGAIN_S)
+
+    async def _states(self) -> AsyncIterator[str]:
+        timeout = httpx.Timeout(_SILENT_S)
+        async with aconnect_sse(self._client, "GET", f"{self.url}/api/events", timeout=timeout) as source:
+            source.response.raise_for_status()
+            async for event in source.aiter_sse():
+                if event.event == "state":
+                    # What is not JSON would end every browser's page.
+                    json.loads(event.data)
+                    yield event.data.replace("\n", " ")
+
+    def _down(self, why: str) -> None:
+        found = {"service": self.name, "up": False, "why": why, "time": iso_utc(self._clock.utc())}
+        self._publish(json.dumps(found))
+
+    def _publish(self, message: str) -> None:
+        self.message = message
+        self._changed(self)
+
+
+class Fleet:
+    """All services, and the browsers that listen.
+
+    Parameters
+    ----------
+    addresses
+        Of the services' local interfaces; the first is shown first.
+    client, clock
+        As for `Upstream`.
+    """
+
+    def __init__(self, addresses: Sequence[Address], client: httpx.AsyncClient, clock: Clock) -> None:
+        self._listeners: list[Listener] = []
+        self.client = client
+        self.services = {str(address): Upstream(address, client, clock, self._hand_on) for address in addresses}
+
+    @property
+    def listeners(self) -> int:
+        """How many browsers listen."""
+        return len(self._listeners)
+
+    async def run(self) -> None:
+        """Follow all services until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            for service in self.services.values():
+                group.create_task(service.run())
+
+    @contextmanager
+    def listening(self) -> Iterator[Listener]:
+        """Give a listener that has the newest of each service already."""
+        listener = Listener()
+        for service in self.services.values():
+            listener.put(service.name, service.message)
+        self._listeners.append(listener)
+        try:
+            yield listener
+        finally:
+            self._listeners.remove(listener)
+
+    def _hand_on(self, service: Upstream) -> None:
+        for listener in self._listeners:
+            listener.put(service.name, service.message)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, httpx.ConnectError):
+        return "is not running, or listens elsewhere"
+    if isinstance(error, httpx.TimeoutException):
+        return f"has been silent for {_SILENT_S:g} s"
+    if isinstance(error, httpx.HTTPStatusError):
+        return f"refuses its events ({error.response.status_code})"
+    if isinstance(error, httpx.TransportError):
+        return "has broken off the connection"
+    return "does not speak as heliocube does"

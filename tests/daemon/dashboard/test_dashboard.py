@@ -1,0 +1,365 @@
+"""The dashboard between a browser and services, each a stand-in that speaks HTTP."""
+
+import asyncio
+import json
+
+import httpx
+import pytest
+
+from daemon.base.addresses import parse_address
+from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
+from daemon.dashboard.app import COOKIE, STATIC, Dashboard
+from daemon.dashboard.serve import bind, settings_of_file
+from daemon.dashboard.upstream import Fleet
+
+TOKEN = "t" * 43
+OTHER = "o" * 43
+NAMES = ("127.0.0.1:1001", "127.0.0.1:1002")
+PAGE = "http://dash.lab:20574"
+
+
+class Streamed(httpx.AsyncByteStream):
+    def __init__(self, service):
+        self.service = service
+
+    async def __aiter__(self):
+        for state in self.service.states:
+            yield f"event: state\ndata: {state}\n\nevent: pose\ndata: {{}}\n\n".encode()
+        await self.service.ends.wait()
+
+
+class Service:
+    """A service as far as the dashboard knows one."""
+
+    def __init__(self, token):
+        self.token = token
+        self.states = ['{"version": "1", "trackers": {}}']
+        self.ends = asyncio.Event()
+        self.asked = []
+        self.refusal = None
+        self.gone = False
+
+    def answer(self, request):
+        if self.gone:
+            raise httpx.ConnectError("refused")
+        path = request.url.path
+        if path == "/api/events":
+            return httpx.Response(200, headers={"content-type": "text/event-stream"}, stream=Streamed(self))
+        if path == "/api/sun":
+            return httpx.Response(200, json={"at": request.url.params.get("at")})
+        if request.headers.get("authorization") != f"Bearer {self.token}":
+            return httpx.Response(401, json={"error": "the token is not the service's"})
+        if path == "/api/authorised":
+            return httpx.Response(200, json={"ok": True})
+        self.asked.append((path, json.loads(request.content)))
+        if self.refusal:
+            return httpx.Response(409, json={"error": self.refusal})
+        return httpx.Response(200, json={"text": f"{path} done", "state": "done"})
+
+
+class House:
+    """Two services, the dashboard, and a browser on its page."""
+
+    def __init__(self):
+        self.services = dict(zip(NAMES, (Service(TOKEN), Service(OTHER)), strict=True))
+        self.client = httpx.AsyncClient(transport=httpx.MockTransport(self._answer))
+        self.fleet = Fleet([parse_address(name) for name in NAMES], self.client, SystemClock())
+        self.dashboard = Dashboard(self.fleet, SystemClock(), ["dash.lab"])
+        self.browser = httpx.AsyncClient(
+            transport=httpx.ASGITransport(self.dashboard.app), base_url=PAGE, headers={"Origin": PAGE}
+        )
+
+    def _answer(self, request):
+        return self.services[f"{request.url.host}:{request.url.port}"].answer(request)
+
+    async def login(self, token=TOKEN, by="ana"):
+        return await self.browser.post("/login", json={"token": token, "by": by})
+
+    async def order(self, name="stow", service=NAMES[0], **more):
+        return await self.browser.post("/command", json={"name": name, "service": service, **more})
+
+
+def in_house(scenario):
+    async def run():
+        house = House()
+        async with house.client, house.browser:
+            await scenario(house)
+
+    asyncio.run(run())
+
+
+def test_the_page_and_all_that_it_needs_are_shipped_and_run_nothing_else():
+    async def scenario(house):
+        page = await house.browser.get("/")
+        assert page.status_code == 200
+        policy = page.headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        for path in sorted(STATIC.rglob("*")):
+            if path.is_file():
+                reply = await house.browser.get(f"/static/{path.relative_to(STATIC)}")
+                assert reply.status_code == 200
+                assert reply.headers["x-content-type-options"] == "nosniff"
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize("name", ["index.html", "style.css", "js/main.js", "vendor/uPlot.iife.min.js"])
+def test_no_asset_names_a_place_outside(name):
+    text = (STATIC / name).read_text().replace("http://www.w3.org/2000/svg", "")
+    assert "//cdn" not in text
+    assert "http://" not in text.replace("https://github.com/leeoniya/uPlot", "")
+    assert "https://" not in text.replace("https://github.com/leeoniya/uPlot", "")
+
+
+@pytest.mark.parametrize(
+    ("host", "taken"),
+    [
+        ("dash.lab", True),
+        ("DASH.lab:20574", True),
+        ("localhost:20574", True),
+        ("127.0.0.1:20574", True),
+        ("[::1]:20574", True),
+        ("192.168.1.5", True),
+        ("evil.example", False),
+        ("dash.lab.evil.example", False),
+        ("127.0.0.1.evil.example", False),
+        ("", False),
+        ("[", False),
+    ],
+)
+def test_a_foreign_name_is_refused(host, taken):
+    async def scenario(house):
+        reply = await house.browser.get("/", headers={"Host": host})
+        assert reply.status_code == (200 if taken else 403)
+        if not taken:
+            assert "dashboard.hosts" in reply.json()["error"]
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://dash.lab", "http://dash.lab:1"])
+def test_another_page_can_give_no_order(origin):
+    async def scenario(house):
+        await house.login()
+        reply = await house.browser.post(
+            "/command", json={"name": "stow", "service": NAMES[0]}, headers={"Origin": origin}
+        )
+        assert reply.status_code == 403
+        del house.browser.headers["Origin"]
+        assert (await house.order()).status_code == 403
+        assert house.services[NAMES[0]].asked == []
+
+    in_house(scenario)
+
+
+def test_an_order_goes_to_the_service_with_its_token_and_the_name_of_whoever_logged_in():
+    async def scenario(house):
+        assert (await house.order()).status_code == 401
+        reply = await house.login()
+        assert reply.json() == {"by": "ana", "services": [NAMES[0]]}
+        cookie = reply.headers["set-cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=strict" in cookie
+        assert TOKEN not in cookie
+        done = await house.order("goto", a_deg=-10, b_deg=60, tracker="east", by="mallory")
+        assert done.json()["text"] == "/api/goto done"
+        sent = {"a_deg": -10, "b_deg": 60, "tracker": "east", "by": "ana"}
+        assert house.services[NAMES[0]].asked == [("/api/goto", sent)]
+
+    in_house(scenario)
+
+
+def test_a_service_with_another_token_asks_for_that_one_too_and_both_are_kept():
+    async def scenario(house):
+        await house.login()
+        refused = await house.order(service=NAMES[1])
+        assert (refused.status_code, refused.json()["error"]) == (
+            401,
+            "the service at 127.0.0.1:1002 has another token: log in with that one too",
+        )
+        assert (await house.login(OTHER)).json()["services"] == list(NAMES)
+        assert (await house.order(service=NAMES[1])).status_code == 200
+        assert (await house.order(service=NAMES[0])).status_code == 200
+
+    in_house(scenario)
+
+
+def test_stow_for_all_says_of_each_service_what_came_of_it():
+    async def scenario(house):
+        await house.login()
+        await house.login(OTHER)
+        house.services[NAMES[1]].refusal = "not in reach"
+        found = (await house.browser.post("/stow-all", json={"why": "hail"})).json()["results"]
+        assert found == [
+            {"service": NAMES[0], "accepted": True, "text": "/api/stow done"},
+            {"service": NAMES[1], "accepted": False, "text": "not in reach"},
+        ]
+        assert house.services[NAMES[0]].asked == [("/api/stow", {"why": "hail", "by": "ana"})]
+        house.services[NAMES[0]].gone = True
+        found = (await house.browser.post("/stow-all", json={})).json()["results"]
+        assert found[0]["text"] == "the service does not answer"
+
+    in_house(scenario)
+
+
+def test_wrong_tokens_are_refused_in_a_sentence_and_not_tried_for_ever():
+    async def scenario(house):
+        for given, status, words in [
+            ({"token": TOKEN, "by": ""}, 400, "say who you are"),
+            ({"token": TOKEN, "by": "a\nb"}, 400, "say who you are"),
+            ({"token": "short", "by": "ana"}, 400, "that is no token"),
+            ({"token": 7, "by": "ana"}, 400, "that is no token"),
+        ]:
+            reply = await house.browser.post("/login", json=given)
+            assert (reply.status_code, words in reply.json()["error"]) == (status, True)
+        for _ in range(5):
+            assert (await house.login("x" * 40)).status_code == 401
+        assert (await house.login()).status_code == 429
+        assert (await house.browser.get("/session")).json() == {"by": None, "services": []}
+
+    in_house(scenario)
+
+
+def test_no_token_can_be_tried_while_no_service_answers():
+    async def scenario(house):
+        for service in house.services.values():
+            service.gone = True
+        reply = await house.login()
+        assert (reply.status_code, reply.json()["error"]) == (
+            502,
+            "no service answers now, so the token cannot be tried",
+        )
+
+    in_house(scenario)
+
+
+def test_logging_out_ends_the_session_for_whoever_has_the_cookie():
+    async def scenario(house):
+        await house.login()
+        stolen = house.browser.cookies[COOKIE]
+        await house.browser.post("/logout")
+        house.browser.cookies.set(COOKIE, stolen)
+        assert (await house.order()).status_code == 401
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize(
+    ("body", "status"), [("[]", 400), ("{", 400), ("[" * 3000, 400), ('{"a": "' + "x" * 5000 + '"}', 413)]
+)
+def test_a_body_that_cannot_be_meant_is_refused(body, status):
+    async def scenario(house):
+        reply = await house.browser.post("/login", content=body)
+        assert (reply.status_code, "error" in reply.json()) == (status, True)
+
+    in_house(scenario)
+
+
+def test_unknown_commands_services_and_readings_are_refused():
+    async def scenario(house):
+        await house.login()
+        assert (await house.order("../../evil")).status_code == 400
+        assert (await house.order(service="10.0.0.1:80")).status_code == 404
+        assert (await house.browser.get("/read/state", params={"service": NAMES[0]})).status_code == 404
+        assert (await house.browser.get("/read/sun", params={"service": "10.0.0.1:80"})).status_code == 404
+        reply = await house.browser.get("/read/sun", params={"service": NAMES[0], "at": "2022-10-14"})
+        assert reply.json() == {"at": "2022-10-14"}
+        house.services[NAMES[0]].gone = True
+        assert (await house.order()).json() == {"error": "the service cannot be reached"}
+
+    in_house(scenario)
+
+
+def test_every_browser_gets_the_newest_of_each_service_whenever_it_comes():
+    async def scenario(house):
+        following = asyncio.create_task(house.fleet.run())
+        try:
+            with house.fleet.listening() as early:
+                messages = {}
+                while not all(message.get("up") for message in messages.values()) or len(messages) < 2:
+                    for text in await early.next():
+                        messages[json.loads(text)["service"]] = json.loads(text)
+                assert messages[NAMES[0]]["state"] == {"version": "1", "trackers": {}}
+                with house.fleet.listening() as late:
+                    assert [json.loads(text)["up"] for text in await late.next()] == [True, True]
+                    assert house.fleet.listeners == 2
+                house.services[NAMES[1]].gone = True
+                house.services[NAMES[1]].ends.set()
+                (text,) = await early.next()
+                assert json.loads(text)["up"] is False
+                assert json.loads(text)["why"] == "has ended the connection"
+                (text,) = await early.next()
+                assert json.loads(text)["why"] == "is not running, or listens elsewhere"
+        finally:
+            following.cancel()
+            await asyncio.gather(following, return_exceptions=True)
+
+    in_house(scenario)
+
+
+def test_a_browser_that_does_not_read_holds_one_message_of_each_service():
+    async def scenario(house):
+        service = house.services[NAMES[0]]
+        service.states = [f'{{"n": {n}}}' for n in range(1000)]
+        following = asyncio.create_task(house.fleet.run())
+        try:
+            with house.fleet.listening() as slow, house.fleet.listening() as other:
+                while '"n": 999' not in "".join(await other.next()):
+                    pass
+                assert len(await slow.next()) == 2
+        finally:
+            following.cancel()
+            await asyncio.gather(following, return_exceptions=True)
+
+    in_house(scenario)
+
+
+def test_what_is_no_state_never_reaches_a_browser():
+    async def scenario(house):
+        house.services[NAMES[0]].states = ["<html>"]
+        following = asyncio.create_task(house.fleet.run())
+        try:
+            with house.fleet.listening() as listener:
+                seen = ""
+                while "does not speak as heliocube does" not in seen:
+                    seen = "".join(await listener.next())
+                assert "<html>" not in seen
+        finally:
+            following.cancel()
+            await asyncio.gather(following, return_exceptions=True)
+
+    in_house(scenario)
+
+
+def test_the_services_are_those_of_the_file_or_the_one_of_its_own_interface(tmp_path):
+    assert settings_of_file(None).services == ("127.0.0.1:20572",)
+    file = tmp_path / "x.toml"
+    file.write_text('[api]\nlisten = "0.0.0.0:4000"\n')
+    assert settings_of_file(file).services == ("127.0.0.1:4000",)
+    file.write_text('[dashboard]\nservices = ["10.0.0.1:20572", "10.0.0.2:20572"]\n[law]\ndriver = "wrong"\n')
+    assert settings_of_file(file).services == ("10.0.0.1:20572", "10.0.0.2:20572")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[dashboard]\nlisten = 7\n", "the [dashboard] of"),
+        ('[api]\nlisten = "here"\n', "the [api] of"),
+        ("[dashboard\n", "is not TOML"),
+    ],
+)
+def test_a_file_that_is_wrong_is_one_sentence(tmp_path, text, words):
+    file = tmp_path / "x.toml"
+    file.write_text(text)
+    with pytest.raises(UserError, match="heliocube config check") as caught:
+        settings_of_file(file)
+    assert words in str(caught.value).replace("\\", "")
+
+
+def test_a_port_that_is_taken_is_said_with_the_remedy():
+    with bind("127.0.0.1:0") as first:
+        port = first.getsockname()[1]
+        with pytest.raises(UserError, match="is another dashboard running"):
+            bind(f"127.0.0.1:{port}")

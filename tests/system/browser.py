@@ -1,0 +1,195 @@
+"""A real browser on the dashboard of a real service on a bench: Debian's chromium, driven by playwright."""
+
+import contextlib
+import shutil
+import signal
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+from playwright.sync_api import expect, sync_playwright
+
+from tests.system.processes import BenchProcess, Process, wait_until
+from tests.system.rig import BRISK, HIGH_SUN
+
+CHROMIUM = shutil.which("chromium")
+TOKEN = "t" * 43
+PHONE = {"width": 390, "height": 844}
+TABLET = {"width": 820, "height": 1180}
+DESKTOP = {"width": 1440, "height": 900}
+# For a program that hangs, not for a machine that is slow.
+WITHIN_MS = 60_000
+
+SIMULATED = """
+[site]
+latitude_deg = 10.0
+longitude_deg = 0.0
+[cube]
+scan_every_s = 2.0
+reading_deadline_s = 0.5
+dark_correction = false
+[instruments.multiplexer]
+settle_s = 0.02
+[instruments.voltmeter]
+nplc = 0.1
+[windows]
+mean_s = 4.0
+decide_every_s = 20.0
+[motion]
+minimum_interval_s = 0.0
+[bridge]
+listen = "127.0.0.1:0"
+send_to = []
+insecure = true
+[simulation]
+speed = 1.0
+weather = "clear"
+start_utc = 2022-09-21T11:50:00Z
+motor_speed_mm_s = 12.8
+"""
+"""A simulated rig at its own speed, which scans every two seconds; the sun is high, so that stow is near."""
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Page:
+    """A page of the dashboard, with everything that it asked for and complained about."""
+
+    def __init__(self, context, url, view="now"):
+        self.page = context.new_page()
+        self.url = url
+        self.complaints, self.asked = [], []
+        self.page.on("console", self._note)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(f"{url}/#{view}")
+
+    def _note(self, message):
+        # A service that is gone and a token that is wrong are no mistakes of the page's.
+        if message.type in ("error", "warning") and "Failed to load resource" not in message.text:
+            self.complaints.append(message.text)
+
+    def show(self, view):
+        self.page.goto(f"{self.url}/#{view}")
+
+    def sees(self, selector, text):
+        expect(self.page.locator(selector).first).to_contain_text(text, timeout=WITHIN_MS)
+
+    def text(self, selector):
+        return self.page.locator(selector).first.inner_text()
+
+    def log_in(self):
+        dialog = self.page.get_by_role("dialog")
+        dialog.get_by_label("Your name").fill("ana")
+        dialog.get_by_label("Token").fill(TOKEN)
+        dialog.get_by_role("button", name="Log in").click()
+        expect(dialog.get_by_label("Token")).to_have_count(0, timeout=WITHIN_MS)
+
+
+@dataclass
+class Site:
+    """A service, and its dashboard."""
+
+    config: Path
+    api: str
+    url: str
+    service: Process
+    dashboard: Process
+
+    def state(self):
+        return httpx.get(f"http://{self.api}/api/state", timeout=30, trust_env=False).json()
+
+    def order(self, name, **body):
+        headers = {"Authorization": f"Bearer {TOKEN}"}
+        reply = httpx.post(f"http://{self.api}/api/{name}", json=body, headers=headers, timeout=30, trust_env=False)
+        return reply.json()
+
+    def kill(self):
+        self.service.stop(signal.SIGKILL)
+
+    def start(self):
+        self.service = run_service(self.config)
+
+    def until_mode(self, mode):
+        wait_until(lambda: self.mode() == mode, 60, lambda: f"mode {mode}, but {self.mode()}; {self.service.log()}")
+
+    def mode(self):
+        try:
+            return self.state()["mode"]["name"]
+        except httpx.HTTPError:
+            return None
+
+
+def run_service(config):
+    output = config.with_name("service.log")
+    with output.open("ab") as stream:
+        return Process(["run", "--config", config], output, stdout=stream)
+
+
+def run_dashboard(folder, *services):
+    port = free_port()
+    output = folder / "dashboard.log"
+    given = [word for service in services for word in ("--api", service)]
+    with output.open("ab") as stream:
+        process = Process(["dashboard", *given, "--listen", f"127.0.0.1:{port}"], output, stdout=stream)
+    wait_until(lambda: "dashboard at" in process.log() or process.exit_code is not None, 60, process.log)
+    return process, f"http://127.0.0.1:{port}"
+
+
+def with_interface(folder, text):
+    """Write a configuration to which the interface and the store are added; return its path and the address."""
+    (folder / "api.token").write_text(TOKEN + "\n")
+    (folder / "api.token").chmod(0o600)
+    api = f"127.0.0.1:{free_port()}"
+    config = folder / "heliocube.toml"
+    added = f'[api]\nlisten = "{api}"\ntoken_file = "{folder}/api.token"\n'
+    config.write_text(f'{text}\n{added}[store]\ndirectory = "{folder}/records"\nbatch_s = 0.5\n')
+    return config, api
+
+
+@contextlib.contextmanager
+def run_site(config, api):
+    """Give a site whose tracker tracks; ends everything at the end."""
+    with contextlib.ExitStack() as stack:
+        service = run_service(config)
+        dashboard, url = run_dashboard(config.parent, api)
+        stack.callback(dashboard.stop)
+        found = Site(config=config, api=api, url=url, service=service, dashboard=dashboard)
+        stack.callback(lambda: found.service.stop())
+        found.until_mode("tracking")
+        yield found
+
+
+def simulated_site(folder, text=SIMULATED):
+    """Give a site on the simulated rig."""
+    return run_site(*with_interface(folder, text))
+
+
+@contextlib.contextmanager
+def site_on_bench(folder):
+    """Give a site whose instruments are a bench's, and the bench."""
+    text = BRISK.format(send_to="").replace("[api]\nenabled = false\n", "")
+    basis, api = with_interface(folder, text)
+    bench = BenchProcess(folder / "bench", "--config", basis, *HIGH_SUN)
+    try:
+        with run_site(bench.config, api) as found:
+            yield found, bench
+    finally:
+        bench.stop()
+
+
+@contextlib.contextmanager
+def chromium():
+    """Give a browser."""
+    with sync_playwright() as playwright:
+        # As root a sandbox cannot be had.
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        try:
+            yield browser
+        finally:
+            browser.close()

@@ -1,0 +1,230 @@
+"""The dashboard as people have it: a real browser, a service on the bench, orders that move its axes."""
+
+import json
+import re
+
+import pytest
+
+from tests.system.processes import wait_until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsers.chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def the_site(tmp_path_factory):
+    with browsers.simulated_site(tmp_path_factory.mktemp("site")) as site:
+        yield site
+
+
+@pytest.fixture
+def site(the_site):
+    """The site, tracking; whatever a test did to it ends with the test."""
+    the_site.until_mode("tracking")
+    yield the_site
+    if the_site.mode() != "tracking":
+        wait_until(lambda: the_site.order("auto").get("accepted"), 60, the_site.service.log)
+
+
+@pytest.fixture
+def open_page(browser, site):
+    """Open a page of the dashboard: ``open_page(view, viewport)``; it may complain of nothing."""
+    contexts, pages = [], []
+
+    def open_one(view="now", viewport=browsers.DESKTOP, context=None, **options):
+        if context is None:
+            context = browser.new_context(viewport=viewport, timezone_id="Europe/Paris", **options)
+            contexts.append(context)
+        pages.append(browsers.Page(context, site.url, view))
+        return pages[-1]
+
+    yield open_one
+    complaints = [page.complaints for page in pages if page.complaints]
+    outside = {asked for page in pages for asked in page.asked if not asked.startswith(site.url)}
+    for context in contexts:
+        context.close()
+    assert complaints == []
+    assert outside == set()
+
+
+def figure(text):
+    return float(re.search(r"[−+\-]?\d+(?:\.\d+)?", text)[0].replace("−", "-"))
+
+
+def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
+    page = open_page()
+    page.sees(".hero h1", "Tracking")
+
+    def shown():
+        cells = page.page.locator(".card[aria-label=Cube] tbody tr").all_inner_texts()
+        wind = page.text(".card[aria-label=Wind] .big")
+        equipment = page.text(".card[aria-label=Equipment] tbody")
+        return {
+            "a": figure(page.text(".gauge:nth-child(1) .value")),
+            "b": figure(page.text(".gauge:nth-child(2) .value")),
+            "faces": [figure(cell.partition("\t")[2]) for cell in cells],
+            "wind": figure(wind),
+            "moves": figure(page.text(".facts div:has-text('Moves today') dd")),
+            "sun": figure(page.text(".facts div:has-text('Sun') dd").partition("elevation")[2]),
+            "board": site_board in equipment,
+        }
+
+    site_board = site.state()["tracker"]["identity"]["board"]
+
+    def said():
+        state = site.state()
+        pose, faces = state["tracker"]["pose"], state["scan"]["faces"]
+        return {
+            "a": round(pose["a_deg"], 1),
+            "b": round(pose["b_deg"], 1),
+            "faces": [float(round(faces[name]["irradiance_w_m2"])) for name in ("east", "south", "west", "zenith")],
+            "wind": round(state["wind"][0]["speed_m_s"], 1),
+            "moves": state["today"]["moves"],
+            "sun": round(state["sun_elevation_deg"], 1),
+            "board": True,
+        }
+
+    pairs = []
+
+    def agree():
+        # The readings go on changing: once, all of them have to agree.
+        pairs.append((said(), shown()))
+        return close(*pairs[-1])
+
+    wait_until(agree, 60, lambda: f"the same figures: {pairs[-1]}")
+    assert page.text(".simulated").startswith("SIMULATED")
+
+
+def close(said, shown):
+    faces = all(abs(one - other) <= 1 for one, other in zip(said["faces"], shown["faces"], strict=True))
+    rest = (said[name] == pytest.approx(shown[name], abs=0.101) for name in said if name != "faces")
+    return faces and all(rest)
+
+
+def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_the_axes(site, open_page):
+    page = open_page("now", browsers.PHONE, has_touch=True, is_mobile=True)
+    page.sees(".hero h1", "Tracking")
+    stow = page.page.locator(".top > .stow")
+    boxes = {}
+    for button in page.page.locator("button:visible, a:visible").all():
+        box = button.bounding_box()
+        boxes[button.inner_text()] = box["width"] * box["height"]
+    assert max(boxes, key=boxes.get) == "Stow"
+    box = stow.bounding_box()
+    assert box["y"] + box["height"] <= browsers.PHONE["height"], "it is seen without scrolling"
+
+    page.page.locator("#who").tap()
+    page.log_in()
+    assert page.text("#who") == "ana"
+    stow.tap()
+    page.page.get_by_role("button", name="Stow now").tap()
+    page.sees(".hero h1", "Stow")
+    page.sees(".outcome", "Stow: ")
+    page.sees(".wish", "by ana")
+    page.sees(".gauge:nth-child(2) .value", "90.0°")
+    page.sees(".moving", "Standing still")
+    assert site.state()["tracker"]["pose"]["b_deg"] == pytest.approx(90, abs=0.1)
+    assert site.state()["wishes"]["stow"]["by"] == "ana"
+    assert browsers.TOKEN not in page.page.content()
+    assert browsers.TOKEN not in json.dumps(page.page.evaluate("({...localStorage, cookie: document.cookie})"))
+
+    page.show("control")
+    page.page.get_by_role("button", name="Auto", exact=True).tap()
+    page.page.get_by_role("button", name="Auto now").tap()
+    page.sees(".hero h1", "Tracking")
+
+
+def test_goto_is_held_to_the_limits_and_says_who_holds(site, open_page):
+    page = open_page("control")
+    page.page.get_by_label("A, east negative").fill("-6")
+    page.page.get_by_label("B, flat is 90").fill("95")
+    page.page.get_by_role("button", name="Go there and hold").click()
+    assert page.page.evaluate("document.querySelector('[name=b_deg]').validity.rangeOverflow")
+    page.page.get_by_label("B, flat is 90").fill("84")
+    page.page.get_by_role("button", name="Go there and hold").click()
+    page.log_in()
+    page.sees(".outcome", "Goto: ")
+    page.sees(".wish", "Held by ana")
+    page.sees(".control .big", "Both axes stand still")
+    wait_until(lambda: abs(site.state()["tracker"]["pose"]["a_deg"] + 6) < 0.5, 60, "the tracker there")
+    page.sees(".control .card .hint", "A −6.")
+
+
+def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_by_itself(browser, tmp_path):
+    with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
+        page = browsers.Page(context, site.url)
+        page.sees(".hero h1", "Tracking")
+        page.page.locator("#stow").click()
+        page.log_in()
+        page.page.get_by_role("button", name="Stow now").click()
+        page.sees(".hero h1", "Stow")
+        wait_until(lambda: bench.state()["pose"]["b_deg"] > 89.5, 60, "the bench's tracker in its stow position")
+        page.sees(".gauge:nth-child(2) .value", "90.0°")
+        bench.ask("unplug", "positioner")
+        page.sees(".hero h1", "Fault")
+        page.sees(".card[aria-label=Equipment] tbody", "down")
+        page.sees(".card[aria-label=Tracker].stale .age", "STALE")
+        assert page.page.locator(".hero").get_attribute("data-kind") == "bad"
+
+        site.kill()
+        page.sees(".hero h1", "No connection: what is shown is old")
+        page.sees(".hero .why", site.api)
+        bench.ask("replug", "positioner")
+        site.start()
+        page.sees(".hero h1", "Stow")
+        assert page.complaints == []
+
+
+def test_nine_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page):
+    first = open_page()
+    tabs = [first, *(open_page(context=first.page.context) for _ in range(8))]
+    for tab in tabs:
+        tab.sees(".hero h1", "Tracking")
+    before = [tab.text("#clock") for tab in tabs]
+    wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), 60, "all go on")
+    health = browsers.httpx.get(f"{site.url}/healthz", trust_env=False).json()
+    assert health["listeners"] == 1
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("viewport", [browsers.PHONE, browsers.DESKTOP], ids=["phone", "desktop"])
+def test_the_rules_of_accessibility_hold(site, open_page, viewport, scheme):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    page = open_page("now", viewport, color_scheme=scheme, bypass_csp=True)
+    for view in ("now", "control"):
+        page.show(view)
+        page.sees(".hero h1", "Tracking")
+        found = axe.Axe().run(page.page).response["violations"]
+        assert [(each["id"], [node["target"] for node in each["nodes"]]) for each in found] == []
+    page.page.locator("#stow").click()
+    found = axe.Axe().run(page.page).response["violations"]
+    assert [(each["id"], [node["target"] for node in each["nodes"]]) for each in found] == []
+
+
+def test_all_is_reached_with_the_keyboard_alone(site, open_page):
+    page = open_page()
+    page.sees(".hero h1", "Tracking")
+    reached = []
+    for _ in range(8):
+        page.page.keyboard.press("Tab")
+        reached.append(page.page.evaluate("document.activeElement.innerText || document.activeElement.ariaLabel"))
+    assert reached[0] == "Skip to the content"
+    assert {"Now", "Control", "Log in", "Stow"} <= {text.strip() for text in reached}
+    page.page.locator("#stow").focus()
+    page.page.keyboard.press("Enter")
+    dialog = page.page.get_by_role("dialog")
+    playwright.expect(dialog).to_be_visible()
+    page.page.keyboard.press("Escape")
+    playwright.expect(dialog).to_have_count(0)
