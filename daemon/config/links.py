@@ -226,6 +226,14 @@ class MqttSettings(Section):
     commands: bool = Field(
         default=True, description="Take commands. Whoever may write to the broker can move the tracker then."
     )
+    dated_commands: bool = Field(
+        default=False,
+        description='Take only commands that bear an "id" and a "time" of their own, and each only once; but a stop'
+        " always.",
+    )
+    command_age_s: Duration = Field(
+        30.0, description="Largest difference between the time that a command bears and the service's clock."
+    )
     discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
     discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
     wind: WindInput = WindInput()

@@ -2,22 +2,29 @@
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from daemon.base.clock import Clock
+from daemon.base.recurrence import LogBudget, RateLimit
+from daemon.config.links import MqttSettings
 from daemon.mqtt.connection import Incoming
+from daemon.mqtt.dates import Dates
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import URGENT, Command, Operators, parse, refusal_json
 
 log = logging.getLogger("heliocube.mqtt")
 
-_AT_ONCE = 8
-# What makes things safe is not refused because a queue of wishes stands before it.
-_AT_ONCE_SAFE = 64
+# What makes things safe is not refused because a queue of wishes stands before it, and a stop for nothing else.
+_AT_ONCE = {"wish": 8, "safe": 64, "stop": 64}
+# Whoever sends more is answered no more: it would be telemetry that has to wait.
+_REPLIES_PER_S, _REPLIES_AT_ONCE = 10.0, 50
+_SETTLE_EVERY_S = 60.0
 
 
 class Commands:
-    """Takes commands and replies to each.
+    """Takes commands and replies to each, but for those of a flood.
 
     Parameters
     ----------
@@ -25,32 +32,54 @@ class Commands:
         Carry them out; the guard of every other way is behind them.
     reply
         Called with the name of the command and what came of it.
+    settings
+        Whether a command must bear a time, and how old it may be.
+    clock
+        The service's time.
+    speed
+        How many times as fast as the machine's the clock runs.
     """
 
-    def __init__(self, operators: Operators, reply: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(
+        self,
+        operators: Operators,
+        reply: Callable[[dict[str, Any]], None],
+        settings: MqttSettings,
+        clock: Clock,
+        speed: float = 1.0,
+    ) -> None:
         self._operators = operators
         self._reply = reply
-        self._running: set[asyncio.Task[None]] = set()
+        self._clock = clock
+        self._speed = speed
+        self._dates = Dates(settings, clock)
+        self._budget = LogBudget("commands over MQTT are refused")
+        # Each kind for itself, so that whoever stops the tracker in a flood of wishes reads that it stands.
+        self._replies = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
+        self._running: dict[asyncio.Task[None], str] = {}
 
     def take(self, name: str, message: Incoming) -> None:
         """Begin to carry out a command, or refuse it; needs a running loop and does not wait."""
         command: Command | None = None
         try:
             _refuse_retained(message)
+            _refuse_empty(message)
             command = parse(name, message.payload, "MQTT")
+            self._dates.check(command)
             self._refuse_flood(command.wanted)
         except CommandError as error:
-            log.warning("the command %s over MQTT is refused: %s", name, error)
-            self._reply(refusal_json(name, None if command is None else command.identifier, str(error)))
+            self._refuse(name, None if command is None else command.identifier, error)
             return
         task = asyncio.create_task(self._carry_out(command), name=f"mqtt command {command.wanted}")
-        self._running.add(task)
-        task.add_done_callback(self._running.discard)
+        self._running[task] = _kind(command.wanted)
+        task.add_done_callback(self._running.pop)
 
     async def run(self) -> None:
-        """Rest until cancelled; then end what is being waited for."""
+        """Say when a flood is over, until cancelled; then end what is being waited for."""
         try:
-            await asyncio.Event().wait()
+            while True:
+                await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
+                self._log(self._budget.settle(self._clock.monotonic()))
         finally:
             running = tuple(self._running)
             for task in running:
@@ -58,16 +87,43 @@ class Commands:
             await asyncio.gather(*running, return_exceptions=True)
 
     def _refuse_flood(self, wanted: str) -> None:
-        if len(self._running) >= (_AT_ONCE_SAFE if wanted in URGENT else _AT_ONCE):
+        kind = _kind(wanted)
+        if Counter(self._running.values())[kind] >= _AT_ONCE[kind]:
             raise CommandError(f"{len(self._running)} commands are being carried out already; ask again")
 
     async def _carry_out(self, command: Command) -> None:
         try:
-            self._reply(await self._operators.carry_out(command))
+            answer = await self._operators.carry_out(command)
         except CommandError as error:
-            self._reply(refusal_json(command.name, command.identifier, str(error)))
+            self._refuse(command.name, command.identifier, error)
+        else:
+            self._answer(answer, _kind(command.wanted))
+
+    def _refuse(self, name: str, identifier: str | None, error: CommandError) -> None:
+        self._log(self._budget.spend(self._clock.monotonic(), f"the command {name} over MQTT is refused: {error}"))
+        self._answer(refusal_json(name, identifier, str(error)), _kind(name))
+
+    def _answer(self, found: dict[str, Any], kind: str) -> None:
+        if self._replies[kind].admit(self._clock.monotonic()):
+            self._reply(found)
+
+    def _log(self, line: str) -> None:
+        if line:
+            log.warning("%s", line)
+
+
+def _kind(wanted: str) -> str:
+    if wanted == "stop":
+        return "stop"
+    return "safe" if wanted in URGENT else "wish"
 
 
 def _refuse_retained(message: Incoming) -> None:
     if message.retained:
         raise CommandError("a retained command is ignored, for nobody knows how old it is: publish without retain")
+
+
+def _refuse_empty(message: Incoming) -> None:
+    """Refuse what clears a retained command: it reaches those who listen as an empty message that is not retained."""
+    if not message.payload.strip():
+        raise CommandError("an empty message is no command, for that is how a retained one is cleared: publish {}")

@@ -114,9 +114,11 @@ class Mqtt:
             self._receive_scans(service.receiver)
         if mqtt.commands and own:
             operators = Operators(own, self._speed)
-            self._commands = Commands(operators, partial(self._reply, simulated=simulated))
+            self._commands = Commands(
+                operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed
+            )
             for name in NAMES:
-                self.link.listen(self._topics.command(name), partial(self._commands.take, name))
+                self.link.listen(self._topics.command(name), partial(self._commands.take, name), as_published=True)
         if "mqtt.discovery_prefix" not in self._unusable:
             messages = discovery(
                 mqtt.discovery_prefix,
@@ -125,6 +127,7 @@ class Mqtt:
                 commands=mqtt.commands,
                 tracker=bool(own),
                 simulated=simulated,
+                dated=mqtt.dated_commands,
             )
             self.link.at_birth(lambda: messages)
         self._report_unusable()
@@ -181,7 +184,7 @@ class Mqtt:
 
     def _reply(self, found: dict[str, Any], *, simulated: bool) -> None:
         whole = {"time": iso_utc(self._clock.utc()), **found, "simulated": simulated}
-        self.link.send(Message(self._topics.reply, encoded(whole), 1))
+        self.link.send(Message(self._topics.reply, encoded(whole), 1), answer=True)
 
 
 def links(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 import aiomqtt
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from daemon.config.links import MqttSettings
 from daemon.mqtt.credentials import load_user, tls_context
@@ -21,6 +22,7 @@ _CONNECT_S = 3.0
 _CONFIRM_S = 5.0
 _LEAVE_S = 1.0
 _FAILURES = 128
+_OTHER_VERSION = 132
 _MOST_INCOMING = 1000
 
 # What the library has to say is told by our own sentences.
@@ -32,9 +34,13 @@ class ConnectionLostError(Exception):
     """There is no connection any more, or none came about; the message is one sentence."""
 
 
+class VersionRefusedError(ConnectionLostError):
+    """The broker does not speak the version of MQTT that it was spoken to in."""
+
+
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """A message from the broker; `retained` ones were published at an unknown time before."""
+    """A message from the broker; `retained` ones may have been published at an unknown time before."""
 
     topic: str
     payload: bytes
@@ -54,9 +60,14 @@ class Connection:
         What the broker publishes when this connection ends without a word.
     speed
         How many times as fast as the machine's the event loop's clock runs: a broker's time is the machine's.
+    modern
+        Speak MQTT 5, and else 3.1.1.
     """
 
-    def __init__(self, settings: MqttSettings, client_id: str, will: Message, speed: float) -> None:
+    def __init__(
+        self, settings: MqttSettings, client_id: str, will: Message, speed: float, *, modern: bool = True
+    ) -> None:
+        self._modern = modern
         self._client = _Client(
             settings.host,
             settings.port,
@@ -64,7 +75,9 @@ class Connection:
             will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
             keepalive=settings.keepalive_s,
             timeout=_CONFIRM_S * speed,
-            clean_session=True,
+            protocol=aiomqtt.ProtocolVersion.V5 if modern else aiomqtt.ProtocolVersion.V311,
+            # MQTT 5 begins anew at the first connection of a client, and this one has no second.
+            clean_session=None if modern else True,
             max_queued_incoming_messages=_MOST_INCOMING,
             logger=_library_log,
         )
@@ -78,7 +91,7 @@ class Connection:
         Raises
         ------
         ConnectionLostError
-            Why that was not possible.
+            Why that was not possible; `VersionRefusedError` where the broker speaks MQTT 3.1.1 only.
         CredentialsError
             A file cannot be used.
         """
@@ -87,6 +100,8 @@ class Connection:
             await asyncio.shield(opening)
         except BaseException as error:
             await self._client.abandon(opening)
+            if isinstance(error, aiomqtt.MqttCodeError) and _code(error.rc) == _OTHER_VERSION and self._modern:
+                raise VersionRefusedError(f"{self._place} does not speak MQTT 5") from None
             if isinstance(error, aiomqtt.MqttError):
                 raise ConnectionLostError(self._reason(error)) from None
             raise
@@ -98,10 +113,17 @@ class Connection:
         except aiomqtt.MqttError as error:
             raise ConnectionLostError(self._reason(error)) from None
 
-    async def subscribe(self, topic: str) -> bool:
-        """Ask for a topic; return whether the broker grants it."""
+    async def subscribe(self, topic: str, *, as_published: bool = False) -> bool:
+        """Ask for a topic; return whether the broker grants it.
+
+        With `as_published` what is published retained from now on comes marked so, where the connection is modern.
+        """
         try:
-            granted = await self._client.subscribe(topic, qos=1)
+            if self._modern:
+                options = SubscribeOptions(qos=1, retainAsPublished=as_published)
+                granted = await self._client.subscribe(topic, options=options)
+            else:
+                granted = await self._client.subscribe(topic, qos=1)
         except aiomqtt.MqttError as error:
             raise ConnectionLostError(self._reason(error)) from None
         return all(_code(code) < _FAILURES for code in granted)

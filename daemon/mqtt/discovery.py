@@ -16,12 +16,13 @@ from daemon.service.operator_commands import MODES
 
 _NOT_IN_AN_ID = re.compile(r"[^A-Za-z0-9_-]")
 _PRESS = '{"why":"a button in Home Assistant"}'
+_DATED = '{{{}, "id": "{{{{ utcnow().timestamp() }}}}", "time": "{{{{ utcnow().isoformat() }}}}"}}'
 # Home Assistant takes the word None for "unknown".
 _ON_OFF = "{{{{ 'ON' if {} else 'OFF' }}}}"
 
 
 def discovery(
-    prefix: str, topics: Topics, *, enabled: bool, commands: bool, tracker: bool, simulated: bool
+    prefix: str, topics: Topics, *, enabled: bool, commands: bool, tracker: bool, simulated: bool, dated: bool = False
 ) -> list[Message]:
     """Return what to publish at each connection: the device, or with `enabled` False what removes it.
 
@@ -34,6 +35,8 @@ def discovery(
     commands, tracker
         Whether commands are taken, and whether there is a tracker at all. Entities of what there is not are removed,
         should an earlier run have announced them.
+    dated
+        Whether commands have to bear an identifier and a time, which Home Assistant then adds.
     simulated
         Shown in the device's name.
     """
@@ -41,8 +44,8 @@ def discovery(
     topic = f"{prefix}/device/{node}/config"
     if not enabled:
         return [Message(topic, b"", 1, retain=True)]
-    offered = _CUBE | (_TRACKER if tracker else {}) | (_commands(topics) if tracker and commands else {})
-    known = _CUBE | _TRACKER | _commands(topics)
+    offered = _CUBE | (_TRACKER if tracker else {}) | (_commands(topics, dated=dated) if tracker and commands else {})
+    known = _CUBE | _TRACKER | _commands(topics, dated=dated)
     components: dict[str, dict[str, Any]] = {}
     for key, found in known.items():
         if key in offered:
@@ -99,7 +102,7 @@ def _motor(axis: str) -> dict[str, Any]:
     return _sensor(f"Motor current {axis.upper()}", value, "A", "current", **_DIAGNOSTIC)
 
 
-def _commands(topics: Topics) -> dict[str, dict[str, Any]]:
+def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
     kept = [mode for mode in MODES if mode != "auto"]
     chosen = f"value_json.mode.name if value_json.mode.name in {kept} else 'auto'"
     select = {
@@ -108,6 +111,7 @@ def _commands(topics: Topics) -> dict[str, dict[str, Any]]:
         "options": list(MODES),
         "command_topic": topics.command("mode"),
         "value_template": f"{{{{ {chosen} }}}}",
+        **({"command_template": _DATED.format('"mode": "{{ value }}"')} if dated else {}),
     }
     buttons = {
         f"press_{name}": {
@@ -115,6 +119,7 @@ def _commands(topics: Topics) -> dict[str, dict[str, Any]]:
             "name": label,
             "command_topic": topics.command(name),
             "payload_press": _PRESS,
+            **({"command_template": _DATED.format(_PRESS.strip("{}"))} if dated else {}),
         }
         for name, label in {"stow": "Stow", "stop": "Stop", "hold": "Hold", "auto": "Track"}.items()
     }

@@ -12,8 +12,8 @@ from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
 from daemon.config.links import MqttSettings
-from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
-from daemon.mqtt.outbox import Message, Outbox
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError
+from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.mqtt.topics import Topics
 from daemon.service.status import LinkStatus
 
@@ -68,6 +68,8 @@ class Link:
         self._outbox = Outbox(settings.queue_messages)
         self._outage = Outage(log, "the MQTT broker")
         self._handlers: dict[str, list[Handler]] = {topics.status: [self._receive_status]}
+        self._as_published: set[str] = set()
+        self._modern = True
         self._births: list[Callable[[], list[Message]]] = []
         self._troubles: dict[str, str] = {}
         self._reported_s: dict[str, float] = {}
@@ -103,23 +105,29 @@ class Link:
             troubles=tuple(self._troubles.values()),
         )
 
-    def listen(self, topic: str, handler: Handler) -> None:
-        """Give each message on `topic` to `handler`, beside others; it must neither block nor raise."""
+    def listen(self, topic: str, handler: Handler, *, as_published: bool = False) -> None:
+        """Give each message on `topic` to `handler`, beside others; it must neither block nor raise.
+
+        With `as_published` a message counts as retained also when that is how it was published just now, where the
+        broker speaks MQTT 5; one that speaks 3.1.1 alone does not tell.
+        """
         self._handlers.setdefault(topic, []).append(handler)
+        if as_published:
+            self._as_published.add(topic)
 
     def at_birth(self, messages: Callable[[], list[Message]]) -> None:
         """Send what `messages` returns after each connection, before anything that waits."""
         self._births.append(messages)
 
-    def send(self, message: Message) -> None:
-        """Queue a message; without a connection it waits."""
-        self._outbox.put(message)
+    def send(self, message: Message, *, answer: bool = False) -> None:
+        """Queue a message; without a connection it waits. What somebody has asked for, an `answer`, has room apart."""
+        self._outbox.put(message, Lane.ANSWERS if answer else Lane.TELEMETRY)
         self._date_the_first_loss()
 
     def send_now(self, message: Message) -> None:
         """Send a message before all that wait; without a connection it is not sent at all."""
         if self._connected:
-            self._outbox.put(message, urgent=True)
+            self._outbox.put(message, Lane.URGENT)
 
     def trouble(self, subject: str, sentence: str | None) -> None:
         """Show what does not work, or with None that it works again; the log has each subject once an hour at most."""
@@ -148,13 +156,17 @@ class Link:
         while True:
             try:
                 await self._connect_and_serve()
+            except VersionRefusedError:
+                self._modern = False
+                log.info("the MQTT broker speaks 3.1.1 and not 5: it does not tell what is published retained")
+                continue
             except (ConnectionLostError, UserError) as error:
                 self._lost(str(error))
             await asyncio.sleep(self._backoff.next_s() * self._speed)
 
     async def _connect_and_serve(self) -> None:
         will = Message(self._topics.status, OFFLINE, 1, retain=True)
-        connection = Connection(self._settings, self._client_id, will, self._speed)
+        connection = Connection(self._settings, self._client_id, will, self._speed, modern=self._modern)
         await connection.open()
         timers: list[asyncio.TimerHandle] = []
         try:
@@ -192,7 +204,7 @@ class Link:
 
     async def _be_born(self, connection: Connection) -> None:
         for topic in self._handlers:
-            granted = await connection.subscribe(topic)
+            granted = await connection.subscribe(topic, as_published=topic in self._as_published)
             self.trouble(topic, None if granted else f"the broker does not let {self._client_id} listen to {topic}")
         await connection.publish(Message(self._topics.status, ONLINE, 1, retain=True))
         for messages in self._births:
@@ -238,7 +250,7 @@ class Link:
             self.trouble(self._topics.status, None)
         else:
             # The will of a connection before this one, or somebody else's: it is not true.
-            self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), urgent=True)
+            self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), Lane.URGENT)
 
     def _no_echo(self) -> None:
         self.trouble(

@@ -3,8 +3,8 @@
 import asyncio
 from collections import deque
 from dataclasses import dataclass
-
-_MOST_URGENT = 64
+from enum import Enum, auto
+from itertools import count
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,51 +23,69 @@ class Message:
     retain: bool = False
 
 
+class Lane(Enum):
+    """Where a message waits: what is full in one costs nothing in another."""
+
+    URGENT = auto()
+    TELEMETRY = auto()
+    ANSWERS = auto()
+
+
+_MOST = {Lane.URGENT: 64, Lane.ANSWERS: 256}
+
+
 class Outbox:
-    """Two queues: a short urgent one that is emptied first, and that of the telemetry.
+    """Three queues: a short urgent one that is emptied first, and telemetry and answers in the order that they came in.
 
     Parameters
     ----------
     most
-        Room for telemetry; a message too many costs the oldest, which is counted.
+        Room for telemetry; a message too many in a lane costs its oldest, which is counted.
     """
 
     def __init__(self, most: int) -> None:
-        self._urgent: deque[Message] = deque()
-        self._others: deque[Message] = deque()
-        self._most = most
+        self._most = {**_MOST, Lane.TELEMETRY: most}
+        self._lanes: dict[Lane, deque[tuple[int, Message]]] = {lane: deque() for lane in Lane}
+        self._numbers = count()
+        self._taken = Lane.TELEMETRY, 0
         self._filled = asyncio.Event()
         self.dropped = 0
 
     @property
     def waiting(self) -> int:
         """How many messages wait."""
-        return len(self._urgent) + len(self._others)
+        return sum(map(len, self._lanes.values()))
 
-    def put(self, message: Message, *, urgent: bool = False) -> None:
+    def put(self, message: Message, lane: Lane = Lane.TELEMETRY) -> None:
         """Append a message; never waits."""
-        queue, most = (self._urgent, _MOST_URGENT) if urgent else (self._others, self._most)
-        queue.append(message)
-        if len(queue) > most:
+        queue = self._lanes[lane]
+        queue.append((next(self._numbers), message))
+        if len(queue) > self._most[lane]:
             queue.popleft()
             self.dropped += 1
         self._filled.set()
 
     def put_back(self, message: Message) -> None:
-        """Return a message whose sending failed to the front; it is dropped if there is no room any more."""
-        if len(self._others) < self._most:
-            self._others.appendleft(message)
+        """Return the message that was taken last to its place; it is dropped if there is no room any more."""
+        lane, number = self._taken
+        if len(self._lanes[lane]) < self._most[lane]:
+            self._lanes[lane].appendleft((number, message))
             self._filled.set()
         else:
             self.dropped += 1
 
     def forget_urgent(self) -> None:
         """Throw away what was only worth sending at once."""
-        self._urgent.clear()
+        self._lanes[Lane.URGENT].clear()
 
     async def take(self) -> Message:
         """Wait for a message and take it out."""
-        while not (self._urgent or self._others):
+        while not self.waiting:
             self._filled.clear()
             await self._filled.wait()
-        return (self._urgent or self._others).popleft()
+        lane = Lane.URGENT
+        if not self._lanes[lane]:
+            lane = min((one for one in Lane if self._lanes[one]), key=lambda one: self._lanes[one][0][0])
+        number, message = self._lanes[lane].popleft()
+        self._taken = lane, number
+        return message

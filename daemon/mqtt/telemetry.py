@@ -68,7 +68,9 @@ class TelemetryPublisher:
         kind = kind_of(record)
         qos, retain = _MANNERS[kind]
         payload = encoded({**record_json(record), "simulated": self._simulated})
-        self._link.send(Message(self._topics.of(kind), payload, qos, retain))
+        # What persons and programs ask for in a loop is not to push out what was measured.
+        asked = isinstance(record, Event) and record.subject == "operator"
+        self._link.send(Message(self._topics.of(kind), payload, qos, retain), answer=asked)
         if isinstance(record, ModeChange) or (isinstance(record, Event) and record.subject == "alarm"):
             self._wake.set()
 

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any
 
 from daemon.base.process import TRACKER
@@ -22,6 +23,8 @@ LONGEST_BODY = 4096
 
 _LONGEST_LINE = 200
 _LINES = ("why", "by", "id", "tracker")
+# A command over HTTP is under way for as long as its connection lasts.
+_LINES_OF = {"MQTT": ("time",)}
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
 _OF_ALL = ("stop", "stow")
 # How many of the others a way may give: so many at once, and so many a second. A stop is never refused.
@@ -57,6 +60,8 @@ class Command:
         The reason, and who asks.
     identifier
         What the answer repeats, or None.
+    time_utc_s
+        When it was given, where the body says; only what comes over a broker may be old.
     tracker
         Which is meant, or None where it is not said.
     a_deg, b_deg
@@ -69,6 +74,7 @@ class Command:
     why: str
     by: str
     identifier: str | None
+    time_utc_s: float | None = None
     tracker: str | None = None
     a_deg: float = math.nan
     b_deg: float = math.nan
@@ -212,11 +218,12 @@ def parse(name: str, content: bytes, way: str) -> Command:
         The body cannot be meant, in one sentence.
     """
     found = _object(name, content)
-    known = (*_OWN_KEYS.get(name, ()), *_LINES)
+    lines = (*_LINES, *_LINES_OF.get(way, ()))
+    known = (*_OWN_KEYS.get(name, ()), *lines)
     for key in found:
         if key not in known:
             raise BodyError(f"the body has {ascii(key)[:40]}, but may have only {', '.join(known)}")
-    for key in _LINES:
+    for key in lines:
         _check_line(key, found.get(key, "-"))
     wanted = found.get("mode") if name == "mode" else name
     if name == "mode" and wanted not in MODES:
@@ -230,6 +237,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
         why=why,
         by=by,
         identifier=found.get("id"),
+        time_utc_s=_utc_s(found["time"]) if "time" in found else None,
         tracker=found.get("tracker"),
         a_deg=place[0],
         b_deg=place[1],
@@ -264,6 +272,16 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _check_line(key: str, value: object) -> None:
     if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_LINE or not value.isprintable():
         raise BodyError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
+
+
+def _utc_s(text: str) -> float:
+    try:
+        time = datetime.fromisoformat(text)
+        if time.tzinfo is not None:
+            return time.timestamp()
+    except (ValueError, OverflowError):
+        pass
+    raise BodyError(f'"time" must be ISO 8601 with its zone, such as 2026-06-21T10:00:00Z, not {ascii(text)[:40]}')
 
 
 def _degrees(value: object) -> float:

@@ -5,6 +5,7 @@ import json
 from types import SimpleNamespace
 
 from daemon.api.app import Api
+from daemon.config.links import MqttSettings
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.service.operator import CommandError, Operator
@@ -66,7 +67,7 @@ class Mqtt:
 
     async def give(self, service, name, value, why):
         replies = asyncio.Queue()
-        commands = Commands(Operators(service.trackers, 1.0), replies.put_nowait)
+        commands = Commands(Operators(service.trackers, 1.0), replies.put_nowait, MqttSettings(), service.clock)
         payload = json.dumps(_said(name, value, why)).encode()
         commands.take(name, Incoming(f"x/command/{name}", payload, retained=False))
         async with asyncio.timeout(_DONE_BY_MQTT_S):

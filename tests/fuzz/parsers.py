@@ -116,7 +116,7 @@ def _screens() -> Take:
 
     def take(data: bytes) -> None:
         stream, table = TokenStream(), FieldTable()
-        step = data[0] % 7 + 1 if data else 1
+        step = data[0] % 61 + 3 if data else 1
         for place in range(0, len(data), step):
             table.take(stream.feed(data[place : place + step]), 0.01 * place)
         fields = {}

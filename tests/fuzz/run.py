@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-_LONGEST = 4096
+_LONGEST = 1024
 
 
 def main() -> None:

@@ -36,12 +36,17 @@ class ScriptedBroker:
         await self._server.wait_closed()
 
     async def _talk(self, reader, writer):
-        loop = asyncio.get_running_loop()
+        loop, known = asyncio.get_running_loop(), False
         try:
             async with asyncio.timeout(None) as limit:
                 while True:
                     kind, body = await _packet(reader)
+                    if kind == CONNECT and body[6] == 5:
+                        # As the standard of 3.1.1 wants it for a version that it does not know.
+                        writer.write(b"\x20\x02\x00\x01")
+                        return
                     if kind == CONNECT:
+                        known = True
                         self.connected_s.append(loop.time())
                         limit.reschedule(loop.time() + next(self._lifetimes_s))
                         writer.write(b"\x20\x02\x00\x00")
@@ -55,7 +60,8 @@ class ScriptedBroker:
         except (TimeoutError, asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
-            self.ended_s.append(loop.time())
+            if known:
+                self.ended_s.append(loop.time())
             writer.close()
             with contextlib.suppress(ConnectionError):
                 await writer.wait_closed()

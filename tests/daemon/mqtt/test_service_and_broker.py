@@ -61,7 +61,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
                 await rig.until_mode(Mode.TRACKING, 400)
                 count = 0
 
-                async def ask(name, payload=b""):
+                async def ask(name, payload=b"{}"):
                     nonlocal count
                     await lab.say(f"{BASE}/command/{name}", payload)
                     reply = await lab.until(f"{BASE}/reply", after=count)
@@ -133,7 +133,7 @@ def test_with_commands_switched_off_nobody_moves_the_tracker(broker, scaled):
             rig = broker_rig(broker.port, mqtt={"commands": False})
             async with serving(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
-                await lab.say(f"{BASE}/command/stow")
+                await lab.say(f"{BASE}/command/stow", {})
                 await lab.until(f"{BASE}/scan", after=len(lab.on(f"{BASE}/scan")) + 1)
                 assert rig.mode is Mode.TRACKING
                 assert not lab.on(f"{BASE}/reply")

@@ -1,0 +1,64 @@
+"""Whether a command over a broker is of now: no older than it may be, and not given before."""
+
+from daemon.base.clock import Clock
+from daemon.config.links import MqttSettings
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import Command
+
+_MOST_REMEMBERED = 4096
+
+
+class Dates:
+    """Knows the commands of the last time that one may take to arrive.
+
+    Parameters
+    ----------
+    settings
+        Whether each must have a time and an identifier, and how far from now the time may be.
+    clock
+        The service's time.
+    """
+
+    def __init__(self, settings: MqttSettings, clock: Clock) -> None:
+        self._required = settings.dated_commands
+        self._age_s = settings.command_age_s
+        self._clock = clock
+        self._began_utc_s = clock.utc()
+        self._given: dict[tuple[str | None, float], float] = {}
+
+    def check(self, command: Command) -> None:
+        """Refuse what is old, or has been given before, or has no date where one is required; never a stop.
+
+        Raises
+        ------
+        CommandError
+            In one sentence.
+        """
+        if command.wanted == "stop":
+            return
+        if command.time_utc_s is None or command.identifier is None:
+            if self._required:
+                raise CommandError('mqtt.dated_commands is set: a command needs an "id" and a "time" of its own')
+            if command.time_utc_s is None:
+                return
+        utc_s = self._clock.utc()
+        off_s = utc_s - command.time_utc_s
+        if not abs(off_s) <= self._age_s:
+            side = "behind" if off_s > 0 else "ahead of"
+            raise CommandError(
+                f"its time is {abs(off_s):.0f} s {side} this machine's clock, more than mqtt.command_age_s ="
+                f" {self._age_s:g} s"
+            )
+        # What was given before a restart is not remembered, and so cannot be told from what is new.
+        if command.time_utc_s < self._began_utc_s:
+            raise CommandError("it was given before this service began to listen: give it again")
+        self._refuse_again(command.identifier, command.time_utc_s, self._clock.monotonic())
+
+    def _refuse_again(self, identifier: str | None, time_utc_s: float, now_s: float) -> None:
+        # Twice the age: one may be ahead of the clock by as much when it comes.
+        self._given = {key: at_s for key, at_s in self._given.items() if now_s - at_s <= 2.0 * self._age_s}
+        if (identifier, time_utc_s) in self._given:
+            raise CommandError("the same command, with this id and time, has been given before")
+        if len(self._given) >= _MOST_REMEMBERED:
+            raise CommandError("more dated commands have come than can be remembered: ask again later")
+        self._given[identifier, time_utc_s] = now_s

@@ -1,0 +1,196 @@
+"""A command is carried out once, when it is given, and a flood of them costs neither log nor telemetry."""
+
+import asyncio
+import json
+from datetime import UTC, datetime
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.config.links import MqttSettings
+from daemon.mqtt.dates import Dates
+from daemon.mqtt.outbox import Lane, Message, Outbox
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import parse
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
+
+BASE = "heliocube/tracker"
+UTC_S = 1665742815.0
+
+
+def broker_rig(port, **mqtt):
+    return BrokerRig(asyncio.get_running_loop(), settings_for(port, mqtt=mqtt), SPEED)
+
+
+def test_to_clear_a_retained_command_is_no_command(broker, scaled):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            rig = broker_rig(broker.port)
+            async with serving(rig):
+                await rig.until_mode(Mode.TRACKING, 400)
+                await lab.say(f"{BASE}/command/stop", {"why": "a person"})
+                await lab.until(f"{BASE}/reply", lambda reply: reply["accepted"])
+                for payload, retain in ((b"", True), (b"", False), (b" \n", False)):
+                    count = len(lab.on(f"{BASE}/reply"))
+                    await lab.say(f"{BASE}/command/auto", payload, retain=retain)
+                    reply = await lab.until(f"{BASE}/reply", after=count)
+                    assert reply["accepted"] is False
+                    assert "no command" in reply["text"] or "retained" in reply["text"]
+                assert rig.control.wishes.stop is not None
+                await lab.say(f"{BASE}/command/auto", {})
+                await lab.until(f"{BASE}/reply", lambda reply: reply["accepted"] and reply["command"] == "auto")
+                assert rig.control.wishes.stop is None
+
+    scaled(scenario)
+
+
+@needs_mosquitto
+def test_a_command_that_is_published_retained_while_the_service_is_connected_does_nothing(broker, scaled):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            rig = broker_rig(broker.port)
+            async with serving(rig):
+                await rig.until_mode(Mode.TRACKING, 400)
+                for name in ("stow", "stop", "goto"):
+                    count = len(lab.on(f"{BASE}/reply"))
+                    await lab.say(f"{BASE}/command/{name}", {"why": "to stay"}, retain=True)
+                    reply = await lab.until(f"{BASE}/reply", after=count)
+                    assert (reply["command"], reply["accepted"]) == (name, False)
+                    assert "retained" in reply["text"]
+                assert rig.mode is Mode.TRACKING
+
+    scaled(scenario)
+
+
+def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_among_them_is_carried_out(
+    broker, scaled, log_lines
+):
+    async def scenario():
+        async with observer(broker.port) as lab:
+            rig = broker_rig(broker.port, dated_commands=False)
+            async with serving(rig):
+                await rig.until_mode(Mode.TRACKING, 400)
+                for number in range(400):
+                    name = ("auto", "maintenance", "nonsense", "hold")[number % 4]
+                    payload = {"mode": "none"} if name == "nonsense" else {"why": f"flood {number}"}
+                    topic = f"{BASE}/command/{'mode' if name == 'nonsense' else name}"
+                    await lab.client.publish(topic, json.dumps(payload), qos=0)
+                await lab.say(f"{BASE}/command/stop", {"why": "a person", "id": "mine"})
+                await until(lambda: rig.control.wishes.stop is not None, "the stop")
+                assert rig.control.wishes.stop.why == "a person"
+                own = await lab.until(f"{BASE}/reply", lambda reply: reply["id"] == "mine")
+                assert own["accepted"], own
+                await until(lambda: not rig.mqtt._commands._running, "the end of the commands")
+                await until(lambda: rig.mqtt.status.waiting == 0, "all replies")
+            replies = lab.on(f"{BASE}/reply")
+            assert 20 <= len(replies) < 250
+            refused = [line for line in log_lines() if "over MQTT" in line.getMessage()]
+            assert 1 <= len(refused) <= 8
+            assert any("only their number is logged" in line.getMessage() for line in refused)
+
+    scaled(scenario)
+
+
+def test_answers_do_not_push_out_telemetry_and_keep_their_place_among_it():
+    async def scenario():
+        outbox = Outbox(10)
+        for number in range(10):
+            outbox.put(Message("pose", b"%d" % number))
+            outbox.put(Message("reply", b"%d" % number), Lane.ANSWERS)
+        outbox.put(Message("state", b""), Lane.URGENT)
+        came = [await outbox.take() for _ in range(outbox.waiting)]
+        assert came[0].topic == "state"
+        assert [(one.topic, int(one.payload)) for one in came[1:]] == [
+            (topic, number) for number in range(10) for topic in ("pose", "reply")
+        ]
+        outbox.put(Message("pose", b"0"))
+        for number in range(1000):
+            outbox.put(Message("reply", b"%d" % number), Lane.ANSWERS)
+        assert outbox.waiting == 1 + 256
+        first = await outbox.take()
+        assert first.topic == "pose"
+        outbox.put(Message("pose", b"1"))
+        outbox.put_back(first)
+        assert [await outbox.take() for _ in range(2)] == [first, Message("reply", b"744")]
+
+    asyncio.run(scenario())
+
+
+class Watch:
+    """A clock in hand."""
+
+    now_s = 1000.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def utc(self):
+        return UTC_S + self.now_s
+
+
+class Given:
+    """Dates on a clock in hand; what it says of one command."""
+
+    def __init__(self, **settings):
+        self.clock = Watch()
+        self.dates = Dates(MqttSettings(**settings), self.clock)
+
+    def refusal(self, name="stow", off_s=0.0, dated=True, identifier="1"):
+        body = {} if identifier is None else {"id": identifier}
+        if dated:
+            body["time"] = datetime.fromtimestamp(self.clock.utc() + off_s, UTC).isoformat()
+        try:
+            self.dates.check(parse(name, json.dumps(body).encode(), "MQTT"))
+        except CommandError as error:
+            return str(error)
+        return None
+
+
+def test_a_command_with_a_time_is_taken_once_and_within_its_time():
+    given = Given()
+    given.clock.now_s += 100.0
+    assert given.refusal(off_s=-29.0) is None
+    assert "has been given before" in given.refusal(off_s=-29.0)
+    assert given.refusal(off_s=-29.0, identifier="2") is None
+    assert "31 s behind this machine's clock, more than mqtt.command_age_s = 30 s" in given.refusal(off_s=-31.0)
+    assert "ahead of" in given.refusal(off_s=31.0)
+    assert given.refusal(dated=False, identifier=None) is None
+    given.clock.now_s += 60.0
+    assert "behind" in given.refusal(off_s=-89.0), "what is forgotten is too old by then"
+
+
+def test_where_dates_are_required_a_command_without_one_is_refused_but_a_stop_never_is():
+    given = Given(dated_commands=True)
+    given.clock.now_s += 100.0
+    for dated, identifier in ((False, None), (True, None), (False, "1")):
+        assert 'a command needs an "id" and a "time" of its own' in given.refusal(dated=dated, identifier=identifier)
+        assert given.refusal("stop", dated=dated, identifier=identifier) is None
+    assert given.refusal("stop", off_s=-1e6) is None
+    assert given.refusal() is None
+
+
+def test_after_a_restart_what_was_given_before_it_is_refused():
+    given = Given()
+    given.clock.now_s += 5.0
+    assert "before this service began to listen" in given.refusal(off_s=-6.0)
+    assert given.refusal(off_s=-4.0) is None
+
+
+def test_dated_commands_that_flood_take_no_memory_without_end():
+    given = Given(command_age_s=60.0)
+    answers = [given.refusal(identifier=str(number)) for number in range(4200)]
+    assert answers.count(None) == 4096
+    assert "ask again later" in answers[-1]
+    given.clock.now_s += 121.0
+    assert given.refusal(identifier="again") is None
+
+
+@pytest.mark.parametrize("time", ["yesterday", "2022-10-14T10:20:00", "9" * 100, "0001-01-01T00:00:00"])
+def test_a_time_that_is_none_is_one_sentence(time):
+    with pytest.raises(CommandError, match="ISO 8601 with its zone"):
+        parse("stow", json.dumps({"time": time}).encode(), "MQTT")
+
+
+def test_a_time_is_no_part_of_a_command_over_http():
+    with pytest.raises(CommandError, match="may have only"):
+        parse("stow", b'{"time": "2022-10-14T10:20:00Z"}', "HTTP")
