@@ -18,7 +18,7 @@ ERRORS = 4 | 8 | 16 | 32
 """Event bits of commands that were not carried out."""
 
 # No register has more digits, and Python turns no text of thousands of them into a number.
-_WHOLE = re.compile(r"[0-9]{1,10}")
+_WHOLE = re.compile(r"\+?[0-9]{1,10}")
 _NO_ERROR = re.compile(r"[+-]?0+,")
 _QUIET_S = 0.1
 _MOST_STALE_LINES = 20

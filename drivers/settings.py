@@ -32,7 +32,10 @@ from drivers.transcript import Tap, no_tap
 _UNSTABLE_PORT = re.compile(r"/dev/(tty(ACM|USB|AMA)|pts/)\d+")
 _STABLE_PORT = re.compile(r"/\S+|COM\d+")
 _SERVER = re.compile(r"[A-Za-z0-9._-]+:\d{1,5}|\[[0-9A-Fa-f:]+\]:\d{1,5}")
-_VISA_RESOURCE = re.compile(r"ASRL(?P<port>/\S+|COM\d+|\d+)::INSTR|GPIB\d*::\d+(::\d+)?::INSTR", re.IGNORECASE)
+_VISA_RESOURCE = re.compile(
+    r"ASRL(?P<port>/\S+|COM\d+|\d+)::INSTR|GPIB\d*::\d+(::\d+)?::INSTR",
+    re.IGNORECASE,
+)
 
 
 class SettingsError(Exception):
@@ -58,7 +61,8 @@ def stable_port(text: str) -> str:
     return text
 
 
-def _visa(text: str) -> str:
+def stable_visa(text: str) -> str:
+    """Return a VISA name; `ValueError` for one that another instrument may have after a replug."""
     found = _VISA_RESOURCE.fullmatch(text)
     if found is None or (found["port"] and _UNSTABLE_PORT.fullmatch(found["port"])):
         raise ValueError("not a resource that stays the same")
@@ -71,10 +75,19 @@ def _server(text: str) -> str:
     return text
 
 
+def _range(value: float) -> float:
+    if value not in METER_RANGES_V:
+        raise ValueError("not a range of the meter")
+    return value
+
+
 Positive = Annotated[float, Field(gt=0)]
+METER_RANGES_V = (0.1, 1.0, 10.0)
+"""The ranges for DC voltages of sensors, of every meter here."""
+MeterRange = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(METER_RANGES_V)})]
 PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
 HostAndPort = Annotated[str, AfterValidator(_server), text_of("server")]
-VisaResource = Annotated[str, AfterValidator(_visa), text_of("visa")]
+VisaResource = Annotated[str, AfterValidator(stable_visa), text_of("visa")]
 
 
 class DriverSettings(BaseModel):

@@ -14,9 +14,11 @@ MESSAGES: Mapping[int, str] = {
     -109: "Missing parameter",
     -113: "Undefined header",
     -213: "Init ignored",
+    -221: "Settings conflict",
     -222: "Parameter data out of range",
     -224: "Illegal parameter value",
     -230: "Data corrupt or stale",
+    -241: "Hardware missing",
     -350: "Queue overflow",
     -363: "Input buffer over-run",
 }

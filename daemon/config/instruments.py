@@ -2,22 +2,20 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, SerializeAsAny, WithJsonSchema
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from daemon.config.plugged import CUBE, POSITIONER
 from daemon.config.section import Section
-from drivers.settings import CubeDriverSettings, HostAndPort, PortPath, PositionerSettings, Positive, VisaResource
+from drivers.settings import (
+    CubeDriverSettings,
+    HostAndPort,
+    MeterRange,
+    PortPath,
+    PositionerSettings,
+    Positive,
+    VisaResource,
+)
 
-VOLTMETER_RANGES_V = (0.1, 1.0, 10.0)
-
-
-def _range(value: float) -> float:
-    if value not in VOLTMETER_RANGES_V:
-        raise ValueError("not a range of the voltmeter")
-    return value
-
-
-RangeV = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(VOLTMETER_RANGES_V)})]
 PortValue = Annotated[int, Field(ge=0, le=255)]
 
 
@@ -54,7 +52,7 @@ class MultiplexerSettings(Section):
 class VoltmeterSettings(Section):
     """The Keithley 2000: what it measures, and how it is connected."""
 
-    range_v: RangeV = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
+    range_v: MeterRange = Field(1.0, description="Measuring range; the meter reads up to 1.2 times this.")
     nplc: float = Field(1.0, ge=0.01, le=10, description="Integration time, in periods of the mains.")
     line_frequency_hz: Literal[50, 60] = Field(50, description="Frequency of the mains.")
     resource: VisaResource | None = Field(

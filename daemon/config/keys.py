@@ -79,6 +79,8 @@ _FORMS = {
     " another adapter after the next replug",
     "visa": 'a VISA name that outlives a replug, such as "ASRL/dev/serial/by-id/...::INSTR", "ASRLCOM5::INSTR" or'
     ' "GPIB0::16::INSTR"; not ASRL/dev/ttyUSB0, which may be another instrument after the next replug',
+    "visa-or-socket": 'a VISA name that outlives a replug, such as "GPIB0::9::INSTR" or'
+    ' "ASRL/dev/serial/by-id/...::INSTR", or the instrument\'s socket, "TCPIP::192.168.1.60::5025::SOCKET"',
     "server": 'a host and a port, such as "192.168.1.30:31763"',
     "banner": "4 to 80 printable characters of ASCII without $",
     "digital-port": 'an NI device and its port, such as "Dev1/port0"',

@@ -24,6 +24,7 @@ MULTIPLEXED = "multiplexed"
 """The cube whose keys stand in sections of their own."""
 PYRANOMETERS = "modbus-pyranometers"
 LABJACK = "labjack"
+SCANNING_METER = "scanning-meter"
 Loc = tuple[int | str, ...]
 
 

@@ -9,7 +9,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import LABJACK, MULTIPLEXED, PYRANOMETERS
+from daemon.config.plugged import LABJACK, MULTIPLEXED, PYRANOMETERS, SCANNING_METER
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
 from drivers.interfaces import Cube
@@ -45,6 +45,10 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
         from daemon.rigs.simulated_modbus import simulated_labjack  # noqa: PLC0415 - loads the driver
 
         return simulated_labjack(settings, clock, _sensors(clock, scene))
+    if own.driver == SCANNING_METER:
+        from daemon.rigs.simulated_scanner import simulated_scanner  # noqa: PLC0415 - loads the driver
+
+        return simulated_scanner(settings, clock, _sensors(clock, scene))
     simulate = getattr(plugins.load(plugins.CUBES, own.driver), "simulate", None)
     if simulate is None:
         raise UserError(

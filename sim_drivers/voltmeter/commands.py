@@ -30,20 +30,24 @@ Step = Callable[[VoltmeterInstrument, float], str | None]
 Build = Callable[[tuple[str, ...]], Step]
 
 
-class _Command(NamedTuple):
+class MeterCommand(NamedTuple):
+    """What a header does as a command and as a question; None where it is neither."""
+
     act: Build | None = None
     ask: Build | None = None
 
 
-_TABLE: dict[str, _Command] = {}
+CommandTable = dict[str, MeterCommand]
+TABLE: CommandTable = {}
+"""The Keithley 2000's, by every spelling of a header."""
 
 
-def compile_line(line: str) -> tuple[Step, ...]:
+def compile_line(line: str, table: CommandTable = TABLE) -> tuple[Step, ...]:
     """Return what a line does, step by step; where it goes wrong the last step raises `ScpiError`."""
     steps: list[Step] = []
     found, error = messages(line)
     for message in found:
-        command = _TABLE.get(message.header, _Command())
+        command = table.get(message.header, MeterCommand())
         build = (command.ask if message.query else command.act) or _undefined
         try:
             steps.append(build(message.parameters))
@@ -86,7 +90,7 @@ def _one_parameter(step_of: Callable[[str], Step]) -> Build:
 
 def _define(pattern: str, act: Build | None = None, ask: Build | None = None) -> None:
     for spelling in spellings(pattern):
-        _TABLE[spelling] = _Command(act, ask)
+        TABLE[spelling] = MeterCommand(act, ask)
 
 
 def _action(pattern: str, action: Callable[[VoltmeterInstrument, float], None]) -> None:

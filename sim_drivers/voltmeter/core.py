@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from sim_drivers.scpi import ScpiError
-from sim_drivers.voltmeter.commands import Step, compile_line
+from sim_drivers.voltmeter.commands import TABLE, Step, compile_line
 from sim_drivers.voltmeter.instrument import VoltmeterInstrument
 
 INPUT_LIMIT = 2048
@@ -40,6 +40,8 @@ class VoltmeterCore(VoltmeterInstrument):
     ----------
     aborts
         Grows when the meter drops output that was not yet due (control-C, power-cycle): so must its host.
+    table
+        The commands that it knows.
     mute
         While true no reply comes.
     reply_delay_s
@@ -57,6 +59,7 @@ class VoltmeterCore(VoltmeterInstrument):
         now: float = 0.0,
     ) -> None:
         super().__init__(input_voltage, random, line_frequency_hz=line_frequency_hz, identity=identity, now=now)
+        self.table = TABLE
         self.aborts = 0
         self.mute = False
         self.reply_delay_s = 0.0
@@ -116,7 +119,7 @@ class VoltmeterCore(VoltmeterInstrument):
             self.status.fail(-363)
 
     def _compiled(self, line: bytes) -> tuple[Step, ...]:
-        program = compile_line(line.decode("latin-1"))
+        program = compile_line(line.decode("latin-1"), self.table)
         if len(self._programs) >= _CACHED_LINES:
             self._programs.clear()
         # Found again when the same line comes as one piece with the usual end.

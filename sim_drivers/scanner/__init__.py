@@ -1,0 +1,1 @@
+"""The simulated scanning meters, without input or output."""

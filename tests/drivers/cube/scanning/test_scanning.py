@@ -1,0 +1,317 @@
+"""Scanning meters as a cube: on simulated ones in virtual time, and on bytes as others have published them."""
+
+import asyncio
+import math
+
+import numpy as np
+import pytest
+
+from daemon.base.timeloop import VirtualTimeLoop
+from drivers.cube.scanning.dialects import DIALECTS
+from drivers.cube.scanning.driver import ScanningMeterSettings, build
+from drivers.cube.scanning.meter import DEVICE
+from drivers.errors import ConnectError, DeadlineError, IdentityError, LinkLostError, ProtocolError
+from drivers.settings import CubeSurroundings
+from sim_drivers.scanner.core import ScannerCore
+from sim_drivers.scanner.instrument import NO_CARD
+from sim_drivers.transports import InMemoryLine
+
+SENSORS_V = (0.010, 0.025, 0.005, 0.060)
+EPOCH_S = 1.7e9
+
+
+class Bench:
+    """A driver on a simulated meter, with a sensor at each of its channels."""
+
+    def __init__(self, loop, meter, **settings):
+        self.settings = ScanningMeterSettings(driver="scanning-meter", meter=meter, **settings)
+        self.channels = self.settings.channels or DIALECTS[meter].channels
+        self.volts = dict(zip(self.channels, SENSORS_V, strict=True))
+        self.core = ScannerCore(meter, lambda channel, _now: self.volts.get(channel), np.random.default_rng(1))
+        self.line = InMemoryLine(DEVICE, self.core, loop.time)
+        self.now = loop.time
+        around = CubeSurroundings(
+            utc_s=lambda: EPOCH_S + loop.time(), monotonic_s=loop.time, deadline_s=1.0, switched_meter=None
+        )
+        self.cube = build(self.settings, around, self.line)
+
+
+@pytest.fixture
+def run():
+    def outer(meter, act, **settings):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            bench = Bench(runner.get_loop(), meter, **settings)
+
+            async def inner():
+                try:
+                    return await act(bench)
+                finally:
+                    await bench.cube.close()
+
+            return runner.run(inner())
+
+    return outer
+
+
+every_make = pytest.mark.parametrize("meter", DIALECTS)
+
+
+@every_make
+def test_one_trigger_reads_four_channels_and_stamps_each(run, meter):
+    async def act(bench):
+        identity = await bench.cube.open()
+        begin_s = bench.now()
+        reading = await bench.cube.read()
+        took_s = bench.now() - begin_s
+        assert [face.value for face in reading.faces] == pytest.approx(SENSORS_V, abs=3e-6)
+        assert reading.unit == "V"
+        assert {face.flaw for face in reading.faces} == {None}
+        stamps = [face.time_monotonic_s - begin_s for face in reading.faces]
+        assert stamps == pytest.approx([took_s * share for share in (0.125, 0.375, 0.625, 0.875)])
+        assert [face.time_utc_s - EPOCH_S - begin_s for face in reading.faces] == pytest.approx(stamps, abs=1e-6)
+        # Four conversions of one mains period with autozero, and the relays.
+        assert 0.1 < took_s < 0.4
+        return identity
+
+    assert run(meter, act).startswith("KEITHLEY" if "agilent" not in meter else "HEWLETT")
+
+
+@every_make
+def test_a_reading_began_after_it_was_asked_for(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        await bench.cube.read()
+        bench.volts = dict.fromkeys(bench.channels, 0.001)
+        after = await bench.cube.read()
+        assert [face.value for face in after.faces] == pytest.approx([0.001] * 4, abs=3e-6)
+
+    run(meter, act)
+
+
+def test_channels_in_any_order_go_to_their_faces(run):
+    async def act(bench):
+        await bench.cube.open()
+        reading = await bench.cube.read()
+        assert [face.value for face in reading.faces] == pytest.approx(SENSORS_V, abs=3e-6)
+        # This make scans in ascending order, and the stamps know it.
+        order = sorted(range(4), key=lambda face: reading.faces[face].time_monotonic_s)
+        assert order == [1, 3, 0, 2]
+
+    run("agilent34970a", act, channels=[105, 101, 110, 103])
+
+
+@every_make
+@pytest.mark.parametrize("volts", [0.13, -0.5, 200.0])
+def test_an_overload_flaws_its_face_alone(run, meter, volts):
+    async def act(bench):
+        await bench.cube.open()
+        bench.volts[bench.channels[2]] = volts
+        reading = await bench.cube.read()
+        assert [face.flaw for face in reading.faces] == [None, None, "over-range", None]
+        assert math.isnan(reading.west.value)
+
+    run(meter, act)
+
+
+@every_make
+def test_a_meter_without_a_card_is_refused_in_a_sentence(run, meter):
+    async def act(bench):
+        bench.core.card = ""
+        with pytest.raises(IdentityError) as caught:
+            await bench.cube.open()
+        return caught.value.message
+
+    sentence = run(meter, act)
+    if meter == "keithley2000-scan":
+        assert sentence == (
+            'did not take :ROUT:SCAN (@1,2,3,4): -241,"Hardware missing"; is there a scanner card in it, and has it'
+            " these channels?"
+        )
+    else:
+        said = f"answers {NO_CARD[meter]!r} for" if meter in NO_CARD else "has no card in"
+        channel = DIALECTS[meter].channels[0]
+        assert sentence.startswith(f"{said} slot 1, where instruments.cube.channels has channel ")
+        assert sentence.endswith(
+            f"{'10' if channel > 100 else ''}4: a multiplexer card that switches DC voltages is needed there"
+        )
+
+
+@pytest.mark.parametrize(
+    ("meter", "card"),
+    [
+        ("agilent34970a", "HEWLETT-PACKARD,34903A,0,1.0"),
+        ("daq6510", "7705,40Ch Control Module,0.0.0a,1"),
+        ("dmm6500", "0.0.0"),
+    ],
+)
+def test_a_wrong_card_is_refused_in_a_sentence(run, meter, card):
+    async def act(bench):
+        bench.core.card = card
+        with pytest.raises(IdentityError, match="a multiplexer card that switches DC voltages is needed there"):
+            await bench.cube.open()
+
+    run(meter, act)
+
+
+def test_channels_that_the_card_has_not_are_refused_in_a_sentence(run):
+    async def act(bench):
+        with pytest.raises((IdentityError, ProtocolError), match="did not take"):
+            await bench.cube.open()
+
+    for meter, channels in (("keithley2000-scan", [1, 2, 3, 11]), ("agilent34970a", [101, 102, 103, 140])):
+        run(meter, act, channels=channels)
+
+
+@every_make
+def test_another_instrument_is_refused(run, meter):
+    async def act(bench):
+        bench.core.identity = "ACME,MODEL 1,0,0"
+        with pytest.raises(IdentityError, match=f"which is no {DIALECTS[meter].name.split(' ')[0]}"):
+            await bench.cube.open()
+
+    run(meter, act)
+
+
+@every_make
+def test_a_late_reply_is_never_taken_for_the_next_scan(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        bench.core.reply_delay_s = 4.5
+        late = await bench.cube.read()
+        assert {face.flaw for face in late.faces} == {"late"}
+        bench.core.reply_delay_s = 0.0
+        bench.volts = dict.fromkeys(bench.channels, 0.002)
+        after = await bench.cube.read()
+        assert [face.value for face in after.faces] == pytest.approx([0.002] * 4, abs=3e-6)
+
+    run(meter, act)
+
+
+@every_make
+def test_a_restart_between_two_scans_is_a_lost_link_and_opening_mends_it(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        bench.core.power_cycle(bench.now())
+        flawed = None
+        for _ in range(3):
+            try:
+                flawed = await bench.cube.read()
+            except LinkLostError:
+                break
+            # What comes before the loss shows is no value.
+            assert {face.flaw for face in flawed.faces} <= {"late", "missing"}
+        else:
+            pytest.fail("it was never noticed")
+        await bench.cube.open()
+        reading = await bench.cube.read()
+        assert {face.flaw for face in reading.faces} == {None}
+
+    run(meter, act)
+
+
+@every_make
+def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        for _ in range(20):
+            bench.core.corrupt_next()
+            reading = await bench.cube.read()
+            for face, truth in zip(reading.faces, SENSORS_V, strict=True):
+                # A bit that turns one digit into a letter spoils the number; it never makes another one.
+                assert face.flaw is not None or face.value == pytest.approx(truth, abs=3e-6)
+            reading = await bench.cube.read()
+            assert {face.flaw for face in reading.faces} == {None}
+
+    run(meter, act)
+
+
+@every_make
+def test_a_pulled_cable_is_a_lost_link_and_the_next_opening_goes_on(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        bench.line.link_up = False
+        with pytest.raises(LinkLostError):
+            await bench.cube.read()
+        with pytest.raises(ConnectError):
+            await bench.cube.open()
+        bench.line.link_up = True
+        await bench.cube.open()
+        assert (await bench.cube.read()).east.flaw is None
+
+    run(meter, act)
+
+
+class Published:
+    """A line that answers with what manuals and other people's programs show of these instruments."""
+
+    def __init__(self, answers):
+        self.answers = answers
+        self.sent = []
+        self._number = "0"
+
+    async def open(self):
+        pass
+
+    async def close(self):
+        pass
+
+    async def interrupt(self):
+        pass
+
+    async def drain(self, quiet_s):
+        pass
+
+    async def send(self, text):
+        self.sent.append(text)
+        if text.startswith("*ESE "):
+            self._number = text[5:]
+
+    async def receive(self, within_s):
+        raise DeadlineError(DEVICE, "no line came in time")
+
+    async def ask(self, text, within_s):
+        self.sent.append(text)
+        if text == "*ESE?":
+            return f"+{self._number}"
+        if text not in self.answers:
+            raise DeadlineError(DEVICE, "no line came in time")
+        return self.answers[text]
+
+
+AGILENT = {
+    "*IDN?": "HEWLETT-PACKARD,34970A,0,13-2-2",
+    ":SYST:CTYP? 100": "HEWLETT-PACKARD,34901A,0,1.0",
+    ":SYST:ERR?": '+0,"No error"',
+    ":SENS:VOLT:DC:RANG? (@101,102,103,104)": "+1.00000000E-01,+1.00000000E-01,+1.00000000E-01,+1.00000000E-01",
+    ":SENS:VOLT:DC:NPLC? (@101,102,103,104)": "+1.00000000E+00,+1.00000000E+00,+1.00000000E+00,+1.00000000E+00",
+    ":ROUT:SCAN?": "#218(@101,102,103,104)",
+    ":FORM:READ:CHAN?": "1",
+    ":READ?": "+4.27150000E-03,101,+1.32130000E-03,102,+3.65300000E-03,103,+9.90000000E+37,104",
+}
+DAQ = {
+    "*IDN?": "KEITHLEY INSTRUMENTS,MODEL DAQ6510,04340543,1.7.12b",
+    ":SYST:CARD1:IDN?": "7700,20Ch Mux w/CJC,0.0.0a,1234567",
+    ":SYST:ERR?": '0,"No error;0;0 0"',
+    ":SENS:VOLT:DC:RANG? (@101,102,103,104)": "1.00000000E-01,1.00000000E-01,1.00000000E-01,1.00000000E-01",
+    ":SENS:VOLT:DC:NPLC? (@101,102,103,104)": "1,1,1,1",
+    ":ROUT:SCAN:COUN:SCAN?": "1",
+    DIALECTS["daq6510"].scan: "4.2715E-03,101,1.3213E-03,102,3.653E-03,103,9.9E+37,104",
+}
+
+
+@pytest.mark.parametrize(("meter", "answers"), [("agilent34970a", AGILENT), ("daq6510", DAQ)])
+def test_answers_as_others_have_published_them_are_understood(meter, answers):
+    line = Published(answers)
+    around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
+    cube = build(ScanningMeterSettings(driver="scanning-meter", meter=meter), around, line)
+
+    async def act():
+        identity = await cube.open()
+        return identity, await cube.read()
+
+    identity, reading = asyncio.run(act())
+    assert identity == f"{answers['*IDN?']}; slot 1 {answers.get(':SYST:CTYP? 100') or answers[':SYST:CARD1:IDN?']}"
+    assert [face.value for face in reading.faces[:3]] == [0.0042715, 0.0013213, 0.003653]
+    assert [face.flaw for face in reading.faces] == [None, None, None, "over-range"]
+    # One trigger, one reply.
+    assert line.sent[-1] == DIALECTS[meter].scan
