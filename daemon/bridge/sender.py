@@ -75,6 +75,10 @@ class BridgeSender:
                 "bridge.send_to is empty and bridge.multicast_group is not set: name at least one tracker"
             )
 
+    def take_key(self, key: bytes) -> None:
+        """Sign with another key from now on; not for a sender that was made without one."""
+        self._key = key
+
     @property
     def statistics(self) -> tuple[TargetStatistics, ...]:
         """One snapshot per target, in the order of the settings, the multicast group last."""

@@ -14,6 +14,7 @@ from daemon.base.files import read_secret, write_secret
 from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 KEY_BYTES = 32
+MOST_KEYS = 2
 EXAMPLE_KEY = bytes(range(KEY_BYTES))  # printed in docs/bridge.md, hence no secret
 HEADER = {"alg": "HS256", "typ": "heliocube-scan"}
 
@@ -95,22 +96,38 @@ def write_key(path: Path, key: bytes) -> None:
 
 
 def load_key(path: Path) -> bytes:
-    """Return the key in a file: one line, base64url, 32 bytes or more, readable by its owner only.
+    """Return the key in a file that signs: its first one. Raises `KeyFileError` like `load_keys`."""
+    return load_keys(path)[0]
+
+
+def load_keys(path: Path) -> tuple[bytes, ...]:
+    """Return the keys in a file, one or two lines of base64url, 32 bytes or more each: the first one signs.
 
     Raises
     ------
     KeyFileError
-        One sentence with the file and the remedy. Windows has no such file modes; there they are not looked at.
+        One sentence with the file and the remedy. The file may be readable by its owner only; Windows has no such file
+        modes, and there they are not looked at.
     """
     remedy = "write a new one with 'heliocube config init', or copy that of the cube"
     called = f"the key file {path}"
     missing = f"{called} does not exist: {remedy}"
     content = read_secret(path, _LONGEST_KEY_FILE + 1, called, missing, KeyFileError, group_may_read=False)
-    line = content.strip()
-    if not line:
+    lines = content.split()
+    if not lines:
         raise KeyFileError(f"{called} is empty: {remedy}")
-    if len(content) > _LONGEST_KEY_FILE or _KEY_LINE.fullmatch(line) is None or len(line.rstrip(b"=")) % 4 == 1:
-        raise KeyFileError(f"{called} is not one line of base64url: {remedy}")
+    if len(content) > _LONGEST_KEY_FILE or any(map(_is_no_key, lines)):
+        raise KeyFileError(f"{called} is not one line of base64url, or two: {remedy}")
+    if len(lines) > MOST_KEYS:
+        raise KeyFileError(f"{called} has {len(lines)} keys, and {MOST_KEYS} can be in force: delete the old ones")
+    return tuple(_key(line, path, remedy) for line in lines)
+
+
+def _is_no_key(line: bytes) -> bool:
+    return _KEY_LINE.fullmatch(line) is None or len(line.rstrip(b"=")) % 4 == 1
+
+
+def _key(line: bytes, path: Path, remedy: str) -> bytes:
     text = line.rstrip(b"=")
     key = base64.urlsafe_b64decode(text + b"=" * (-len(text) % 4))
     if len(key) < KEY_BYTES:

@@ -23,7 +23,8 @@ from daemon.base.files import StateFolder
 from daemon.base.process import Notifier, on_signals
 from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
-from daemon.bridge.signing import generate_key, load_key
+from daemon.bridge.key_file import KeyFileWatch
+from daemon.bridge.signing import generate_key, load_keys
 from daemon.commands.screen import LiveView
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
@@ -49,7 +50,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     UserError
         Something in the settings cannot work here: a weather file, a key, an address.
     """
-    key = bridge_key(settings, role)
+    keys = bridge_keys(settings, role)
     calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
     process.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
@@ -70,7 +71,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             clock,
             SystemRandom(),
             bus,
-            key,
+            keys[0] if keys else None,
             Notifier(os.environ, os.getpid()),
             speed,
             calibration,
@@ -93,15 +94,18 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
 
             for link in mqtt.values():
                 link.attach(service, see)
+            key_file = _key_file(settings, keys, service, speed)
             api = _api(service, recent, speed, see, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
-            runner.run(_run(service, for_s, speed, (view, api, service.loop_watch, *mqtt.values())))
+            runner.run(_run(service, for_s, speed, (view, api, key_file, service.loop_watch, *mqtt.values())))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
-def bridge_key(settings: Settings, role: Role) -> bytes | None:
-    """Return the key that signs scans; within one process a fresh one serves when no file is named.
+def bridge_keys(settings: Settings, role: Role) -> tuple[bytes, ...]:
+    """Return the keys of scans, the one that signs first, none for an insecure bridge.
+
+    Within one process a fresh one serves when no file is named.
 
     Raises
     ------
@@ -110,15 +114,24 @@ def bridge_key(settings: Settings, role: Role) -> bytes | None:
     """
     bridge = settings.bridge
     if bridge.key_file is not None:
-        return load_key(bridge.key_file)
+        return load_keys(bridge.key_file)
     if bridge.insecure:
-        return None
+        return ()
     if role is Role.BOTH:
-        return generate_key()
+        return (generate_key(),)
     raise UserError(
         f"bridge.key_file: the role '{role}' needs the key that cube and tracker share; "
         "make one with 'heliocube config init DIR', or set bridge.insecure = true for a closed lab network"
     )
+
+
+def _key_file(settings: Settings, keys: tuple[bytes, ...], service: Service, speed: float) -> KeyFileWatch | None:
+    """Return what watches the key file for new keys, or None where there is no file."""
+    path = settings.bridge.key_file
+    if path is None:
+        return None
+    service.take_keys(keys)
+    return KeyFileWatch(path, keys, service.take_keys, speed)
 
 
 def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
@@ -221,7 +234,7 @@ async def _run(
     service: Service,
     for_s: float | None,
     speed: float,
-    companions: Iterable[LiveView | ApiServer | LoopWatch | Mqtt | None],
+    companions: Iterable[LiveView | ApiServer | KeyFileWatch | LoopWatch | Mqtt | None],
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

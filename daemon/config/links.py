@@ -86,7 +86,8 @@ class BridgeSettings(Section):
     key_file: FilePath | None = Field(
         None,
         examples=["bridge.key"],
-        description="File with the key that signs scans, the same on both sides, mode 0600."
+        description="File with the key that signs scans, the same on both sides, mode 0600; a second line may have"
+        " another key that is accepted too. It is read again when it changes."
         " Left out: a new key at each start, which is enough for cube and tracker in one process.",
     )
     insecure: bool = Field(default=False, description="Take and send unsigned scans. For a closed lab network only.")

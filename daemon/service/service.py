@@ -154,6 +154,14 @@ class Service:
             self.bus.subscribe(tracker.note)
             yield tracker
 
+    def take_keys(self, keys: tuple[bytes, ...]) -> None:
+        """Sign scans with the first of these keys from now on, and accept what any of them has signed."""
+        self._key = keys[0]
+        if self.sender is not None:
+            self.sender.take_key(keys[0])
+        if self.receiver is not None:
+            self.receiver.take_keys(keys)
+
     def _refused(self) -> str:
         """Return what the bridge has refused since the last scan, in words."""
         return "" if self.receiver is None else self.receiver.refused_since_accepted

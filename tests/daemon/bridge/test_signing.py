@@ -178,7 +178,8 @@ def test_a_key_that_others_can_read_is_refused_with_the_command_that_cures_it(tm
         (b" \n", "is empty"),
         (b64(bytes(31)) + b"\n", "too short, 31 bytes"),
         (b"not base64url!\n", "not one line of base64url"),
-        (b64(KEY) + b"\n" + b64(KEY), "not one line of base64url"),
+        (b64(KEY) + b"\n" + b64(KEY)[:-1] + b"!", "not one line of base64url"),
+        (b64(KEY) + b"\n" + b64(KEY[:31]), "too short"),
         (base64.b64encode(b"\xff" * 32), "not one line of base64url"),
         (b"A" * 45, "not one line of base64url"),
         (b"A" * 4000, "not one line of base64url"),
@@ -192,6 +193,16 @@ def test_a_file_that_is_no_key_is_refused_with_its_name_and_a_remedy(tmp_path, c
     assert str(path) in str(caught.value)
     assert "heliocube config init" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_two_keys_can_be_in_force_and_the_first_signs(tmp_path):
+    second = bytes(range(2, 34))
+    path = write(tmp_path / "bridge.key", b64(KEY) + b"\r\n\n" + b64(second) + b"\n")
+    assert signing.load_keys(path) == (KEY, second)
+    assert signing.load_key(path) == KEY
+    write(path, b"\n".join([b64(KEY)] * 3))
+    with pytest.raises(KeyFileError, match="has 3 keys, and 2 can be in force: delete the old ones"):
+        signing.load_keys(path)
 
 
 @pytest.mark.parametrize("ending", [b"", b"\n", b"\r\n", b"=\n"])
