@@ -13,6 +13,7 @@ from starlette.routing import Route
 
 from daemon.api.gate import AllowedHosts, Bodies, Gate, Token
 from daemon.api.metrics import Metrics
+from daemon.api.openapi import description
 from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
@@ -79,12 +80,14 @@ class Api:
                 Route("/api/events", self._events),
                 Route("/api/sun", self._sun),
                 Route("/api/authorised", self._authorised, methods=["POST"]),
+                Route("/api/openapi.json", self._description),
                 Route("/healthz", self._health),
                 Route("/metrics", self._metrics_text),
                 *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
             ],
             exception_handlers={HTTPException: _refused, Exception: _broken},
         )
+        self.routes = routes.routes
         self.app = Gate(routes, Token(token), AllowedHosts(hosts), self._turns, self._bodies, self.refusals)
 
     def close(self) -> None:
@@ -138,6 +141,9 @@ class Api:
                         yield following.result()
             finally:
                 closing.cancel()
+
+    async def _description(self, _: Request) -> Response:
+        return JSONResponse(description())
 
     async def _health(self, _: Request) -> Response:
         """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""

@@ -12,7 +12,7 @@ from daemon.mqtt.link import OFFLINE, ONLINE
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.telemetry import encoded
 from daemon.mqtt.topics import Topics
-from daemon.service.operator_commands import MODES
+from daemon.service.command_bodies import MODES
 
 _NOT_IN_AN_ID = re.compile(r"[^A-Za-z0-9_-]")
 _PRESS = '{"why":"a button in Home Assistant"}'

@@ -13,16 +13,14 @@ from typing import Any
 
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
+from daemon.service.command_bodies import MODES, GotoBody, ModeBody, check
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
 NAMES = ("stow", "snow", "hold", "stop", "auto", "goto", "home", "clear", "relearn", "maintenance", "mode")
-MODES = ("auto", "hold", "stow", "snow", "maintenance")
 URGENT = ("stop", "stow", "maintenance")
 LONGEST_BODY = 4096
 
-_LONGEST_LINE = 200
-_LINES = ("why", "by", "id", "tracker")
 # A command over HTTP is under way for as long as its connection lasts.
 _LINES_OF = {"MQTT": ("time",)}
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
@@ -30,7 +28,6 @@ _OF_ALL = ("stop", "stow")
 # How many of the others a way may give: so many at once, and so many a second. A stop is never refused.
 _AT_ONCE = 20
 _PER_S, _URGENT_PER_S = 2.0, 5.0
-_OWN_KEYS = {"goto": ("a_deg", "b_deg"), "mode": ("mode",)}
 
 
 class BodyError(CommandError):
@@ -80,12 +77,12 @@ class Command:
     b_deg: float = math.nan
 
     def meant_for(self, tracker: str | None) -> "Command":
-        """Return the command for the tracker that a query names, if any; `BodyError` if its body names another."""
+        """Return the command for the tracker that a query names, if any; `CommandError` if its body names another."""
         if tracker is None or tracker == self.tracker:
             return self
         if self.tracker is not None:
             own, other = ascii(self.tracker)[:40], ascii(tracker)[:40]
-            raise BodyError(f"the body names the tracker {own}, and the query {other}")
+            raise CommandError(f"the body names the tracker {own}, and the query {other}", wrong=True)
         return replace(self, tracker=tracker)
 
     async def carry_out(self, operator: Operator) -> Answer:
@@ -218,27 +215,21 @@ def parse(name: str, content: bytes, way: str) -> Command:
         The body cannot be meant, in one sentence.
     """
     found = _object(name, content)
-    lines = (*_LINES, *_LINES_OF.get(way, ()))
-    known = (*_OWN_KEYS.get(name, ()), *lines)
-    for key in found:
-        if key not in known:
-            raise BodyError(f"the body has {ascii(key)[:40]}, but may have only {', '.join(known)}")
-    for key in lines:
-        _check_line(key, found.get(key, "-"))
-    wanted = found.get("mode") if name == "mode" else name
-    if name == "mode" and wanted not in MODES:
-        raise BodyError(f"the mode must be one of {', '.join(MODES)}")
-    why, by = found.get("why", "an operator asked"), found.get("by", way)
-    place = [_degrees(found.get(key)) for key in ("a_deg", "b_deg")] if name == "goto" else [math.nan] * 2
+    more = _LINES_OF.get(way, ())
+    try:
+        body = check(name, found, more)
+    except ValueError as error:
+        raise BodyError(str(error)) from None
+    place = (body.a_deg, body.b_deg) if isinstance(body, GotoBody) else (math.nan, math.nan)
     return Command(
         name=name,
-        wanted=str(wanted),
+        wanted=body.mode if isinstance(body, ModeBody) else name,
         way=way,
-        why=why,
-        by=by,
-        identifier=found.get("id"),
+        why=body.why,
+        by=body.by or way,
+        identifier=body.id or None,
         time_utc_s=_utc_s(found["time"]) if "time" in found else None,
-        tracker=found.get("tracker"),
+        tracker=body.tracker or None,
         a_deg=place[0],
         b_deg=place[1],
     )
@@ -269,11 +260,6 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _check_line(key: str, value: object) -> None:
-    if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_LINE or not value.isprintable():
-        raise BodyError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
-
-
 def _utc_s(text: str) -> float:
     try:
         time = datetime.fromisoformat(text)
@@ -282,12 +268,3 @@ def _utc_s(text: str) -> float:
     except (ValueError, OverflowError):
         pass
     raise BodyError(f'"time" must be ISO 8601 with its zone, such as 2026-06-21T10:00:00Z, not {ascii(text)[:40]}')
-
-
-def _degrees(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise BodyError('goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf

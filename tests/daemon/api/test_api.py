@@ -359,7 +359,7 @@ def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
             reply = await call.post(name, body)
             assert (reply.status, reply.json["error"]) == (422, sentence)
         reply = await call.post("auto?tracker=east", b'{"tracker": "west"}')
-        assert (reply.status, reply.json["error"]) == (400, "the body names the tracker 'west', and the query 'east'")
+        assert (reply.status, reply.json["error"]) == (422, "the body names the tracker 'west', and the query 'east'")
         assert {"east", "west"} == set((await call.get("/api/state")).json["trackers"])
         metrics = (await call.get("/metrics")).body.decode().splitlines()
         assert 'heliocube_mode{mode="hold",tracker="west"} 1.0' in metrics

@@ -12,8 +12,9 @@ import threading
 import pytest
 
 from daemon.base.records import Event
+from daemon.service.command_bodies import MODES
 from daemon.service.operator import CommandError, Operator, Seen
-from daemon.service.operator_commands import MODES, NAMES, URGENT, BodyError, Operators, TooManyError, parse
+from daemon.service.operator_commands import NAMES, URGENT, BodyError, Operators, TooManyError, parse
 from tests.daemon.service.test_faults import commands_sent, tracking, under_way
 from tests.support import ROOT
 

@@ -1,0 +1,204 @@
+"""What the local interface answers, as models: they describe it to programs, and tests hold the answers to them."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from daemon.base.records import Scan
+from daemon.store.tables import COLUMNS, Column
+
+UtcText = Annotated[
+    str, Field(pattern=r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}\.\d{3}Z$", description="A time in UTC, ISO 8601.")
+]
+Whole = Annotated[int, Field(ge=0)]
+
+
+class Page(BaseModel):
+    """An answer in JSON: every key is there, and no other."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class ErrorPage(Page):
+    """What cannot be done, and what to do about it."""
+
+    error: str = Field(description="One sentence.", min_length=1)
+
+
+class CommandPage(Page):
+    """What came of a command."""
+
+    command: str
+    id: str | None = Field(description="The one that came with the command.")
+    accepted: Literal[True]
+    done: bool = Field(description="Whether telemetry has shown the whole effect.")
+    state: Literal["done", "under-way", "not-seen"]
+    text: str = Field(description="What the tracker did, in a sentence.")
+
+
+class HealthPage(Page):
+    """Whether the work goes on."""
+
+    ok: bool
+    troubles: list[str] = Field(description="What is no longer done; empty where `ok`.")
+    down: list[str] = Field(description="Devices that do not answer; no reason for a restart.")
+    loop_late_worst_s: float = Field(description="Most that the event loop was late in the last minute or two.")
+    simulated: bool
+
+
+class SunPointPart(Page):
+    """Where the sun is at an instant."""
+
+    time: UtcText
+    azimuth_deg: float = Field(description="From north, clockwise.")
+    elevation_deg: float = Field(description="Apparent.")
+
+
+class SunPage(Page):
+    """A solar day."""
+
+    sunrise: UtcText | None = Field(description="Null on a day without.")
+    noon: UtcText
+    sunset: UtcText | None
+    highest_elevation_deg: float
+    path: list[SunPointPart]
+
+
+class AuthorisedPage(Page):
+    """The token is the service's."""
+
+    ok: Literal[True]
+
+
+class AlarmPart(Page):
+    """An alarm that is on."""
+
+    name: str
+    text: str
+    since: UtcText
+    tracker: str | None
+
+
+class NewsPart(Page):
+    """What happened."""
+
+    time: UtcText
+    text: str
+
+
+class ModePart(Page):
+    """A tracker's mode."""
+
+    name: str
+    why: str
+    since: UtcText
+
+
+class FacePart(Page):
+    """A face of the newest scan."""
+
+    irradiance_w_m2: float | None
+    quality: str
+    age_s: float | None
+
+
+class NewestScanPart(Page):
+    """The newest scan."""
+
+    source: str
+    session: str
+    sequence: Whole
+    time: UtcText
+    age_s: float | None
+    stale: bool
+    simulated: bool
+    calibration: str | None
+    faces: dict[str, FacePart]
+
+
+class SitePart(Page):
+    """Where the tracker stands."""
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+class BridgePart(Page):
+    """Counts of the bridge's receiver."""
+
+    accepted: Whole
+    lost: Whole
+    refused: Whole
+
+
+class StorePart(Page):
+    """How the store is."""
+
+    path: str
+    written: Whole
+    waiting: Whole
+    lost: Whole
+    down_why: str | None
+
+
+class LoopPart(Page):
+    """How late the event loop was."""
+
+    late_worst_s: float = Field(description="At most within the last minute or two.")
+
+
+class TrackerPart(Page):
+    """A tracker, or, at the top, the only one; all null where there are several or none."""
+
+    mode: ModePart | None
+    wishes: dict[str, Any] | None = Field(description="What persons asked for: `why`, `by`, `since`, or null.")
+    today: dict[str, Any] | None
+    irradiances: dict[str, Any] | None
+    decision: dict[str, Any] | None
+    law: dict[str, Any] | None
+    next_decision_s: float | None
+    tracker: dict[str, Any] | None = Field(description="The positioner, its limits and its name.")
+    load: dict[str, Any] | None
+    wind: list[dict[str, Any]] | None
+    mqtt: dict[str, Any] | None
+
+
+class StatePage(TrackerPart):
+    """Everything there is to see."""
+
+    version: str
+    simulated: bool
+    speed: float
+    role: Literal["both", "cube", "tracker"]
+    time: UtcText
+    site: SitePart
+    sun_elevation_deg: float | None
+    sky: str | None
+    scan: NewestScanPart | None
+    calibration: dict[str, Any] | None
+    cube_down_why: str | None
+    alarms: list[AlarmPart]
+    bridge: BridgePart | None
+    store: StorePart | None
+    loop: LoopPart
+    news: list[NewsPart]
+    trackers: dict[str, TrackerPart]
+
+
+_TYPES: dict[str, Any] = {"time": UtcText, "float": float | None, "int": int, "bool": bool, "text": str | None}
+
+
+def _columns(columns: list[Column]) -> dict[str, Any]:
+    return {column.name: (_TYPES[column.holds], ...) for column in columns if column.name != "time_monotonic_s"}
+
+
+ScanPart = create_model("ScanPart", __base__=Page, __doc__="One scan.", **_columns(COLUMNS[Scan][1]))
+
+
+class ScansPage(Page):
+    """The oldest scans that ended later than asked for."""
+
+    scans: Annotated[list[ScanPart], Field(max_length=500)]
+    more: bool = Field(description="Whether there are others.")

@@ -1,0 +1,174 @@
+"""The description of the local interface for programs (OpenAPI 3.1), made of the models that check and answer.
+
+``python -m daemon.api.openapi`` writes it to docs/openapi.json; a test compares.
+"""
+
+import json
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from daemon.api.models import AuthorisedPage, CommandPage, ErrorPage, HealthPage, ScansPage, StatePage, SunPage
+from daemon.service.command_bodies import CommandBody, GotoBody, ModeBody, body_of
+from daemon.service.operator_commands import LONGEST_BODY, NAMES
+
+_REF = "#/components/schemas/{model}"
+_CHECKED: tuple[type[BaseModel], ...] = (CommandBody, GotoBody, ModeBody)
+_ANSWERS: tuple[type[BaseModel], ...] = (
+    AuthorisedPage,
+    CommandPage,
+    ErrorPage,
+    HealthPage,
+    ScansPage,
+    StatePage,
+    SunPage,
+)
+_DOES = {
+    "stop": "Stop the axes at once and keep them stopped until auto",
+    "stow": "Go to the stow position and stay",
+    "snow": "Go to the snow position and stay",
+    "hold": "Stay here",
+    "auto": "End all that persons asked for",
+    "goto": "Go to a position inside the limits and hold there",
+    "home": "Start a reference run of both axes",
+    "clear": "Clear the faults and doubts that are shown",
+    "relearn": "Forget what the law has learned of the site",
+    "maintenance": "Stop the axes, keep them still and the alarms silent until auto",
+    "mode": "One of the modes by its name",
+}
+_REFUSALS = {
+    400: "the body cannot be meant",
+    401: "the token is missing or wrong",
+    409: "the tracker cannot do it now",
+    413: f"the body has more than {LONGEST_BODY} bytes",
+    421: "the host is not served",
+    422: "outside the limits, or no such tracker",
+    429: "more commands than are carried out",
+    503: "too many ask at once",
+}
+_SINCE = {
+    "name": "since",
+    "in": "query",
+    "required": False,
+    "description": "A time in UTC, ISO 8601; left out: from the oldest that is kept.",
+    "schema": {"type": "string", "format": "date-time"},
+}
+_AT = {
+    "name": "at",
+    "in": "query",
+    "required": False,
+    "description": "An instant of the day, in UTC, ISO 8601; left out: now.",
+    "schema": {"type": "string", "format": "date-time"},
+}
+_TRACKER = {
+    "name": "tracker",
+    "in": "query",
+    "required": False,
+    "description": "Which tracker is meant, where the body does not say.",
+    "schema": {"type": "string"},
+}
+
+
+@cache
+def description() -> dict[str, Any]:
+    """Return the description."""
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "heliocube, the local interface",
+            "version": version("heliocube"),
+            "description": "docs/api.md says what stands behind each value, and which limits hold.",
+        },
+        "paths": {
+            "/api/state": _page("Everything there is to see", StatePage, 421, 503),
+            "/api/scans": _scans(),
+            "/api/events": _text("The state once a second, and each record as it comes", "text/event-stream"),
+            "/api/openapi.json": _text("This description", "application/json"),
+            "/api/sun": _sun(),
+            "/api/authorised": _authorised(),
+            "/healthz": _health(),
+            "/metrics": _text("Metrics for Prometheus", "text/plain"),
+            **{f"/api/{name}": _command(name) for name in NAMES},
+        },
+        "components": {
+            "schemas": _schemas(),
+            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+        },
+    }
+
+
+def _schemas() -> dict[str, Any]:
+    _, checked = models_json_schema([(model, "validation") for model in _CHECKED], ref_template=_REF)
+    _, answers = models_json_schema([(model, "serialization") for model in _ANSWERS], ref_template=_REF)
+    return dict(sorted((checked["$defs"] | answers["$defs"]).items()))
+
+
+def _of(model: type[BaseModel]) -> dict[str, Any]:
+    return {"application/json": {"schema": {"$ref": _REF.format(model=model.__name__)}}}
+
+
+def _refusals(*statuses: int) -> dict[str, Any]:
+    return {str(status): {"description": _REFUSALS[status], "content": _of(ErrorPage)} for status in statuses}
+
+
+def _page(summary: str, model: type[BaseModel], *statuses: int) -> dict[str, Any]:
+    answers = {"200": {"description": "the page", "content": _of(model)}} | _refusals(*statuses)
+    return {"get": {"summary": summary, "responses": answers}}
+
+
+def _text(summary: str, media_type: str) -> dict[str, Any]:
+    answers = {"200": {"description": "the page", "content": {media_type: {}}}} | _refusals(421, 503)
+    return {"get": {"summary": summary, "responses": answers}}
+
+
+def _scans() -> dict[str, Any]:
+    found = _page("Scans that ended later", ScansPage, 400, 421, 503)
+    found["get"]["parameters"] = [_SINCE]
+    return found
+
+
+def _sun() -> dict[str, Any]:
+    found = _page("The sun's path over a solar day", SunPage, 400, 421, 503)
+    found["get"]["parameters"] = [_AT]
+    return found
+
+
+def _authorised() -> dict[str, Any]:
+    answers = {"200": {"description": "it is", "content": _of(AuthorisedPage)}} | _refusals(401, 421, 503)
+    return {"post": {"summary": "Whether a token is the service's", "security": [{"token": []}], "responses": answers}}
+
+
+def _health() -> dict[str, Any]:
+    found = _page("Whether the work goes on", HealthPage, 421)
+    either = [{"$ref": _REF.format(model=model.__name__)} for model in (HealthPage, ErrorPage)]
+    content = {"application/json": {"schema": {"anyOf": either}}}
+    found["get"]["responses"]["503"] = {"description": "it does not, or too many ask at once", "content": content}
+    return found
+
+
+def _command(name: str) -> dict[str, Any]:
+    body = {"content": _of(body_of(name)), "required": body_of(name) is not CommandBody}
+    answers = {"200": {"description": "carried out", "content": _of(CommandPage)}} | _refusals(*_REFUSALS)
+    return {
+        "post": {
+            "summary": _DOES[name],
+            "security": [{"token": []}],
+            "parameters": [_TRACKER],
+            "requestBody": body,
+            "responses": answers,
+        }
+    }
+
+
+def main() -> None:
+    """Write docs/openapi.json."""
+    path = Path(__file__).parents[2] / "docs" / "openapi.json"
+    path.write_text(f"{json.dumps(description(), indent=1)}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

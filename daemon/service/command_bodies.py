@@ -1,0 +1,119 @@
+"""The bodies of commands: the models that check them, over HTTP and over MQTT, and that describe them to programs."""
+
+import math
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+)
+
+ModeName = Literal["auto", "hold", "stow", "snow", "maintenance"]
+MODES: tuple[str, ...] = get_args(ModeName)
+
+_LONGEST_LINE = 200
+# What str.isprintable() lets pass: letters, marks, numbers, punctuation, symbols and the space of ASCII.
+_PRINTABLE = r"^[\p{L}\p{M}\p{N}\p{P}\p{S} ]+$"
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("not one line")
+    return text
+
+
+def _degrees(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("not a number")  # noqa: TRY004 - pydantic's validators raise no other
+    try:
+        return float(value)
+    except OverflowError:
+        # Whatever its digits, it is for the limits to refuse.
+        return math.inf
+
+
+Line = Annotated[
+    str,
+    StringConstraints(min_length=1, max_length=_LONGEST_LINE),
+    AfterValidator(_printable),
+    WithJsonSchema({"type": "string", "minLength": 1, "maxLength": _LONGEST_LINE, "pattern": _PRINTABLE}),
+]
+Degrees = Annotated[float, BeforeValidator(_degrees), WithJsonSchema({"type": "number"})]
+
+
+_LINE: TypeAdapter[str] = TypeAdapter(Line)
+
+
+class CommandBody(BaseModel):
+    """What may come with every command; each key may be left out."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    why: Line = Field("an operator asked", description="The reason, for the records.")
+    by: Line = Field(default_factory=str, description="Who asks; left out: over which way the command came.")
+    id: Line = Field(default_factory=str, description="Is repeated in the answer.")
+    tracker: Line = Field(default_factory=str, description="Which tracker is meant, where there are several.")
+
+
+class GotoBody(CommandBody):
+    """What comes with goto."""
+
+    a_deg: Degrees = Field(description="Where to: axis A, in degrees.")
+    b_deg: Degrees = Field(description="Where to: axis B, in degrees.")
+
+
+class ModeBody(CommandBody):
+    """What comes with mode."""
+
+    mode: ModeName = Field(description="What is asked for, as by the command of that name.")
+
+
+def body_of(name: str) -> type[CommandBody]:
+    """Return the model of a command's body."""
+    if name == "goto":
+        return GotoBody
+    return ModeBody if name == "mode" else CommandBody
+
+
+def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
+    """Return the body of a command; raises `ValueError` with one sentence for one that cannot be meant.
+
+    Parameters
+    ----------
+    name, found
+        The command, and the object that came with it.
+    more
+        Keys for lines of text that the way of the command has besides, such as ``time`` over a broker.
+    """
+    model = body_of(name)
+    own = {key: value for key, value in found.items() if key not in more}
+    wrong = {}
+    try:
+        body = model.model_validate(own)
+    except ValidationError as error:
+        wrong = {str(item["loc"][0]): item["type"] for item in error.errors(include_url=False)}
+    for key in more:
+        try:
+            _LINE.validate_python(found.get(key, "-"), strict=True)
+        except ValidationError:
+            wrong[key] = "line"
+    if not wrong:
+        return body
+    lines = (*CommandBody.model_fields, *more)
+    for key, kind in wrong.items():
+        if kind == "extra_forbidden":
+            known = ", ".join([*(key for key in model.model_fields if key not in lines), *lines])
+            raise ValueError(f"the body has {ascii(key)[:40]}, but may have only {known}")
+    for key in lines:
+        if key in wrong:
+            raise ValueError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
+    if model is ModeBody:
+        raise ValueError(f"the mode must be one of {', '.join(MODES)}")
+    raise ValueError('goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}')

@@ -1,0 +1,63 @@
+"""A foreign program calls every route as its description allows, and as it forbids, and checks each answer by it."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.system.processes import Process, wait_until
+
+TOKEN = "t" * 43
+ENDS_WITHIN_S = 280
+CONFIG = """
+[api]
+listen = "127.0.0.1:0"
+token_file = "{folder}/api.token"
+[bridge]
+listen = "127.0.0.1:0"
+send_to = []
+[simulation]
+speed = 60
+"""
+
+
+@pytest.fixture
+def url(tmp_path):
+    """A service on the simulated rig, sixty times as fast as real."""
+    token = tmp_path / "api.token"
+    token.write_text(TOKEN)
+    token.chmod(0o600)
+    config = tmp_path / "heliocube.toml"
+    config.write_text(CONFIG.format(folder=tmp_path))
+    with (tmp_path / "out").open("wb") as out:
+        service = Process(["run", "--config", config], tmp_path / "log", stdout=out)
+    try:
+        said = wait_until(lambda: re.search(r"http://\S+:\d+", (tmp_path / "out").read_text()), 60, service.log)
+        yield f"{said[0]}/api/openapi.json"
+        assert service.exit_code is None
+        assert "Traceback" not in service.log()
+    finally:
+        service.ask_to_stop()
+        service.wait(30)
+
+
+def test_the_interface_keeps_to_its_description(url, tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "schemathesis.cli"),
+            *("--config-file", Path(__file__).with_name("schemathesis.toml"), "run", url),
+            *("--header", f"Authorization: Bearer {TOKEN}", "--exclude-path", "/api/events"),
+            *("--phases", "coverage,fuzzing", "--max-examples", "3", "--seed", "1", "--generation-database", "none"),
+        ],
+        cwd=tmp_path,
+        env=os.environ | {"COLUMNS": "200", "NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=ENDS_WITHIN_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]
+    assert int(re.search(r"(\d+) generated", done.stdout)[1]) > 300, done.stdout[-4000:]
