@@ -4,7 +4,6 @@ import getpass
 import json
 import os
 import socket
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 from daemon.api.token import check_token, load_token
 from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
 from daemon.base.errors import UserError
+from daemon.base.files import parse_toml, toml_text
 
 TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
@@ -163,7 +163,7 @@ def _place(config: Path | None, api: str | None, environment: Mapping[str, str])
 def _read_api(config: Path) -> tuple[str, Path | None]:
     """Return where the service of a configuration listens, and its token's file."""
     try:
-        found = tomllib.loads(config.read_bytes().decode("utf-8-sig")).get("api", {})
+        found = parse_toml(toml_text(config)).get("api", {})
     except OSError as error:
         raise UserError(f"{config} cannot be read: {error.strerror}") from None
     except ValueError as error:
@@ -172,4 +172,7 @@ def _read_api(config: Path) -> tuple[str, Path | None]:
     token_file = found.get("token_file", "") if isinstance(found, dict) else None
     if not isinstance(listen, str) or not isinstance(token_file, str):
         raise UserError(f"the [api] of {config} is wrong; see 'heliocube config check {config}'")
-    return listen, (config.parent / Path(token_file).expanduser()) if token_file else None
+    try:
+        return listen, (config.parent / Path(token_file).expanduser()) if token_file else None
+    except RuntimeError as error:
+        raise UserError(f"api.token_file in {config}: {error}") from None

@@ -1,4 +1,4 @@
-"""Small files: replaced as a whole so that a crash leaves no part, kept state, and secrets for their owner alone."""
+"""Small files: TOML within bounds, replacing as a whole so that a crash leaves no part, kept state, and secrets."""
 
 import contextlib
 import logging
@@ -6,10 +6,11 @@ import os
 import stat
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from daemon.base.errors import UserError
 
@@ -18,6 +19,14 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 log = logging.getLogger("heliocube.state")
+
+# A file that names every key with its comment has 40 kB.
+_MOST_TOML_BYTES = 131072
+_MOST_TOML_VALUES = 2000
+_DEEPEST_TOML = 20
+# What parses a key takes the square of its parts.
+_MOST_POINTS = 200
+_LONGEST_TOML_TEXT = 4096
 
 _CLOSE_WITHIN_S = 3.0
 _SLOW_AFTER_S = 5.0
@@ -259,6 +268,80 @@ class StateFile(Generic[State]):
             self._folder.put(self.path, state.model_dump_json(exclude_none=True), self._forgotten, self._logger)
 
 
+def toml_text(path: Path) -> str:
+    """Return the text of a TOML file that is worth parsing.
+
+    Raises
+    ------
+    OSError
+        It cannot be read; `FileNotFoundError` among them.
+    ValueError
+        It is none: the message is one sentence without the file's name.
+    """
+    if not path.is_file() and path.exists() and not path.is_dir():
+        raise ValueError("the file is no ordinary one, but a device or a pipe")
+    with path.open("rb") as file:
+        content = file.read(_MOST_TOML_BYTES + 1)
+    if len(content) > _MOST_TOML_BYTES:
+        raise ValueError(f"the file is longer than {_MOST_TOML_BYTES} bytes: it is none of heliocube's")
+    try:
+        # Some editors of Windows put a byte order mark in front, which TOML does not know.
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MOST_POINTS and not line.lstrip().startswith("#"):
+            raise ValueError(f"line {number}: more than {_MOST_POINTS} points in one line")
+    return text
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the values of a TOML text; raises `tomllib.TOMLDecodeError`, and `ValueError` with a sentence as above."""
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError:
+        # Python reads no integers of more than some thousands of digits.
+        raise ValueError("a number in it has too many digits") from None
+    except RecursionError:
+        raise ValueError("its brackets are nested too deeply") from None
+    _check_bounds(values)
+    return values
+
+
+def _check_bounds(values: dict[str, Any]) -> None:
+    waiting: list[tuple[str, Any, int]] = [("", values, 0)]
+    for count, (place, value, depth) in enumerate(waiting):
+        if depth > _DEEPEST_TOML:
+            raise ValueError(f"{place[:60]}...: tables and lists are nested more than {_DEEPEST_TOML} deep")
+        if count > _MOST_TOML_VALUES:
+            raise ValueError(f"it has more than {_MOST_TOML_VALUES} values: it is none of heliocube's")
+        reason = _unusable(value)
+        if reason is not None:
+            raise ValueError(f"{place}: {reason}")
+        if isinstance(value, dict):
+            for name in value:
+                if (reason := _unusable(name)) is not None:
+                    raise ValueError(f"a key in [{place}]: {reason}")
+            names = [ascii(name)[1:-1] for name in value]
+            places = [f"{place}.{name}" if place else name for name in names]
+            waiting += [(inner, each, depth + 1) for inner, each in zip(places, value.values(), strict=True)]
+        elif isinstance(value, list):
+            waiting += [(f"{place}[{number}]", inner, depth + 1) for number, inner in enumerate(value)]
+
+
+def _unusable(value: Any) -> str | None:
+    """Return what makes a single value one that nobody can mean, or None."""
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        return "the number has more than the 64 bits that TOML gives it"
+    if isinstance(value, str) and len(value) > _LONGEST_TOML_TEXT:
+        return f"the text is longer than {_LONGEST_TOML_TEXT} characters"
+    if isinstance(value, str) and "\0" in value:
+        return "the text has a NUL character in it, which no path and no name may have"
+    return None
+
+
 def write_secret(path: Path, content: bytes, called: str, error: type[UserError]) -> None:
     """Write a new file that only its owner can read; never overwrites.
 
@@ -295,6 +378,8 @@ def read_secret(
     error
         What is raised, with one sentence.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise error(f"{called} is no ordinary file, but a device or a pipe")
     try:
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode

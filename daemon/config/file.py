@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 from pydantic import BaseModel, ValidationError
 
 from daemon.base.errors import UserError
+from daemon.base.files import parse_toml, toml_text
 from daemon.config import keys, rules
 from daemon.config.keys import Chosen
 from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from daemon.config.section import Section
 
 _LONGEST_VALUE = 60
+# What somebody meant is searched for that often in a section: a file of another program has no end of keys.
+_MOST_REMEDIES = 20
+_AND_MORE = ": more is wrong here; put right what stands above first"
+_MOST_TRACKERS = 64
 # Paths in the file are meant from where the file is, so that a folder can be moved as a whole.
 _PATHS = (
     ("bridge", "key_file"),
@@ -90,12 +95,12 @@ def load_settings(path: Path) -> Settings:
     ConfigError
         With all problems of the file.
     """
-    return _resolved(_settings(_read(path), str(path)), path.parent)
+    return _resolved(_settings(_read(path), str(path)), path.parent, str(path))
 
 
 def load_settings_with_topics(path: Path, unusable: Callable[[Settings], Iterable[str]]) -> Settings:
     """Read a file like `load_settings`; the keys that `unusable` names are problems too. Raises `ConfigError`."""
-    return _resolved(_settings(_read(path), str(path), unusable), path.parent)
+    return _resolved(_settings(_read(path), str(path), unusable), path.parent, str(path))
 
 
 def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Settings:
@@ -137,20 +142,21 @@ def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Setti
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        # Some editors of Windows put a byte order mark in front, which TOML does not know.
-        text = path.read_bytes().decode("utf-8-sig")
+        text = toml_text(path)
     except FileNotFoundError:
         raise ConfigError(
             str(path), ["there is no such file; 'heliocube config init DIR' writes a commented one"]
         ) from None
     except OSError as error:
         raise ConfigError(str(path), [f"the file cannot be read: {error.strerror}"]) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(str(path), [f"byte {error.start} is not UTF-8; save the file as UTF-8 text"]) from None
+    except ValueError as error:
+        raise ConfigError(str(path), [str(error)]) from None
     try:
-        return tomllib.loads(text)
+        return parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(path), [_syntax_problem(str(error), text)]) from None
+    except ValueError as error:
+        raise ConfigError(str(path), [str(error)]) from None
 
 
 def _syntax_problem(message: str, text: str) -> str:
@@ -182,6 +188,9 @@ def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Probl
     if not isinstance(tables, list | tuple) or not all(isinstance(table, dict) for table in tables):
         yield _Problem("tracker", ": a tracker is a table of a list; write [[tracker]], once for each")
         return
+    if len(tables) > _MOST_TRACKERS:
+        yield _Problem("tracker", f": these are {len(tables)} trackers; a process drives at most {_MOST_TRACKERS}")
+        return
     found: list[NamedSettings] = []
     names: set[str] = set()
     for number, table in enumerate(tables):
@@ -210,8 +219,11 @@ def _checked(
 ) -> tuple[Settings, list[_Problem]]:
     """Return the settings of all that is right in the sections of a file, and everything that is wrong with them."""
     tables, chosen, wrong_in_drivers = settled(raw)
-    problems = [_unknown("", name, value, chosen) for name, value in raw.items() if name not in Sections.model_fields]
-    problems += [_driver_problem(path, each, chosen) for path, each in wrong_in_drivers]
+    unknown = [name for name in raw if name not in Sections.model_fields]
+    problems = [_unknown("", name, raw[name], chosen) for name in unknown[:_MOST_REMEDIES]]
+    problems += [_Problem(keys.toml_name(name), ": there is no such key") for name in unknown[_MOST_REMEDIES:]]
+    for number, (path, each) in enumerate(wrong_in_drivers):
+        problems.append(_driver_problem(path, each, chosen) if number < _MOST_REMEDIES else _Problem(path, _AND_MORE))
     sections: dict[str, Any] = {}
     for name, field in Sections.model_fields.items():
         given = tables.get(name, {})
@@ -238,7 +250,10 @@ def _checked(
 
 
 def _problems(error: ValidationError, section: str, chosen: Chosen) -> Iterator[_Problem]:
-    for item in error.errors(include_url=False, include_context=False):
+    for number, item in enumerate(error.errors(include_url=False, include_context=False)):
+        if number >= _MOST_REMEDIES:
+            yield _Problem(_path((section, *item["loc"]), chosen), _AND_MORE)
+            continue
         kind: Literal["unknown", "value"] = "unknown" if item["type"] == "extra_forbidden" else "value"
         yield _problem((section, *item["loc"]), item["input"], kind, chosen)
 
@@ -366,13 +381,21 @@ def _paths_in(raw: dict[str, Any], section: str) -> list[str]:
     return paths
 
 
-def _resolved(settings: Settings, folder: Path) -> Settings:
+def _resolved(settings: Settings, folder: Path, source: str) -> Settings:
     changed: dict[str, Section] = {}
+    problems = []
     for section, name in _PATHS:
         path = getattr(getattr(settings, section), name)
         if isinstance(path, Path):
-            values = {name: (folder / path.expanduser()).resolve()}
+            try:
+                values = {name: (folder / path.expanduser()).resolve()}
+            except (RuntimeError, OSError) as error:
+                # Of a user that there is not, and of a link that leads back to itself.
+                problems.append(f"{section}.{name} = {_shown(str(path))}: {ascii(str(error))[1:-1]}")
+                continue
             changed[section] = changed.get(section, getattr(settings, section)).model_copy(update=values)
+    if problems:
+        raise ConfigError(source, problems)
     return settings.model_copy(update=changed)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import tomli_w
 
 from daemon.base.errors import UserError
+from daemon.base.files import toml_text
 from daemon.config.file import load_settings
 from daemon.config.plugged import DRIVER, SECTIONS
 from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
@@ -32,7 +33,7 @@ def migrate(path: Path) -> str:
         The file has mistakes of its own, the name of its tracker cannot be one, or it cannot be written.
     """
     settings = load_settings(path)
-    text = path.read_bytes().decode("utf-8-sig")
+    text = toml_text(path)
     before = tomllib.loads(text)
     renamed = [key for key in RENAMED if _has(before, key)]
     names = [] if settings.tracker else [settings.trackers[0].name]

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-import tomllib
 from collections.abc import Callable
 from datetime import UTC, timedelta
 from pathlib import Path
@@ -13,6 +12,7 @@ import tomli_w
 from pydantic import AwareDatetime, Field, ValidationError
 
 from daemon.base.errors import UserError
+from daemon.base.files import parse_toml, toml_text
 from daemon.base.records import FACES, Event
 from daemon.config.section import NotNegative, Section
 from daemon.config.sections import CubeSettings, FaceSettings
@@ -98,7 +98,7 @@ def read_calibration(path: Path) -> CubeCalibration:
         There is none, it is damaged, or its contents are not those that its identifier was made of.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = parse_toml(toml_text(path))
         calibration = CubeCalibration.model_validate(values)
     except FileNotFoundError:
         raise UserError(f"there is no calibration file at {path}; make one with 'heliocube calibrate'") from None
@@ -108,8 +108,6 @@ def read_calibration(path: Path) -> CubeCalibration:
         raise UserError(f"calibration file {path}: {where}: {first['msg']}; calibrate anew") from None
     except (OSError, ValueError) as error:
         raise UserError(f"calibration file {path} cannot be read: {error}") from None
-    except RecursionError:
-        raise UserError(f"calibration file {path} cannot be read: its brackets are nested too deeply") from None
     if calibration.identifier != _identifier(calibration):
         raise UserError(
             f"calibration file {path} has been edited: its contents are not those of {calibration.identifier}, which"
