@@ -10,6 +10,9 @@ from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
 from solar.laws.law import Law
 
+# However low and clear the sun, a vertical face gets no ten times of what the sky gives to the zenith face.
+_SUNLIT_SHARE = 10.0
+
 
 class Readings:
     """The scans that came in, judged.
@@ -107,16 +110,23 @@ class Readings:
 
     def _too_dark(self, mean: Irradiances, *, sun_known: bool) -> bool:
         dark = not (mean.zenith_w_m2 >= self._safety.night_below_w_m2)
-        return dark and (not sun_known or self._sees_zenith(mean))
+        return dark and (not sun_known or self._law_believes_zenith(mean))
 
     def _sees_zenith(self, mean: Irradiances) -> bool:
-        """Whether the zenith face tells day from night; a law that can do without it does not stop for it."""
+        """Whether the zenith face tells day from night."""
         zenith = mean.zenith_w_m2
         if zenith >= self._safety.night_above_w_m2:
             return True
         if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
             return True
-        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, zenith)
+        vertical = [face for face in (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2) if not math.isnan(face)]
+        if max(vertical, default=0.0) > _SUNLIT_SHARE * self._safety.night_above_w_m2:
+            return False
+        return self._law_believes_zenith(mean)
+
+    def _law_believes_zenith(self, mean: Irradiances) -> bool:
+        """Whether the law needs the zenith face; one that can do without it does not stop for it."""
+        faces = (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2, mean.zenith_w_m2)
         return self._law.believes_zenith(faces, self._clock.utc())
 
     def _judge_night(self, seen: Irradiances | None) -> str | None:

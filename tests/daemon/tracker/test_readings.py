@@ -35,11 +35,11 @@ class Rig:
         self.sun_deg = 30.0
         self.readings = Readings(Settings(), self.clock, lambda _utc_s: self.sun_deg, law)
 
-    def scan(self, zenith, bad=()):
+    def scan(self, zenith, bad=(), south=60.0):
         self.clock.now += 5
         faces = [
             FaceReading(math.nan if name in bad else value, Quality.LATE if name in bad else Quality.OK, 0.0, self.now)
-            for name, value in (("east", 50.0), ("south", 60.0), ("west", 40.0), ("zenith", zenith))
+            for name, value in (("east", 50.0), ("south", south), ("west", 40.0), ("zenith", zenith))
         ]
         self.readings.add(Scan("cube", "s", 0, 0.0, self.now, *faces))
 
@@ -50,9 +50,9 @@ class Rig:
     def judge(self, **how):
         return self.readings.judge(self.now, self.readings.mean(self.now), **how)
 
-    def minutes(self, zenith, count=3):
+    def minutes(self, zenith, count=3, **how):
         for _ in range(count * 12):
-            self.scan(zenith)
+            self.scan(zenith, **how)
         return self.judge()
 
 
@@ -98,6 +98,17 @@ def test_a_dark_zenith_face_under_a_high_sun_is_a_fault():
     data, why, night = rig.minutes(2.0)
     assert (data, night) == (Data.BAD, None)
     assert "in daylight" in why
+
+
+def test_a_dark_zenith_face_beside_a_sunlit_one_is_a_fault_and_no_night():
+    rig = Rig()
+    rig.sun_deg = 3.0
+    data, why, night = rig.minutes(0.0, south=400.0)
+    assert (data, night) == (Data.BAD, None)
+    assert "in daylight" in why
+    rig = Rig(Believing(believes=False))
+    rig.sun_deg = 3.0
+    assert rig.minutes(0.0, south=400.0)[::2] == (Data.FRESH, None)
 
 
 @pytest.mark.parametrize("believes", [False, True])
