@@ -4,12 +4,14 @@ The limits are wide: they find what a broken wire, a dead supply or a stuck addr
 every weather pass. A gain that is some percent off is left to calibration.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
+from solar.laws.light import light_from_faces
 
 _SOLAR_CONSTANT_W_M2 = 1361.0
 LOWEST_SINE = float(np.sin(np.radians(5.0)))
@@ -27,6 +29,12 @@ _SEEN_MV = 0.1
 _OVER_SHARE = 1.3
 _OVER_W_M2 = 100.0
 _SHADED_W_M2 = 60.0
+# A change that the others predict, and how little of it a face shows that does not follow the light.
+_PREDICTED_W_M2 = 60.0
+_STAYS_SHARE = 0.1
+_FOLLOWS_SHARE = 0.3
+_LIT_COSINE = 0.15
+_ALBEDO = 0.2
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
 
@@ -38,6 +46,15 @@ class Doubt(IntEnum):
     DARK = 2
     SAME = 3
     OVER = 4
+    FROZEN = 5
+
+
+class Response(IntEnum):
+    """Whether a face follows the light that the other three show."""
+
+    UNKNOWN = 0
+    FOLLOWS = 1
+    STAYS = 2
 
 
 def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normals: ArrayLike) -> NDArray[np.int64]:
@@ -83,6 +100,64 @@ def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normal
     return found
 
 
+def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -> NDArray[np.int64]:
+    """Return for each face of a cube whether it follows the light, as values of `Response`, shape (4,).
+
+    Parameters
+    ----------
+    faces_w_m2
+        Means of minutes that follow each other, about half an hour, east, south, west and zenith, shape (n, 4).
+    sun
+        Unit vectors to the sun then, shape (n, 3).
+    believed
+        Which of the four faces others can be judged by.
+
+    Notes
+    -----
+    The other three faces and the sun's position give the light (:mod:`solar.laws.light`), and the light what the face
+    should read. Where that changes by more than 60 W/m2 and the face by less than a tenth of it, it stays: it is
+    frozen, or was dead from the beginning. Nothing is known of a face that the sun does not reach all the while, nor
+    without another vertical one that it reaches: the predictions are not good enough there. A frozen face spoils the
+    predictions for the others, so that of several which stay only the stillest is named.
+    """
+    faces, up = np.asarray(faces_w_m2, float), np.asarray(sun, float)
+    found = np.full(4, Response.UNKNOWN, dtype=np.int64)
+    if np.isnan(faces).any() or not (up[:, 2] >= LOWEST_SINE).all():
+        return found
+    reached = np.stack([up[:, 1], up[:, 0], -up[:, 1], up[:, 2]]).min(axis=1) > _LIT_COSINE
+    reached[3] = True
+    stillest, least = None, _STAYS_SHARE
+    for face in range(4):
+        others = [other for other in range(4) if other != face]
+        lit_beside = any(reached[other] for other in others if other != 3)
+        if not (reached[face] and lit_beside and all(believed[other] for other in others)):
+            continue
+        predicted = float(np.ptp(_by_the_others(faces, up, face)))
+        if not predicted > _PREDICTED_W_M2:
+            continue
+        share = float(np.ptp(faces[:, face])) / predicted
+        if share > _FOLLOWS_SHARE:
+            found[face] = Response.FOLLOWS
+        elif share < least:
+            stillest, least = face, share
+    if stillest is not None:
+        found[stillest] = Response.STAYS
+    return found
+
+
+def _by_the_others(faces: Array, sun: Array, face: int) -> Array:
+    """Return what a face should read by the other three, shape (n,)."""
+    usable = np.ones(faces.shape, dtype=np.bool_)
+    usable[:, face] = False
+    light = light_from_faces(faces, sun, _ALBEDO, usable)
+    horizontal: Array = light.beam * sun[:, 2] + light.uniform
+    if face == 3:
+        return horizontal
+    cosine = np.maximum((sun[:, 1], sun[:, 0], -sun[:, 1])[face], 0.0)
+    result: Array = light.beam * cosine + 0.5 * light.uniform + light.horizon + 0.5 * _ALBEDO * horizontal
+    return result
+
+
 def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell where there is light enough for a face without doubts to count as sound, shape (n,)."""
     faces, up = np.atleast_2d(np.asarray(faces_w_m2, float)), np.atleast_2d(np.asarray(sun, float))
@@ -90,7 +165,7 @@ def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _second(faces: Array) -> Array:
-    brightest: Array = np.sort(np.nan_to_num(faces, nan=-np.inf), axis=-1)[:, -2]
+    brightest: Array = np.sort(np.where(np.isnan(faces), -np.inf, faces), axis=-1)[:, -2]
     return brightest
 
 

@@ -14,16 +14,12 @@ from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated
 from daemon.cube.face_watch import FaceWatch
+from daemon.cube.repeats import Repeats
 from drivers.errors import DeviceError, DriverHungError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 
 log = logging.getLogger("heliocube.acquisition")
 
-# A six-and-a-half-digit meter on a live sensor does not give the very same digits this many times in a row.
-_STUCK_AFTER = 6
-# Values in steps of up to 1 W/m2 stand still at noon for a quarter of an hour, and in the dark for a night.
-_ROUNDED_STUCK_AFTER_S = 1800.0
-_ROUNDED_STUCK_ABOVE_W_M2 = 20.0
 _OF_FLAW: dict[FaceFlaw, Quality] = {
     "over-range": Quality.OVER_RANGE,
     "late": Quality.LATE,
@@ -85,8 +81,7 @@ class Acquisition:
         self._sequence = 0
         self._faces = tuple(getattr(settings, name) for name in FACES)
         self._dark = DarkOffsets(sun_elevation_deg) if settings.dark_correction else None
-        self._repeats = [0] * len(FACES)
-        self._last_value = [math.nan] * len(FACES)
+        self._repeats = Repeats(settings.scan_every_s)
         # As read in the present scan, for the watch over the faces.
         self._read_mv = [math.nan] * len(FACES)
         self._read_w_m2 = [math.nan] * len(FACES)
@@ -194,20 +189,13 @@ class Acquisition:
         ]
 
     def _judge(self, index: int, value: float, irradiance: float, reading: CubeReading) -> Quality:
-        repeated = value == self._last_value[index] and value != 0.0
-        self._repeats[index] = self._repeats[index] + 1 if repeated else 0
-        self._last_value[index] = value
+        self._repeats.note(index, value)
         if not reading.proven:
             return Quality.SELF_TEST_FAILED
         if not (self._settings.minimum_w_m2 <= irradiance <= self._settings.maximum_w_m2):
             return Quality.IMPLAUSIBLE
-        return Quality.STALE if self._frozen(index, irradiance, rounded=reading.rounded) else Quality.OK
-
-    def _frozen(self, index: int, irradiance: float, *, rounded: bool) -> bool:
-        if not rounded:
-            return self._repeats[index] >= _STUCK_AFTER
-        stood_s = self._repeats[index] * self._settings.scan_every_s
-        return stood_s >= _ROUNDED_STUCK_AFTER_S and irradiance > _ROUNDED_STUCK_ABOVE_W_M2
+        frozen = self._repeats.frozen(index, irradiance, rounded=reading.rounded)
+        return Quality.STALE if frozen else Quality.OK
 
     def _notify(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "cube", text))

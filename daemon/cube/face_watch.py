@@ -4,6 +4,7 @@ import math
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
@@ -12,7 +13,7 @@ from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from solar.ephemeris import SunDirection
 from solar.frames import Array
-from solar.plausible import LOWEST_SINE, Doubt, doubts, lit
+from solar.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, responses
 from solar.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
@@ -20,11 +21,16 @@ BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
+_RESPONSE_BLOCKS = 30
+_CUBE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+_UPRIGHT = 0.05
+_ZENITH = FACES.index("zenith")
 
 _WHY = {
     Doubt.DEAD: "next to nothing while other faces are lit: see its sensor, its cable and its multiplexer input",
     Doubt.DARK: "nothing in daylight: see the multiplexer's supply and its address lines",
     Doubt.SAME: "the same as another, two by two: an address line of the multiplexer is stuck, or its port is dead",
+    Doubt.FROZEN: "the same while the light changes on the others: see whether its sensor or its channel is stuck",
     Doubt.OVER: "more than sun and sky can give there: see its gain, and whether faces are interchanged",
 }
 
@@ -65,6 +71,9 @@ class FaceWatch:
         self._good = [0] * len(FACES)
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
+        # The light is known from the faces of an upright cube only.
+        self._is_upright = bool(np.abs(self._normals - _CUBE).max() < _UPRIGHT)
+        self._minutes: deque[tuple[Array, Array]] = deque(maxlen=_RESPONSE_BLOCKS)
         self._begin()
 
     def implausible(self, face: int) -> bool:
@@ -84,6 +93,7 @@ class FaceWatch:
         if elapsed_s > 2 * _BLOCK_S:
             # Nothing was read for a while: a mean over the gap would mix two suns.
             self._blocks.clear()
+            self._minutes.clear()
         else:
             self._blocks.append((np.array([self._w_m2, self._mv]), np.array(self._counts)))
         self._begin()
@@ -103,10 +113,26 @@ class FaceWatch:
         with np.errstate(invalid="ignore"):
             faces, voltages = sums / counts
         found = doubts(faces, voltages, sun, self._normals)[0]
+        if self.implausible(_ZENITH):
+            # What is too much for a vertical face is judged by the zenith face.
+            found[:_ZENITH][found[:_ZENITH] == Doubt.OVER] = Doubt.NONE
         light = bool(lit(faces, sun)[0])
+        followed = self._responses()
+        found[followed == Response.STAYS] = Doubt.FROZEN
         for face, doubt in enumerate(found.tolist()):
-            self._count(face, Doubt(doubt), sound=light and not np.isnan(faces[face]))
+            agrees = self._whys[face] is not Doubt.FROZEN or followed[face] == Response.FOLLOWS
+            self._count(face, Doubt(doubt), sound=light and agrees and not np.isnan(faces[face]))
         self._report()
+
+    def _responses(self) -> NDArray[np.int64]:
+        """Tell of each face whether it has followed the light of the last half hour."""
+        (sums, _), counts = self._blocks[-1]
+        with np.errstate(invalid="ignore"):
+            self._minutes.append((sums / counts, self._sun_direction(self._clock.utc() - _BLOCK_S / 2)))
+        if not self._is_upright or len(self._minutes) < _RESPONSE_BLOCKS:
+            return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
+        faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
+        return responses(faces, suns, [not self.implausible(face) for face in range(len(FACES))])
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
         if doubt is not Doubt.NONE:

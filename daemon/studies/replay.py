@@ -20,8 +20,9 @@ from daemon.base.records import Bus, FaceReading, Mode, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
-from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings, settings_of_one
+from daemon.cube.face_watch import FaceWatch
+from daemon.cube.repeats import Repeats
 from daemon.motion.motion import Polling
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
@@ -44,6 +45,7 @@ _STALE_AFTER_ROWS = 2.5
 _SKIP_S = 600.0
 _AWAKE_S = 120.0
 _DEEP_NIGHT_DEG = -1.0
+_NO_VOLTAGES_MV = [math.nan] * 4
 _PROGRESS_EVERY_ROWS = 1000
 _ROWS_AT_ONCE = 50_000
 
@@ -152,6 +154,8 @@ class _Feeder:
         (tracker,) = service.trackers
         self._control, self._motion = tracker.control, tracker.motion
         self._cube = service.settings.cube
+        self._watch = FaceWatch(service.settings.site, self._cube, clock, service.cube_alarms)
+        self._repeats = Repeats(self._cube.scan_every_s)
         self._sun_elevation_deg = service.sun_elevation_deg
         self._truth = truth
         self._loop = loop
@@ -170,7 +174,7 @@ class _Feeder:
             if due_s - loop.time() > self._gap_s:
                 await self._pass(due_s)
             await self._live_until(due_s)
-            control.receive(_scan(self._cube, number, row, loop.time()))
+            control.receive(self._scan(number, row))
             log.angles.extend(self._angles())
             log.modes.append(control.mode)
             learned = control.pointing.law.learned
@@ -200,6 +204,35 @@ class _Feeder:
             self._seen_at_rest = False
             await asyncio.sleep(max(duration_s, 0.0))
             self._woken_s = self._loop.time()
+
+    def _scan(self, number: int, row: RecordedScan) -> Scan:
+        """Return the scan that a cube would have made of the row: its faces are judged as on a rig."""
+        utc_s, now_s = row.time_utc_s, self._loop.time()
+        self._watch.note(list(row.irradiances_w_m2), _NO_VOLTAGES_MV)
+        east, south, west, zenith = (
+            FaceReading(value, self._quality(face, value), utc_s, now_s)
+            for face, value in enumerate(row.irradiances_w_m2)
+        )
+        return Scan(
+            source=self._cube.name,
+            session="replay",
+            sequence=number,
+            time_utc_s=utc_s,
+            time_monotonic_s=now_s,
+            east=east,
+            south=south,
+            west=west,
+            zenith=zenith,
+            simulated=True,
+        )
+
+    def _quality(self, face: int, value: float) -> Quality:
+        if math.isnan(value):
+            return Quality.MISSING
+        self._repeats.note(face, value)
+        if not (self._cube.minimum_w_m2 <= value <= self._cube.maximum_w_m2) or self._watch.implausible(face):
+            return Quality.IMPLAUSIBLE
+        return Quality.STALE if self._repeats.frozen(face, value, rounded=True) else Quality.OK
 
     def _angles(self) -> tuple[float, float, float, float]:
         """Return where the tracker was sent last and where it stands; what rests need not be looked at twice."""
@@ -237,28 +270,6 @@ class _Feeder:
             return False
         utc_s = self._clock.utc()
         return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))
-
-
-def _scan(cube: CubeSettings, number: int, row: RecordedScan, now_s: float) -> Scan:
-    utc_s = row.time_utc_s
-    low, high = cube.minimum_w_m2, cube.maximum_w_m2
-    faces = []
-    for value in row.irradiances_w_m2:
-        quality = Quality.OK if low <= value <= high else Quality.MISSING if math.isnan(value) else Quality.IMPLAUSIBLE
-        faces.append(FaceReading(value, quality, utc_s, now_s))
-    east, south, west, zenith = faces
-    return Scan(
-        source=cube.name,
-        session="replay",
-        sequence=number,
-        time_utc_s=utc_s,
-        time_monotonic_s=now_s,
-        east=east,
-        south=south,
-        west=west,
-        zenith=zenith,
-        simulated=True,
-    )
 
 
 def _opened(path: Path, suffix: str) -> TextIO:

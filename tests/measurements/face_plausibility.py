@@ -15,13 +15,14 @@ from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
-from solar.plausible import Doubt, doubts
+from solar.plausible import Doubt, Response, doubts, responses
 from solar.sky import SkyModel, sky
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 NOISE_MV = 0.02
 SCANS_PER_MINUTE = 12
 SEEDS = 3
+HALF_HOUR = 30
 SKIES: tuple[SkyModel, ...] = ("isotropic", "haydavies", "perez1990")
 ALBEDOS = (0.05, 0.2, 0.8)
 
@@ -57,6 +58,16 @@ def alarms(utc_s: Array, doubtful: NDArray[np.bool_]) -> int:
     return int(np.sum(np.diff(utc_s[run], prepend=-np.inf) > 600.0))
 
 
+def stays(utc_s: Array, faces: Array, sun: Array) -> int:
+    """Return in how many half hours, one every five minutes, a sound face is said to stay while the light changes."""
+    named = 0
+    for begin in range(0, utc_s.size - HALF_HOUR, 5):
+        half_hour = slice(begin, begin + HALF_HOUR)
+        if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
+            named += int((responses(faces[half_hour], sun[half_hour], [True] * 4) == Response.STAYS).any())
+    return named
+
+
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
@@ -70,15 +81,17 @@ def main() -> None:
     for model in SKIES:
         for albedo in ALBEDOS:
             found = np.zeros((utc_s.size, 4), dtype=np.int64)
-            raised, minutes = 0, dict.fromkeys(list(Doubt)[1:], 0)
+            raised, minutes = 0, dict.fromkeys([kind for kind in Doubt if kind not in (Doubt.NONE, Doubt.FROZEN)], 0)
             for seed in range(SEEDS):
                 faces, voltages = cube_of(utc_s, dni, dhi, model, albedo, seed)
                 found = doubts(five_minutes(utc_s, faces), five_minutes(utc_s, voltages), sun, normals)
                 raised += alarms(utc_s, (found != Doubt.NONE).any(axis=1))
                 for kind in minutes:
                     minutes[kind] += int((found == kind).any(axis=1).sum())
-            told = ", ".join(f"{kind.name.lower()} {count}" for kind, count in minutes.items())
-            print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {told}")
+            frozen = stays(utc_s, faces, sun)
+            told = [f"{kind.name.lower()} {count}" for kind, count in minutes.items()]
+            told.append(f"{frozen} half hours with a face that stays")
+            print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {', '.join(told)}")
 
 
 if __name__ == "__main__":

@@ -2,9 +2,15 @@
 
 import asyncio
 
+import numpy as np
 import pytest
 
+from daemon.base.alarms import Alarms
 from daemon.base.records import Mode, Quality
+from daemon.config.settings import Settings
+from daemon.cube.face_watch import FaceWatch
+from solar.ephemeris import extraterrestrial_dni, sun_direction
+from solar.sky import sky
 from tests.support.rig import HandWeather
 
 
@@ -108,3 +114,75 @@ def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
         assert alarm(rig) is None
 
     run_rig(scenario, start="2022-10-12T23:30")
+
+
+class Hand:
+    """A clock that stands where it is put."""
+
+    def __init__(self, utc_s):
+        self.utc_s = utc_s
+
+    def monotonic(self):
+        return self.utc_s
+
+    def utc(self):
+        return self.utc_s
+
+
+class WatchedDay:
+    """Faces of a day with a cloud every twenty minutes, scan by scan, before a watch."""
+
+    def __init__(self, start_utc_s):
+        self.clock = Hand(start_utc_s)
+        settings = Settings()
+        self.site = settings.site.place()
+        self.alarms = Alarms(self.clock, lambda _record: None)
+        self.watch = FaceWatch(settings.site, settings.cube, self.clock, self.alarms)
+        self.random = np.random.default_rng(1)
+
+    def minutes(self, count, frozen=None, at_w_m2=0.0):
+        """Let scans come every 15 s; returns after how many minutes each face was found, None for never."""
+        found = [None] * 4
+        utc_s = self.clock.utc_s + 15.0 * np.arange(1, 4 * count + 1)
+        sun = sun_direction(utc_s, *self.site)
+        beam = np.where(utc_s % 1200 < 300, 150.0, 750.0) * (sun[:, 2] > 0)
+        light = sky("perez1990", sun, beam, np.full(utc_s.size, 140.0), extraterrestrial_dni(utc_s))
+        normals = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])
+        faces = np.stack([light.irradiance_on(normal[None, :]) for normal in normals], axis=-1)
+        if frozen is not None:
+            faces[:, frozen] = at_w_m2
+        faces += self.random.normal(0.0, 0.3, faces.shape)
+        for number, (at_s, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
+            self.clock.utc_s = at_s
+            self.watch.note(row, [value / 10 for value in row])
+            for face in range(4):
+                if found[face] is None and self.watch.implausible(face):
+                    found[face] = number / 4
+        return found
+
+    def doubted(self):
+        return [face for face in range(4) if self.watch.implausible(face)]
+
+
+MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
+
+
+@pytest.mark.parametrize(("face", "at_w_m2"), [(0, 90.0), (0, 300.0), (1, 120.0), (1, 450.0), (3, 250.0), (3, 600.0)])
+def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_the_light(face, at_w_m2):
+    # The sun leaves the east face at noon.
+    day = WatchedDay(MORNING_UTC_S - (3600.0 if face == 0 else 0.0))
+    assert day.minutes(40) == [None] * 4
+    found = day.minutes(60, frozen=face, at_w_m2=at_w_m2)
+    assert found[face] is not None
+    assert [minutes for other, minutes in enumerate(found) if other != face] == [None] * 3
+    (alarm,) = day.alarms.active
+    assert "the same while the light changes on the others" in alarm.text
+    day.minutes(20, frozen=face, at_w_m2=at_w_m2)
+    assert day.doubted() == [face], "nothing forgives a face that stays"
+    day.minutes(60)
+    assert day.doubted() == []
+
+
+@pytest.mark.parametrize("start_utc_s", [MORNING_UTC_S - 5 * 3600, 1671602400.0])
+def test_a_sound_cube_is_believed_on_a_day_of_passing_clouds(start_utc_s):
+    assert WatchedDay(start_utc_s).minutes(16 * 60) == [None] * 4

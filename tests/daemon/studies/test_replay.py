@@ -168,6 +168,16 @@ def test_an_implausible_or_missing_face_is_left_out(replayed):
     assert off_sun_deg(last) < 6.0
 
 
+@pytest.mark.parametrize("law", ["mu-prime", "optimal"])
+def test_a_dead_face_is_found_as_on_a_rig(replayed, law):
+    lines = readings(NOON - 3600 + np.arange(0, 7200, 15.0))
+    for line in lines:
+        line[2] = "0.3"
+    last = replayed(lines, law)[-1]
+    assert last["mode"] == ("tracking" if law == "optimal" else "fallback")
+    assert off_sun_deg(last) < 6.0
+
+
 def test_compressed_files_do_as_well(replayed):
     assert replayed(readings(NOON + np.arange(0, 600, 5.0)), "mu-prime", name="faces.csv.gz")
 
