@@ -13,7 +13,7 @@ from daemon.commands.options import CubeOption, RoleChoice
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
-    from daemon.config.links import MqttSettings
+    from daemon.config.links import MqttSettings, SunspecSettings
     from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
@@ -205,10 +205,15 @@ def _summary(settings: "Settings") -> dict[str, str]:
         f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
         "interface": f"on {settings.api.listen}, " + token if settings.api.enabled else "off",
+        **({"sunspec": _sunspec(settings.sunspec)} if settings.sunspec.enabled else {}),
         "mqtt": _broker(settings.mqtt) if settings.mqtt.enabled else "off",
         **({"trackers": ", ".join(table.name for table in settings.tracker)} if settings.tracker else {}),
         "store": "none" if settings.store.directory is None else str(settings.store.directory),
     }
+
+
+def _sunspec(sunspec: "SunspecSettings") -> str:
+    return f"on {sunspec.listen}, {'model 601 may be set to manual' if sunspec.manual else 'read-only'}"
 
 
 def _broker(mqtt: "MqttSettings") -> str:

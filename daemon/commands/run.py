@@ -38,6 +38,7 @@ from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
 from daemon.store.store import Origin, Store
+from daemon.sunspec.server import SunSpecServer
 
 log = logging.getLogger("heliocube")
 
@@ -98,7 +99,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             api = _api(service, recent, speed, see, console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
-            runner.run(_run(service, for_s, speed, (view, api, key_file, service.loop_watch, *mqtt.values())))
+            companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
+            runner.run(_run(service, for_s, speed, companions))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -223,6 +225,14 @@ def _api(
     return server
 
 
+def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> SunSpecServer | None:
+    """Return the SunSpec device; None where there is to be none."""
+    if not service.settings.sunspec.enabled:
+        return None
+    operators = Operators(service.trackers, speed)
+    return SunSpecServer(service.settings, see, operators, service.clock, service.bus.publish, speed)
+
+
 def _sender(settings: Settings, mqtt: Mapping[str, Mqtt]) -> Callable[[bytes], None] | None:
     """Return what takes scans to a broker, where they go there."""
     if settings.bridge.transport != "mqtt":
@@ -234,7 +244,7 @@ async def _run(
     service: Service,
     for_s: float | None,
     speed: float,
-    companions: Iterable[LiveView | ApiServer | KeyFileWatch | LoopWatch | Mqtt | None],
+    companions: Iterable[LiveView | ApiServer | SunSpecServer | KeyFileWatch | LoopWatch | Mqtt | None],
 ) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -157,6 +157,22 @@ class DashboardSettings(Section):
     )
 
 
+class SunspecSettings(Section):
+    """The trackers as a SunSpec device on Modbus TCP, for a control room. Modbus knows neither password nor cipher."""
+
+    enabled: bool = Field(default=False, description="Whether there is one.")
+    listen: ListenAddress = Field(
+        "127.0.0.1:5020",
+        description="Address and port to serve on; 502 is the usual port and needs a privilege. Everyone who reaches it"
+        " can read, and write where manual is true: beyond this machine in a closed network alone.",
+    )
+    unit: int = Field(1, ge=1, le=247, description="Address of the device.")
+    manual: bool = Field(
+        default=False,
+        description="Whether clients may set model 601 to manual, a goto or hold as of any operator, and back.",
+    )
+
+
 class WindInput(Section):
     """A wind sensor on the broker. Thresholds and times are those of [safety]."""
 

@@ -8,7 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
 
 from daemon.config.instruments import Instruments
-from daemon.config.links import ApiSettings, BridgeSettings, DashboardSettings, MqttSettings, StoreSettings
+from daemon.config.links import (
+    ApiSettings,
+    BridgeSettings,
+    DashboardSettings,
+    MqttSettings,
+    StoreSettings,
+    SunspecSettings,
+)
 from daemon.config.plugged import LAW, LOAD
 from daemon.config.section import Duration, FilePath, NotNegative, Section
 from daemon.config.simulation import SimulationSettings
@@ -209,5 +216,6 @@ class Sections(Section):
     store: StoreSettings = StoreSettings()
     api: ApiSettings = ApiSettings()
     dashboard: DashboardSettings = DashboardSettings()
+    sunspec: SunspecSettings = SunspecSettings()
     mqtt: MqttSettings = MqttSettings()
     simulation: SimulationSettings = SimulationSettings()

@@ -1,0 +1,1 @@
+"""The trackers as a SunSpec device on Modbus TCP, for a control room."""

@@ -1,0 +1,193 @@
+"""Serving the registers over Modbus TCP, beside everything else in the service's loop."""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+
+from daemon.base.addresses import parse_address
+from daemon.base.clock import Clock
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Record
+from daemon.base.recurrence import LogBudget, RateLimit
+from daemon.config.settings import Settings
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import Command, Operators
+from daemon.service.snapshot import Snapshot
+from daemon.sunspec.models import SunSpecMap
+from daemon.sunspec.table import Override, SunSpecTable
+from drivers.modbus.framing import Asked, BrokenStreamError, TcpServer
+from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE
+from drivers.modbus.server import answer
+
+log = logging.getLogger("heliocube.sunspec")
+
+_AGAIN_S = 10.0
+_IDLE_S = 300.0
+_MOST_CLIENTS = 16
+# A client waits about a second; what takes longer than this goes on, and shows in the registers.
+_ANSWER_WITHIN_S = 0.5
+# A control room asks once a second; a program in a loop waits for the rest of the service.
+_QUESTIONS_PER_S, _QUESTIONS_AT_ONCE, _PAUSE_S = 100.0, 200, 0.05
+_NO_SUCH_UNIT = 11
+_CHUNK = 1024
+
+
+class SunSpecServer:
+    """The device as a companion of the service.
+
+    Parameters
+    ----------
+    settings
+        The whole configuration, its section `sunspec` above all.
+    see
+        Takes a snapshot.
+    operators
+        Carry out the manual override; the guard of every other way is behind them.
+    clock, publish
+        The service's time, and where events go.
+    speed
+        How many times as fast as the machine's the clock runs.
+
+    Attributes
+    ----------
+    port
+        Where it is served; 0 while it is not.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        see: Callable[[], Snapshot],
+        operators: Operators,
+        clock: Clock,
+        publish: Callable[[Record], None],
+        speed: float,
+    ) -> None:
+        self._own = settings.sunspec
+        self._operators = operators
+        self._clock = clock
+        self._publish = publish
+        self._speed = speed
+        self._outage = Outage(log, "the SunSpec device")
+        self._refused = LogBudget("writes over SunSpec that were refused")
+        self._clients: set[asyncio.StreamWriter] = set()
+        self._running: set[asyncio.Task[object]] = set()
+        serial = settings.mqtt.name or settings.cube.name
+        tolerance_deg = {name: own.motion.tolerance_deg for name, own in settings.trackers}
+        registers = SunSpecMap(serial, self._own.unit, tolerance_deg)
+        self._table = SunSpecTable(registers, see, clock.monotonic, writable=self._own.manual)
+        self.port = 0
+
+    async def run(self) -> None:
+        """Serve until cancelled; a port that is taken is told once, and tried again every few seconds."""
+        address = parse_address(self._own.listen)
+        server: asyncio.Server | None = None
+        try:
+            while server is None:
+                try:
+                    server = await asyncio.start_server(self._serve, address.host, address.port, limit=_CHUNK)
+                except OSError as error:
+                    self._cannot(
+                        f"{address} cannot be listened on: {error.strerror}; set sunspec.listen to another port"
+                    )
+                    await asyncio.sleep(_AGAIN_S * self._speed)
+            self._outage.up(self._clock.monotonic())
+            self.port = server.sockets[0].getsockname()[1]
+            may = "the manual override may be written" if self._own.manual else "read-only"
+            log.info("SunSpec is served at %s, %s", address, may)
+            await asyncio.Event().wait()
+        finally:
+            await self._end(server)
+
+    async def _end(self, server: asyncio.Server | None) -> None:
+        self.port = 0
+        if server is not None:
+            server.close()
+        for writer in tuple(self._clients):
+            writer.transport.abort()
+        running = tuple(self._running)
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+
+    def _cannot(self, reason: str) -> None:
+        now_s = self._clock.monotonic()
+        first = not self._outage.is_down
+        if self._outage.down(now_s, reason) and first:
+            self._publish(Event(self._clock.utc(), now_s, "sunspec", reason))
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._clients) >= _MOST_CLIENTS:
+            writer.transport.abort()
+            return
+        self._clients.add(writer)
+        task = asyncio.current_task()
+        if task is not None:
+            self._running.add(task)
+        host = str(writer.get_extra_info("peername", ("?",))[0])
+        framing, pace = TcpServer(), RateLimit(_QUESTIONS_PER_S / self._speed, _QUESTIONS_AT_ONCE)
+        try:
+            with contextlib.suppress(OSError, TimeoutError, BrokenStreamError):
+                while data := await self._more(reader):
+                    for asked in framing.feed(data, 0.0):
+                        if not pace.admit(self._clock.monotonic()):
+                            await asyncio.sleep(_PAUSE_S * self._speed)
+                        writer.write(framing.reply(asked, await self._answer(asked, host)))
+                        await asyncio.wait_for(writer.drain(), _IDLE_S * self._speed)
+        finally:
+            self._clients.discard(writer)
+            if task is not None:
+                self._running.discard(task)
+            writer.transport.abort()
+
+    async def _more(self, reader: asyncio.StreamReader) -> bytes:
+        return await asyncio.wait_for(reader.read(_CHUNK), _IDLE_S * self._speed)
+
+    async def _answer(self, asked: Asked, host: str) -> bytes:
+        pdu = asked.request.pdu
+        if asked.request.unit not in (self._own.unit, 0xFF):
+            return bytes((pdu[0] | FAILED, _NO_SUCH_UNIT))
+        reply = answer(self._table, pdu) or bytes((pdu[0] | FAILED, DEVICE_FAILURE))
+        override = self._table.take()
+        if reply[0] & FAILED or override is None:
+            if reply[0] & FAILED and pdu[0] > 4:
+                self._tell(f"{host}: exception {reply[1]}")
+            return reply
+        code = await self._carry_out(override, host)
+        return bytes((pdu[0] | FAILED, code)) if code else reply
+
+    async def _carry_out(self, override: Override, host: str) -> int:
+        """Return 0 once a command is under way, or the exception of one that is refused."""
+        goes = override.name == "goto"
+        command = Command(
+            name=override.name,
+            wanted=override.name,
+            way="SunSpec",
+            why="the control room set model 601 to manual" if override.name != "auto" else "the control room set 601",
+            by=f"SunSpec client {host}",
+            identifier=None,
+            tracker=override.tracker,
+            **({"a_deg": override.a_deg, "b_deg": override.b_deg} if goes else {}),
+        )
+        task: asyncio.Task[object] = asyncio.create_task(self._command(command, override))
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
+        await asyncio.wait((task,), timeout=_ANSWER_WITHIN_S * self._speed)
+        refused = task.result() if task.done() else None
+        if refused is None:
+            return 0
+        return ILLEGAL_VALUE if isinstance(refused, CommandError) and refused.wrong else DEVICE_FAILURE
+
+    async def _command(self, command: Command, override: Override) -> CommandError | None:
+        try:
+            await self._operators.carry_out(command)
+        except CommandError as error:
+            self._tell(f"{command.by}: {error}")
+            return error
+        self._table.done(override)
+        return None
+
+    def _tell(self, sentence: str) -> None:
+        if line := self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"):
+            log.warning("%s", line)

@@ -1,0 +1,163 @@
+"""What a client may read and write: the registers of a snapshot, and the manual override of model 601.
+
+A control room sets elevation and azimuth and then the mode, in one write or in several. So the angles only wait until
+the mode is written; half an angle, mode 2 (calibrate) and a direction that the tracker cannot take are refused.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from daemon.service.snapshot import Snapshot, TrackerState
+from daemon.sunspec.models import (
+    AUTOMATIC,
+    BASE,
+    MANUAL,
+    NO_INT32,
+    PER_DEG,
+    ManualTarget,
+    Registers,
+    SunSpecMap,
+)
+from drivers.modbus.pdu import DEVICE_FAILURE, ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, number
+from drivers.modbus.server import NoBits, RefusedRequestError
+from solar.frames import angles_from_direction, direction_from_azimuth
+
+_KEPT_S = 0.2
+_CONTROL_WORDS = 5
+_ELEVATION, _AZIMUTH, _MODE = 0, 2, 4
+
+
+class Override(NamedTuple):
+    """What a write asks of a tracker.
+
+    Attributes
+    ----------
+    tracker
+        Its name.
+    name
+        ``goto``, ``hold`` or ``auto``.
+    a_deg, b_deg
+        Where to, for ``goto``.
+    """
+
+    tracker: str
+    name: str
+    a_deg: float = 0.0
+    b_deg: float = 0.0
+
+
+class SunSpecTable(NoBits):
+    """The registers; a `drivers.modbus.server.RegisterTable`.
+
+    Parameters
+    ----------
+    registers
+        Makes them of snapshots.
+    see
+        Takes a snapshot.
+    monotonic_s
+        The service's time.
+    writable
+        Whether the manual override may be written at all.
+    """
+
+    def __init__(
+        self, registers: SunSpecMap, see: Callable[[], Snapshot], monotonic_s: Callable[[], float], *, writable: bool
+    ) -> None:
+        self._map = registers
+        self._see = see
+        self._now = monotonic_s
+        self._writable = writable
+        self._manual: dict[str, ManualTarget] = {}
+        self._seen_s = -_KEPT_S
+        self._seen: Snapshot | None = None
+        self._registers = Registers((), {})
+        self._asked: Override | None = None
+
+    def read(self, function: int, register: int, count: int) -> tuple[int, ...]:  # noqa: ARG002 - 3 and 4 alike
+        """Return registers; what is read within a fifth of a second is of one moment."""
+        words = self._current().words
+        first = register - BASE
+        if not (first >= 0 and first + count <= len(words)):
+            raise RefusedRequestError(ILLEGAL_ADDRESS)
+        return words[first : first + count]
+
+    def write(self, function: int, register: int, values: tuple[int, ...]) -> None:  # noqa: ARG002 - 6 and 16 alike
+        """Take in angles and mode of one tracker; what is asked by that is in `take`."""
+        if not self._writable:
+            raise RefusedRequestError(ILLEGAL_FUNCTION)
+        controls = self._current().controls
+        start = next((first for first in controls if first <= register < first + _CONTROL_WORDS), None)
+        if start is None or register + len(values) > start + _CONTROL_WORDS:
+            raise RefusedRequestError(ILLEGAL_ADDRESS)
+        name = controls[start]
+        target, mode = self._written(self._manual.get(name, ManualTarget()), register - start, values)
+        if mode is not None:
+            self._asked = self._override(self._tracker(name), target, mode)
+        self._manual[name] = target
+        self._seen_s = -_KEPT_S
+
+    def take(self) -> Override | None:
+        """Return what the last write asks of a tracker, once."""
+        asked, self._asked = self._asked, None
+        return asked
+
+    def done(self, asked: Override) -> None:
+        """Take note that an override was carried out: with ``auto`` the angles of before are forgotten."""
+        self._seen_s = -_KEPT_S
+        if asked.name == "auto":
+            self._manual.pop(asked.tracker, None)
+
+    def _current(self) -> Registers:
+        now_s = self._now()
+        if not now_s - self._seen_s < _KEPT_S:
+            self._seen = self._see()
+            self._registers = self._map.registers(self._seen, self._manual)
+            self._seen_s = now_s
+        return self._registers
+
+    def _written(self, target: ManualTarget, offset: int, values: tuple[int, ...]) -> tuple[ManualTarget, int | None]:
+        """Return the angles and the mode after a write; half an angle is none."""
+        end = offset + len(values)
+        if offset in (_ELEVATION + 1, _AZIMUTH + 1) or end in (_ELEVATION + 1, _AZIMUTH + 1):
+            raise RefusedRequestError(ILLEGAL_VALUE)
+        if offset == _ELEVATION:
+            target = target._replace(elevation=_angle(values[:2], 0, 9000))
+        if offset <= _AZIMUTH < end:
+            at = _AZIMUTH - offset
+            target = target._replace(azimuth=_angle(values[at : at + 2], -36000, 36000))
+        if end <= _MODE:
+            return target, None
+        mode = values[_MODE - offset]
+        if mode not in (AUTOMATIC, MANUAL):
+            raise RefusedRequestError(ILLEGAL_VALUE)
+        return target, mode
+
+    def _override(self, tracker: TrackerState, target: ManualTarget, mode: int) -> Override:
+        wishes = tracker.wishes
+        if mode == AUTOMATIC:
+            # A person's stop, maintenance, stow or snow is not ended from afar, by a program that writes zeros.
+            if wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None:
+                raise RefusedRequestError(DEVICE_FAILURE)
+            return Override(tracker.name, "auto")
+        if target.elevation is None or target.azimuth is None:
+            return Override(tracker.name, "hold")
+        latitude_deg = self._snapshot().site.latitude_deg
+        direction = direction_from_azimuth(target.azimuth / PER_DEG, target.elevation / PER_DEG, latitude_deg)
+        a_deg, b_deg = (round(float(angle), 3) for angle in angles_from_direction(direction))
+        if not tracker.limits.contain(a_deg, b_deg):
+            raise RefusedRequestError(ILLEGAL_VALUE)
+        return Override(tracker.name, "goto", a_deg, b_deg)
+
+    def _tracker(self, name: str) -> TrackerState:
+        return next(tracker for tracker in self._snapshot().trackers if tracker.name == name)
+
+    def _snapshot(self) -> Snapshot:
+        return self._seen or self._see()
+
+
+def _angle(words: tuple[int, ...], low: int, high: int) -> int:
+    value = int(number(words, "int32"))
+    if value == NO_INT32 or not low <= value <= high:
+        raise RefusedRequestError(ILLEGAL_VALUE)
+    return value

@@ -1,0 +1,216 @@
+"""The registers on the rig under virtual time: what they say of it, and what a write does and may not do."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.service.operator_commands import Operators
+from daemon.service.recent import Recent
+from daemon.sunspec.models import BASE, SunSpecMap
+from daemon.sunspec.server import SunSpecServer
+from daemon.sunspec.table import SunSpecTable
+from drivers.modbus.framing import Asked
+from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register, write_registers
+from tests.daemon.service.test_faults import at_rest, tracking
+
+UNIT = 1
+
+
+def int32(value):
+    return [value >> 16 & 0xFFFF, value & 0xFFFF]
+
+
+class Control:
+    """A control room that asks the server without a socket."""
+
+    def __init__(self, rig, *, manual=True):
+        settings = rig.service.settings
+        own = settings.sunspec.model_copy(update={"enabled": True, "manual": manual})
+        settings = settings.model_copy(update={"sunspec": own})
+        operators = Operators(rig.service.trackers, 1.0)
+        self.recent = Recent()
+        rig.bus.subscribe(self.recent.note)
+        self.see = lambda: rig.see(self.recent)
+        self.server = SunSpecServer(settings, self.see, operators, rig.clock, rig.bus.publish, 1.0)
+
+    async def ask(self, request):
+        return await self.server._answer(Asked(request), "127.0.0.1")
+
+    async def read(self, register, count):
+        return registers_of(await self.ask(read_registers(UNIT, 3, register, count)))
+
+    async def models(self):
+        """Return the points of every model by its number, and where it begins."""
+        found, at = {}, BASE + 2
+        assert await self.read(BASE, 2) == (0x5375, 0x6E53)
+        while (head := await self.read(at, 2))[0] != 0xFFFF:
+            found[head[0]] = (at, await self.read(at + 2, head[1]))
+            at += 2 + head[1]
+        return found
+
+    async def write(self, register, values):
+        """Return 0, or the code of the exception."""
+        reply = await self.ask(write_registers(UNIT, register, values))
+        return reply[1] if reply[0] & 0x80 else 0
+
+
+def on_rig(run_rig, scenario, *, manual=True, **options):
+    async def beside(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        control = Control(rig, manual=manual)
+        try:
+            await scenario(rig, control)
+        finally:
+            await control.server._end(None)
+
+    return run_rig(beside, **options)
+
+
+def test_the_models_say_what_the_state_says(run_rig):
+    async def scenario(rig, control):
+        await asyncio.sleep(11)
+        models = await control.models()
+        assert list(models) == [1, 302, 305, 307, 601]
+        scan = control.see().scan
+        points = models[302][1]
+        assert (points[0], points[9], points[14], points[19]) == tuple(
+            round(face.irradiance_w_m2) for face in (scan.zenith, scan.east, scan.south, scan.west)
+        )
+        place = models[305][1]
+        assert number(place[30:32], "int32") / 1e7 == pytest.approx(48.717607, abs=1e-6)
+        assert models[307][1][3] == 3
+        tracker = models[601][1]
+        assert (len(tracker), tracker[8], tracker[24], tracker[25]) == (48, 5, 0xFFFE, 1)
+        block = tracker[26:]
+        elevation, azimuth = (number(block[at : at + 2], "int32") / 100 for at in (12, 14))
+        direction = SunSpecMap("x", 1, {})._angles("x", *rig.truth(), 48.7)
+        assert (elevation, azimuth) == pytest.approx(
+            (number(direction[:2], "int32") / 100, number(direction[2:], "int32") / 100), abs=0.3
+        )
+        assert block[20:] == (0, 0)
+
+    on_rig(run_rig, scenario)
+
+
+def test_what_is_stale_is_unimplemented_and_no_number(run_rig):
+    async def scenario(rig, control):
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
+        await asyncio.sleep(60)
+        models = await control.models()
+        assert set(models[302][1]) == {0xFFFF}
+        assert models[601][1][26 + 12 : 26 + 16] == (0x8000, 0, 0x8000, 0)
+
+    on_rig(run_rig, scenario)
+
+
+def test_a_read_beyond_the_end_and_another_unit_are_exceptions(run_rig):
+    async def scenario(rig, control):
+        assert (await control.ask(read_registers(UNIT, 3, BASE - 1, 2)))[1] == 2
+        assert (await control.ask(read_registers(UNIT, 3, BASE + 400, 2)))[1] == 2
+        assert (await control.ask(read_registers(9, 3, BASE, 2)))[1] == 11
+        assert (await control.ask(ModbusRequest(UNIT, b"\x08\x00\x00\x00\x00")))[1] == 1
+
+    on_rig(run_rig, scenario)
+
+
+def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        # The facts' pair: az 217.01, el 33.83 is A 30, B 40.
+        assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
+        await rig.until(lambda: rig.truth() == pytest.approx((30.0, 40.0), abs=0.8), 120, "the manual target")
+        assert rig.mode is Mode.HOLD
+        await at_rest(rig)
+        await asyncio.sleep(15)
+        points = (await control.models())[601][1]
+        assert (number(points[18:20], "int32"), points[22], points[26 + 20]) == (3383.0, 1, 1)
+        assert points[26 + 21] == 0
+        assert await control.write(at + 4, [0]) == 0
+        await rig.until_mode(Mode.TRACKING, 60)
+        assert (await control.models())[601][1][18:23] == (0x8000, 0, 0x8000, 0, 0)
+
+    on_rig(run_rig, scenario)
+
+
+def test_angles_wait_for_the_mode_and_manual_without_them_holds(run_rig):
+    async def scenario(rig, control):
+        first = (await control.models())[601][0]
+        tracker = first + 28 + 16
+        assert await control.write(tracker + 4, [1]) == 0
+        assert rig.mode is Mode.HOLD
+        assert await control.write(tracker, int32(9000)) == 0
+        assert await control.write(tracker + 2, int32(18000)) == 0
+        await asyncio.sleep(20)
+        assert rig.truth()[1] != pytest.approx(90.0, abs=1.0)
+        reply = await control.ask(write_register(UNIT, tracker + 4, 1))
+        assert not reply[0] & 0x80
+        await rig.until(lambda: rig.truth()[1] == pytest.approx(90.0, abs=0.8), 120, "flat")
+
+    on_rig(run_rig, scenario)
+
+
+WRONG = {
+    "half an angle": (0, [1]),
+    "the other half": (1, [1]),
+    "an angle and a half": (0, [0, 3000, 0]),
+    "calibrate": (4, [2]),
+    "beyond the horizon": (0, [*int32(-100), *int32(18000)]),
+    "no number": (0, [0x8000, 0]),
+    "out of reach, north": (0, [*int32(3000), *int32(9000), 1]),
+    "out of reach, too flat to the west": (0, [*int32(7000), *int32(30000), 1]),
+}
+
+
+def test_what_cannot_be_meant_is_refused_and_moves_nothing(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        before = rig.truth()
+        codes = {name: await control.write(at + offset, values) for name, (offset, values) in WRONG.items()}
+        assert codes == dict.fromkeys(WRONG, 3)
+        assert await control.write(at + 5, [1]) == 2
+        assert await control.write(BASE + 4, [1]) == 2
+        await asyncio.sleep(10)
+        assert rig.truth() == pytest.approx(before, abs=0.1)
+        assert rig.mode is Mode.TRACKING
+
+    on_rig(run_rig, scenario)
+
+
+def test_without_leave_nothing_is_written(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 1
+        assert rig.mode is Mode.TRACKING
+
+    on_rig(run_rig, scenario, manual=False)
+
+
+def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        await rig.control.stop("somebody is at the axes", "ana")
+        await asyncio.sleep(1)
+        assert await control.write(at + 4, [0]) == 4
+        assert await control.write(at, [*int32(9000), *int32(18000), 1]) == 4
+        assert rig.control.wishes.stop is not None
+        assert (await control.models())[601][1][22] == 1
+
+    on_rig(run_rig, scenario)
+
+
+def test_what_is_read_within_a_moment_is_one_snapshot(run_rig):
+    async def scenario(rig, control):
+        taken = []
+        table = SunSpecTable(
+            SunSpecMap("x", 1, {"tracker": 0.8}),
+            lambda: taken.append(1) or rig.see(),
+            rig.clock.monotonic,
+            writable=False,
+        )
+        for _ in range(100):
+            table.read(3, BASE, 2)
+        assert len(taken) == 1
+
+    on_rig(run_rig, scenario)
