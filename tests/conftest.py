@@ -10,6 +10,7 @@ from hypothesis import settings
 
 from tests.firmware.peer import missing
 from tests.support import SHARED
+from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
@@ -58,7 +59,8 @@ def pytest_report_header():
         None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
     )
     mbpoll = None if shutil.which("mbpoll") else "mbpoll is not here: its tests of Modbus are left out"
-    return [line for line in (broker, mbpoll, missing(), None if ROTCTLD else WITHOUT_ROTCTLD) if line]
+    rotator = None if ROTCTLD else WITHOUT_ROTCTLD
+    return [line for line in (broker, mbpoll, missing(), rotator, without_namespaces()) if line]
 
 
 @pytest.fixture(scope="session")

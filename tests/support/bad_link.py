@@ -1,0 +1,85 @@
+"""A bad link between two network interfaces: carries the frames over, and loses, doubles, delays and cuts.
+
+``python tests/support/bad_link.py LEFT RIGHT SEED``, in a network namespace that has both ends. Each line of its input
+is a JSON object that says from then on: ``loss``, ``duplicate`` and ``reorder`` (shares of the frames), ``delay_s`` and
+``jitter_s`` (each frame by itself, so that jitter reorders too), ``cut`` (true: nothing passes). What is reordered is
+50 ms later. ARP is neither lost nor doubled: without it the link would be none. It does what the kernel's netem does,
+where that is not built, and by a seed.
+"""
+
+import heapq
+import itertools
+import json
+import random
+import select
+import socket
+import sys
+import time
+
+_ALL = 3
+_SOL_PACKET, _PACKET_VNET_HDR = 263, 15
+_KIND = slice(10 + 12, 10 + 14)
+_ARP = b"\x08\x06"
+_HELD_S = 0.05
+
+
+class BadLink:
+    """Frames under way, each with the time at which it arrives."""
+
+    def __init__(self, seed: int) -> None:
+        self.how = {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "delay_s": 0.0, "jitter_s": 0.0, "cut": False}
+        self._choice = random.Random(seed)
+        self._under_way: list[tuple[float, int, socket.socket, bytes]] = []
+        self._numbers = itertools.count()
+
+    def take(self, frame: bytes, towards: socket.socket, now_s: float) -> None:
+        """Decide what becomes of a frame."""
+        how, choice = self.how, self._choice
+        if how["cut"] or (frame[_KIND] != _ARP and choice.random() < how["loss"]):
+            return
+        for _ in range(2 if frame[_KIND] != _ARP and choice.random() < how["duplicate"] else 1):
+            due_s = now_s + how["delay_s"] + how["jitter_s"] * choice.random()
+            if choice.random() < how["reorder"]:
+                due_s += _HELD_S
+            heapq.heappush(self._under_way, (due_s, next(self._numbers), towards, frame))
+
+    def deliver(self, now_s: float) -> float | None:
+        """Hand over what is due; return how long it is to the next, or None."""
+        while self._under_way and self._under_way[0][0] <= now_s:
+            _, _, towards, frame = heapq.heappop(self._under_way)
+            try:
+                towards.send(frame)
+            except OSError as error:
+                print(f"a frame was dropped: {error}", file=sys.stderr)
+        return self._under_way[0][0] - now_s if self._under_way else None
+
+
+def main(left: str, right: str, seed: str) -> None:
+    """Carry frames until standard input ends."""
+    ends = []
+    for name in (left, right):
+        end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ALL))
+        # With the header goes what the kernel left undone, the checksums: without it the far end refuses all.
+        end.setsockopt(_SOL_PACKET, _PACKET_VNET_HDR, 1)
+        end.bind((name, 0))
+        end.setblocking(False)
+        ends.append(end)
+    link, others = BadLink(int(seed)), {ends[0]: ends[1], ends[1]: ends[0]}
+    print("ready", flush=True)
+    while True:
+        readable, _, _ = select.select([sys.stdin, *ends], [], [], link.deliver(time.monotonic()))
+        for source in readable:
+            if source is sys.stdin:
+                line = sys.stdin.readline()
+                if not line:
+                    return
+                link.how.update(json.loads(line))
+                print("ready", flush=True)
+                continue
+            frame, (_, _, kind, *_) = source.recvfrom(65536)
+            if kind != socket.PACKET_OUTGOING:
+                link.take(frame, others[source], time.monotonic())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
