@@ -3,7 +3,6 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
-from datetime import UTC, datetime
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -12,6 +11,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from daemon.api.gate import AllowedHosts, Bodies, Gate, Token
+from daemon.api.history import History, instant
 from daemon.api.metrics import Metrics
 from daemon.api.openapi import description
 from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
@@ -73,12 +73,15 @@ class Api:
         self._closing = asyncio.Event()
         self._turns = ReadTurns(clock.monotonic, speed)
         self._bodies = Bodies(speed)
+        history = History(see)
         routes = Starlette(
             routes=[
                 Route("/api/state", self._state),
                 Route("/api/scans", self._scans),
                 Route("/api/events", self._events),
                 Route("/api/sun", self._sun),
+                Route("/api/days", history.days),
+                Route("/api/history/{kind}", history.kind),
                 Route("/api/authorised", self._authorised, methods=["POST"]),
                 Route("/api/openapi.json", self._description),
                 Route("/healthz", self._health),
@@ -105,7 +108,7 @@ class Api:
     async def _sun(self, request: Request) -> Response:
         seen = self._see()
         given = request.query_params.get("at")
-        at_s = seen.time_utc_s if given is None else _instant("at", given)
+        at_s = seen.time_utc_s if given is None else instant("at", given)
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
 
     async def _authorised(self, _: Request) -> Response:
@@ -203,15 +206,7 @@ def _down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
 
 
 def _since(text: str | None) -> float:
-    return -math.inf if text is None else _instant("since", text)
-
-
-def _instant(name: str, text: str) -> float:
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        raise HTTPException(400, f"{name}={ascii(text)[:40]} is no UTC time; write 2022-10-14T08:00:00Z") from None
-    return (found.replace(tzinfo=UTC) if found.tzinfo is None else found).timestamp()
+    return -math.inf if text is None else instant("since", text)
 
 
 async def _refused(request: Request, error: Exception) -> Response:

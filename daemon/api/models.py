@@ -64,6 +64,19 @@ class SunPage(Page):
     path: list[SunPointPart]
 
 
+class DaysPage(Page):
+    """The days that have records."""
+
+    days: list[str] = Field(description="UTC, such as 2022-10-14, the oldest first.")
+
+
+class LinesPage(Page):
+    """Stored records that say something in words."""
+
+    rows: list[dict[str, Any]] = Field(description="The columns of the kind's table, the oldest first.")
+    more: bool = Field(description="Whether there are later ones in the span.")
+
+
 class AuthorisedPage(Page):
     """The token is the service's."""
 

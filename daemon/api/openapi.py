@@ -12,17 +12,30 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from daemon.api.models import AuthorisedPage, CommandPage, ErrorPage, HealthPage, ScansPage, StatePage, SunPage
+from daemon.api.models import (
+    AuthorisedPage,
+    CommandPage,
+    DaysPage,
+    ErrorPage,
+    HealthPage,
+    LinesPage,
+    ScansPage,
+    StatePage,
+    SunPage,
+)
 from daemon.service.command_bodies import CommandBody, GotoBody, ModeBody, body_of
 from daemon.service.operator_commands import LONGEST_BODY, NAMES
+from daemon.store.history import KINDS_OF_LINES, KINDS_OF_NUMBERS
 
 _REF = "#/components/schemas/{model}"
 _CHECKED: tuple[type[BaseModel], ...] = (CommandBody, GotoBody, ModeBody)
 _ANSWERS: tuple[type[BaseModel], ...] = (
     AuthorisedPage,
     CommandPage,
+    DaysPage,
     ErrorPage,
     HealthPage,
+    LinesPage,
     ScansPage,
     StatePage,
     SunPage,
@@ -89,6 +102,8 @@ def description() -> dict[str, Any]:
             "/api/events": _text("The state once a second, and each record as it comes", "text/event-stream"),
             "/api/openapi.json": _text("This description", "application/json"),
             "/api/sun": _sun(),
+            "/api/days": _page("The days that have records", DaysPage, 409, 421, 503),
+            "/api/history/{kind}": _history(),
             "/api/authorised": _authorised(),
             "/healthz": _health(),
             "/metrics": _text("Metrics for Prometheus", "text/plain"),
@@ -134,6 +149,19 @@ def _scans() -> dict[str, Any]:
 def _sun() -> dict[str, Any]:
     found = _page("The sun's path over a solar day", SunPage, 400, 421, 503)
     found["get"]["parameters"] = [_AT]
+    return found
+
+
+def _history() -> dict[str, Any]:
+    found = _page("Stored records of a span of at most a week", LinesPage, 400, 409, 421, 503)
+    found["get"]["responses"]["200"]["content"]["application/octet-stream"] = {}
+    kinds = {"type": "string", "enum": [*KINDS_OF_LINES, *KINDS_OF_NUMBERS]}
+    found["get"]["parameters"] = [
+        {"name": "kind", "in": "path", "required": True, "description": "Of records.", "schema": kinds},
+        _SINCE | {"name": "from", "required": True, "description": "The begin, in UTC, ISO 8601; it is included."},
+        _SINCE | {"name": "to", "required": True, "description": "The end, in UTC, ISO 8601; it is not included."},
+        _TRACKER | {"description": "Whose records; where there is one it may be left out."},
+    ]
     return found
 
 

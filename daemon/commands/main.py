@@ -4,6 +4,7 @@ import contextlib
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -97,6 +98,10 @@ def run(
     if settings.instruments.kind == "real":
         _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     with contextlib.ExitStack() as stack:
+        if with_dashboard and settings.store.directory is None and not settings.real:
+            # So that there is a day to look at; it goes with the process.
+            directory = Path(stack.enter_context(TemporaryDirectory(prefix="heliocube-")))
+            settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
         run_service(settings, Role(role), for_s, Console())

@@ -33,7 +33,8 @@ _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
 _MOST_LISTENERS = 64
 # The service waits up to 6 s for a command's effect before it answers.
 _COMMAND_S = 15.0
-_READABLE = ("sun",)
+_KINDS = ("scans", "poses", "decisions", "curves", "modes", "moves", "events")
+_READABLE = ("sun", "days", *(f"history/{kind}" for kind in _KINDS))
 _READ_S = 30.0
 _ANSWER_S = 5.0
 
@@ -59,7 +60,7 @@ class Dashboard:
             routes=[
                 Route("/", self._page),
                 Route("/events", self._events),
-                Route("/read/{what}", self._read),
+                Route("/read/{what:path}", self._read),
                 Route("/session", self._session),
                 Route("/login", self._login, methods=["POST"]),
                 Route("/logout", self._logout, methods=["POST"]),
@@ -103,8 +104,11 @@ class Dashboard:
         if what not in _READABLE or service is None:
             raise HTTPException(404, "the dashboard has no such reading of no such service")
         url = f"{service.url}/api/{what}"
-        reply = await self._fleet.client.get(url, params=query, timeout=_READ_S)
-        return Response(reply.content, reply.status_code, media_type=reply.headers.get("content-type"))
+        async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
+            content = b"".join([part async for part in reply.aiter_raw()])
+        # As it comes: what is compressed is for the browser to open.
+        kept = {name: reply.headers[name] for name in ("content-type", "content-encoding") if name in reply.headers}
+        return Response(content, reply.status_code, headers=kept)
 
     async def _session(self, request: Request) -> Response:
         return JSONResponse(_session_json(self._sessions.find(request.cookies.get(COOKIE))))

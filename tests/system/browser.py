@@ -11,7 +11,7 @@ import httpx
 from playwright.sync_api import expect, sync_playwright
 
 from tests.system.processes import BenchProcess, Process, wait_until
-from tests.system.rig import BRISK, HIGH_SUN
+from tests.system.rig import BRISK
 
 CHROMIUM = shutil.which("chromium")
 TOKEN = "t" * 43
@@ -20,6 +20,9 @@ TABLET = {"width": 820, "height": 1180}
 DESKTOP = {"width": 1440, "height": 900}
 # For a program that hangs, not for a machine that is slow.
 WITHIN_MS = 60_000
+
+# The sun is high: the tracker is near to its stow position.
+NEAR_STOW = ("--weather", "clear", "--site", "10,0", "--start", "2022-09-21T11:50Z")
 
 SIMULATED = """
 [site]
@@ -120,7 +123,8 @@ class Site:
 
     def mode(self):
         try:
-            return self.state()["mode"]["name"]
+            # Of several trackers the first.
+            return next(iter(self.state()["trackers"].values()))["mode"]["name"]
         except httpx.HTTPError:
             return None
 
@@ -141,14 +145,14 @@ def run_dashboard(folder, *services):
     return process, f"http://127.0.0.1:{port}"
 
 
-def with_interface(folder, text):
+def with_interface(folder, text, last=""):
     """Write a configuration to which the interface and the store are added; return its path and the address."""
     (folder / "api.token").write_text(TOKEN + "\n")
     (folder / "api.token").chmod(0o600)
     api = f"127.0.0.1:{free_port()}"
     config = folder / "heliocube.toml"
     added = f'[api]\nlisten = "{api}"\ntoken_file = "{folder}/api.token"\n'
-    config.write_text(f'{text}\n{added}[store]\ndirectory = "{folder}/records"\nbatch_s = 0.5\n')
+    config.write_text(f'{text}\n{added}[store]\ndirectory = "{folder}/records"\nbatch_s = 0.5\n{last}')
     return config, api
 
 
@@ -165,6 +169,14 @@ def run_site(config, api):
         yield found
 
 
+TEN = "".join(f'[[tracker]]\nname = "t{number}"\n' for number in range(10))
+
+
+def fleet_site(folder):
+    """Give a site of ten trackers, t0 to t9."""
+    return run_site(*with_interface(folder, SIMULATED, TEN))
+
+
 def simulated_site(folder, text=SIMULATED):
     """Give a site on the simulated rig."""
     return run_site(*with_interface(folder, text))
@@ -175,7 +187,7 @@ def site_on_bench(folder):
     """Give a site whose instruments are a bench's, and the bench."""
     text = BRISK.format(send_to="").replace("[api]\nenabled = false\n", "")
     basis, api = with_interface(folder, text)
-    bench = BenchProcess(folder / "bench", "--config", basis, *HIGH_SUN)
+    bench = BenchProcess(folder / "bench", "--config", basis, *NEAR_STOW)
     try:
         with run_site(bench.config, api) as found:
             yield found, bench

@@ -187,6 +187,42 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
         assert page.complaints == []
 
 
+def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_page):
+    page = open_page("day")
+    page.sees(".day .log", "Starting → tracking: the cube's readings are good")
+    page.sees(".day .summary", "Tracking ")
+    pictures = page.page.locator(".plot .canvas")
+    said = [picture.get_attribute("aria-label") for picture in pictures.all()]
+    assert re.match(r"Irradiance W/m²: east from \d+ to \d+; south", said[0])
+    assert any(re.match(r"Angle A, east negative degrees: the sun's from −\d+.* actual from", text) for text in said)
+    assert len(said) == 4
+    stored = browsers.httpx.get(f"http://{site.api}/api/days", trust_env=False).json()["days"]
+    assert page.page.get_by_label("Day", exact=True).input_value() == stored[-1] == "2022-09-21"
+    page.page.get_by_role("button", name="Last hour").click()
+    page.sees(".day .hint", "Shown: 12:5")
+    page.page.get_by_role("button", name="Whole day").click()
+    page.sees(".day .hint", "Shown: 01:5")
+
+
+def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_path):
+    with browsers.fleet_site(tmp_path) as site, browser.new_context(viewport=browsers.DESKTOP) as context:
+        page = browsers.Page(context, site.url, "fleet")
+        page.sees(".hero h1", "10 trackers: none needs attention")
+        assert page.page.locator(".fleet tbody tr").count() == 10
+        page.page.get_by_role("button", name="Stow all").click()
+        page.log_in()
+        page.page.get_by_role("button", name="Stow now").click()
+        page.sees(".outcome", "Stow was taken by all 1 services.")
+        page.sees(".hero .why", "10 stow")
+        page.sees(".hero .moving", "All 10 stand stowed.")
+        modes = [tracker["mode"]["name"] for tracker in site.state()["trackers"].values()]
+        assert modes == ["stow"] * 10
+        page.page.get_by_role("link", name="t7, SIRTA").click()
+        page.sees(".hero h1", "Stow")
+        assert page.page.locator("#tracker").input_value().endswith("/t7")
+        assert page.complaints == []
+
+
 def test_nine_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page):
     first = open_page()
     tabs = [first, *(open_page(context=first.page.context) for _ in range(8))]
@@ -203,9 +239,14 @@ def test_nine_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page):
 def test_the_rules_of_accessibility_hold(site, open_page, viewport, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     page = open_page("now", viewport, color_scheme=scheme, bypass_csp=True)
-    for view in ("now", "control"):
+    for view, selector, text in [
+        ("now", ".hero h1", "Tracking"),
+        ("control", ".hero h1", "Tracking"),
+        ("fleet", ".hero h1", "1 tracker"),
+        ("day", ".day .summary", "scans"),
+    ]:
         page.show(view)
-        page.sees(".hero h1", "Tracking")
+        page.sees(selector, text)
         found = axe.Axe().run(page.page).response["violations"]
         assert [(each["id"], [node["target"] for node in each["nodes"]]) for each in found] == []
     page.page.locator("#stow").click()
@@ -217,11 +258,11 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
     page = open_page()
     page.sees(".hero h1", "Tracking")
     reached = []
-    for _ in range(8):
+    for _ in range(10):
         page.page.keyboard.press("Tab")
         reached.append(page.page.evaluate("document.activeElement.innerText || document.activeElement.ariaLabel"))
     assert reached[0] == "Skip to the content"
-    assert {"Now", "Control", "Log in", "Stow"} <= {text.strip() for text in reached}
+    assert {"Now", "Day", "Fleet", "Control", "Log in", "Stow"} <= {text.strip() for text in reached}
     page.page.locator("#stow").focus()
     page.page.keyboard.press("Enter")
     dialog = page.page.get_by_role("dialog")

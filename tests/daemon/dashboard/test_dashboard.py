@@ -1,6 +1,7 @@
 """The dashboard between a browser and services, each a stand-in that speaks HTTP."""
 
 import asyncio
+import gzip
 import json
 
 import httpx
@@ -47,7 +48,9 @@ class Service:
         if path == "/api/events":
             return httpx.Response(200, headers={"content-type": "text/event-stream"}, stream=Streamed(self))
         if path == "/api/sun":
-            return httpx.Response(200, json={"at": request.url.params.get("at")})
+            body = gzip.compress(json.dumps({"at": request.url.params.get("at")}).encode())
+            headers = {"content-type": "application/json", "content-encoding": "gzip"}
+            return httpx.Response(200, headers=headers, stream=httpx.ByteStream(body))
         if request.headers.get("authorization") != f"Bearer {self.token}":
             return httpx.Response(401, json={"error": "the token is not the service's"})
         if path == "/api/authorised":
@@ -265,6 +268,7 @@ def test_unknown_commands_services_and_readings_are_refused():
         assert (await house.browser.get("/read/state", params={"service": NAMES[0]})).status_code == 404
         assert (await house.browser.get("/read/sun", params={"service": "10.0.0.1:80"})).status_code == 404
         reply = await house.browser.get("/read/sun", params={"service": NAMES[0], "at": "2022-10-14"})
+        assert reply.headers["content-encoding"] == "gzip"
         assert reply.json() == {"at": "2022-10-14"}
         house.services[NAMES[0]].gone = True
         assert (await house.order()).json() == {"error": "the service cannot be reached"}

@@ -6,10 +6,12 @@ import { elapsed, isOld, Live, serviceNow } from "./live.js";
 import { Orders } from "./orders.js";
 import { sunOf } from "./sun.js";
 import { control } from "./views/control.js";
+import { day } from "./views/day.js";
+import { fleet } from "./views/fleet.js";
 import { now } from "./views/now.js";
 
 const byId = (id) => document.getElementById(id);
-const VIEWS = { now, control };
+const VIEWS = { now, day, fleet, control };
 const THEMES = ["auto", "light", "dark"];
 
 const live = new Live(() => requestUpdate());
@@ -66,11 +68,17 @@ function head({ trackers, entry, state, now: time, old }) {
 function choose() {
   const wanted = location.hash.slice(1);
   const name = wanted in VIEWS ? wanted : "now";
+  view?.close?.();
   view = VIEWS[name](orders);
   byId("view").replaceChildren(view.node);
   for (const link of document.querySelectorAll(".tabs a")) setAttr(link, "aria-current", link.hash === `#${name}` ? "page" : null);
   scrollTo(0, 0);
   update();
+}
+
+function pick(key) {
+  chosen = key;
+  localStorage.setItem("tracker", key);
 }
 
 function theme() {
@@ -93,9 +101,11 @@ byId("theme").addEventListener("click", theme);
 byId("who").addEventListener("click", () => (orders.session.by ? orders.logout() : orders.login(null)));
 byId("stow").addEventListener("click", () => orders.ask("stow", context().entry));
 byId("tracker").addEventListener("change", (event) => {
-  chosen = event.target.value;
-  localStorage.setItem("tracker", chosen);
+  pick(event.target.value);
   update();
+});
+byId("view").addEventListener("click", ({ target }) => {
+  if (target.dataset?.key && target.hash === "#now") pick(target.dataset.key);
 });
 window.addEventListener("hashchange", choose);
 document.addEventListener("visibilitychange", update);

@@ -116,6 +116,25 @@ export class Orders {
     return why === null ? false : this.give(name, entry, why ? { why } : {});
   }
 
+  // Stows every tracker of every service; resolves to what came of it at each, or null.
+  async stowAll() {
+    if (!this.session.by && !(await this.login(null))) return null;
+    if (!this.session.by) return null;
+    const why = await this.confirm("stow", "all trackers");
+    if (why === null) return null;
+    this.say("Stow: sent to all ...", "wait");
+    try {
+      const { results } = await call("/stow-all", why ? { why } : {});
+      const refused = results.filter(({ accepted }) => !accepted).length;
+      this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
+      return results;
+    } catch (error) {
+      if (error.status === 401) this.set({ by: null, services: [] });
+      this.say(`Stow: ${sentenceOf(error)}`, "bad");
+      return null;
+    }
+  }
+
   async carryOut(name, whom, action, service) {
     this.say(`${name}: sent to ${whom} ...`, "wait");
     try {

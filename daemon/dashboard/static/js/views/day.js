@@ -1,0 +1,234 @@
+// Today, and any day that the store has: light, angles against the sun's path, modes, moves and events.
+
+import { fill, h, setAttr, setText } from "../dom.js";
+import { deg, duration, localTime, num, sentence, utcDay, utcTime } from "../format.js";
+import { direction } from "../geometry.js";
+import { lines, numbers, solarDay, storedDays } from "../history.js";
+import { KIND, TITLE } from "./hero.js";
+import { Plots } from "./plots.js";
+
+const FRESH_MS = 30000;
+const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], ["zenith", "--ink"]];
+const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
+const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
+const KINDS_OF_LINES = ["modes", "moves", "events"];
+
+export function day() {
+  const picker = h("select", { "aria-label": "Day" });
+  const step = (by) => () => {
+    const index = picker.selectedIndex - by;
+    if (index >= 0 && index < picker.options.length) {
+      picker.selectedIndex = index;
+      open(picker.value);
+    }
+  };
+  const shown = h("p", { class: "hint", role: "status" });
+  const summary = h("p", { class: "summary" });
+  const figures = h("div", { class: "plots" });
+  const happened = h("ol", { class: "log" });
+  const zoom = (part) => h("button", { type: "button", class: "plain", onclick: () => show(part) }, part);
+  const node = h("div", { class: "day" },
+    h("section", { class: "card wide", "aria-label": "Which day" },
+      h("div", { class: "choices start" }, h("button", { type: "button", class: "plain", "aria-label": "Day before", onclick: step(-1) }, "←"), h("label", { class: "pick" }, h("span", { class: "sr" }, "Day"), picker), h("button", { type: "button", class: "plain", "aria-label": "Day after", onclick: step(1) }, "→"), zoom("Whole day"), zoom("Daylight"), zoom("Last hour")),
+      h("h1", { class: "sr" }, "A day"), summary, shown),
+    h("section", { class: "card wide", "aria-label": "Plots" }, figures),
+    h("section", { class: "card wide", "aria-label": "What happened" }, h("h2", null, "What happened"), happened));
+  const plots = new Plots((from, to) => setText(shown, from ? `Shown: ${localTime(from * 1000)} to ${localTime(to * 1000)} local time (${utcTime(from * 1000)} to ${utcTime(to * 1000)} UTC). Drag across a plot to zoom, double-click for the whole day.` : ""));
+  let source = null;
+  let context = null;
+  let held = null;
+  let loading = false;
+
+  async function choose() {
+    const { service, entry } = context;
+    source = entry.key;
+    try {
+      const days = (await storedDays(service.name)).reverse();
+      if (days.length === 0) throw new Error("no records yet");
+      fill(picker, days, () => days.map((date) => h("option", { value: date }, date === utcDay(context.now) ? `${date} (today)` : date)));
+      await open(days[0]);
+    } catch (error) {
+      fail(error);
+    }
+  }
+
+  function fail(error) {
+    plots.clear();
+    figures.replaceChildren(h("p", { class: "big" }, "No stored day to show"), h("p", null, sentence(error.message)));
+    setText(summary, "");
+    setText(shown, "");
+    happened.replaceChildren();
+    held = null;
+  }
+
+  async function open(date) {
+    if (loading) return;
+    loading = true;
+    const begun = performance.now();
+    try {
+      const { service, entry, state } = context;
+      const sun = await solarDay(service.name, date, state.site.longitude_deg);
+      const from = Date.parse(sun.path[0].time);
+      const to = Date.parse(sun.path.at(-1).time);
+      const [found, told] = await Promise.all([
+        Promise.all(KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, from, to, entry.name))),
+        Promise.all(KINDS_OF_LINES.map((kind) => lines(service.name, kind, from, to, entry.name))),
+      ]);
+      held = { date, sun, from, to, loaded: performance.now(), latitude: state.site.latitude_deg };
+      KINDS_OF_NUMBERS.forEach((kind, index) => (held[kind] = found[index]));
+      KINDS_OF_LINES.forEach((kind, index) => (held[kind] = told[index]));
+      draw();
+      node.dataset.ready = Math.round(performance.now() - begun);
+    } catch (error) {
+      fail(error);
+    }
+    loading = false;
+  }
+
+  // What has come since, for the day that goes on.
+  async function follow() {
+    loading = true;
+    try {
+      const { service, entry } = context;
+      const found = await Promise.all(KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, (held[kind].time.at(-1) ?? held.from / 1000) * 1000 + 1, held.to, entry.name)));
+      const told = await Promise.all(KINDS_OF_LINES.map((kind) => lines(service.name, kind, held[kind].length ? Date.parse(held[kind].at(-1).time) + 1 : held.from, held.to, entry.name)));
+      KINDS_OF_NUMBERS.forEach((kind, index) => {
+        for (const name of Object.keys(held[kind])) held[kind][name].push(...found[index][name]);
+      });
+      KINDS_OF_LINES.forEach((kind, index) => held[kind].push(...told[index]));
+      if (found.some(({ time }) => time.length)) draw();
+    } catch {
+      // The head of the page says when the service is gone; the day is asked for again.
+    }
+    held.loaded = performance.now();
+    loading = false;
+  }
+
+  function draw() {
+    const kept = plots.all[0] && held.drawn === held.date ? { ...plots.all[0].scales.x } : null;
+    plots.clear();
+    figures.replaceChildren();
+    const width = figures.clientWidth;
+    const put = (...given) => figures.append(plots.add(...given));
+    const { scans, poses, decisions, curves } = held;
+    put("Irradiance", "W/m²", scans.time, FACES.map(([name, colour]) => ({ label: name, colour, values: scans[`${name}_w_m2`], digits: 0 })), { width, height: 240 });
+    const estimated = decisions.dni_est.some((value) => value !== null);
+    if (estimated) {
+      const share = decisions.dhi_est.map((value, i) => (value === null || !(decisions.zenith_w_m2[i] > 20) ? null : Math.min(value / decisions.zenith_w_m2[i], 1.2)));
+      put("Light as the law sees it", "W/m²", decisions.time, [{ label: "beam", colour: "#d98200", values: decisions.dni_est, steps: true, digits: 0 }, { label: "diffuse", colour: "#0084c8", values: decisions.dhi_est, steps: true, digits: 0 }], { width, height: 150 });
+      put("Diffuse fraction", "of the horizontal irradiance", decisions.time, [{ label: "fraction", colour: "#0084c8", values: share, steps: true, digits: 2 }], { width, height: 120, range: [0, 1.2] });
+    }
+    const angles = held.sun.path.map((point) => sunAngles(point, held.latitude));
+    const sunTimes = held.sun.path.map((point) => Date.parse(point.time) / 1000);
+    for (const [name, key, pick, range] of [["A, east negative", "a_deg", 0, [-95, 95]], ["B, flat is 90", "b_deg", 1, [0, 180]]]) {
+      const [x, actual, set, sun] = uPlot.join([[poses.time, poses[key]], [decisions.time, decisions[`target_${key}`]], [sunTimes, angles.map((pair) => pair && pair[pick])]]);
+      put(`Angle ${name}`, "degrees", x, [{ label: "the sun's", colour: "--sun", values: bridged(x, sun), dash: [3, 4] }, { label: "set", colour: "--accent", values: set, steps: true, width: 2 }, { label: "actual", colour: "--ink", values: actual, steps: true }], { width, range });
+    }
+    if (curves.time.length) put("Power of the module", "W", curves.time, [{ label: "maximum power", colour: "#c2568f", values: curves.pmpp_w }], { width, height: 160 });
+    const ends = [held.from / 1000, held.to / 1000];
+    put("Modes, and moves below", "", ends, [{ label: "", colour: "--muted", values: [null, null] }], { width, height: 92, bare: true, range: [0, 1], draw: strip });
+    held.drawn = held.date;
+    if (kept) plots.zoom(kept.min, kept.max);
+    else plots.zoom(...ends);
+    setText(summary, inWords());
+    list();
+  }
+
+  function strip(plot) {
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    const style = getComputedStyle(document.documentElement);
+    for (const { name, from, to } of spans()) {
+      const left = plot.valToPos(from, "x", true);
+      const right = plot.valToPos(to, "x", true);
+      ctx.fillStyle = style.getPropertyValue(SHADES[KIND[name]] ?? "--track");
+      ctx.globalAlpha = 0.45;
+      ctx.fillRect(left, bbox.top, Math.max(right - left, 1), bbox.height * 0.62);
+      ctx.globalAlpha = 1;
+      ctx.fillStyle = style.getPropertyValue("--ink");
+      ctx.textAlign = "left";
+      ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+      if (right - left > ctx.measureText(name).width + 8) ctx.fillText(name, left + 4, bbox.top + bbox.height * 0.4);
+    }
+    ctx.strokeStyle = style.getPropertyValue("--accent");
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    for (const { time } of held.moves) {
+      const x = plot.valToPos(Date.parse(time) / 1000, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top + bbox.height * 0.7);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  // The modes of the day with their begin and end; the last one goes on to now.
+  function spans() {
+    const end = Math.min(held.to, held.date === utcDay(context.now) ? context.now : held.to) / 1000;
+    return held.modes.map(({ time, after }, index) => ({ name: after, from: Date.parse(time) / 1000, to: held.modes[index + 1] ? Date.parse(held.modes[index + 1].time) / 1000 : end })).filter(({ from, to }) => to > from);
+  }
+
+  function inWords() {
+    const travel = held.moves.reduce((sum, move) => sum + Math.abs((move.end_a_deg ?? 0) - (move.from_a_deg ?? 0)) + Math.abs((move.end_b_deg ?? 0) - (move.from_b_deg ?? 0)), 0);
+    const hours = {};
+    for (const { name, from, to } of spans()) hours[name] = (hours[name] ?? 0) + to - from;
+    const modes = Object.entries(hours).sort((a, b) => b[1] - a[1]).map(([name, seconds]) => `${TITLE[name] ?? name} ${duration(seconds)}`);
+    const sun = held.sun.sunrise ? `Sun from ${localTime(Date.parse(held.sun.sunrise), false)} to ${localTime(Date.parse(held.sun.sunset), false)} local, highest ${deg(held.sun.highest_elevation_deg)}. ` : "";
+    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}. ${modes.join(", ")}.`;
+  }
+
+  function list() {
+    const rows = [
+      ...held.modes.map(({ time, before, after, why }) => ({ time, text: `${before} → ${after}: ${why}` })),
+      ...held.events.map(({ time, subject, text }) => ({ time, text: `${subject}: ${text}` })),
+      ...held.moves.map((move) => ({ time: move.time, text: `moved to A ${num(move.end_a_deg, 1)}, B ${num(move.end_b_deg, 1)}° in ${duration(move.duration_s)}${move.outcome === "arrived" ? "" : ` (${move.outcome})`}: ${move.why}` })),
+    ].sort((one, other) => other.time.localeCompare(one.time)).slice(0, 200);
+    happened.replaceChildren(...rows.map(({ time, text }) => h("li", null, h("time", { datetime: time }, localTime(Date.parse(time)), h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))));
+  }
+
+  function show(part) {
+    if (!held) return;
+    if (part === "Whole day") plots.zoom(held.from / 1000, held.to / 1000);
+    if (part === "Daylight" && held.sun.sunrise) plots.zoom(Date.parse(held.sun.sunrise) / 1000, Date.parse(held.sun.sunset) / 1000);
+    const last = held.scans.time.at(-1);
+    if (part === "Last hour" && last) plots.zoom(last - 3600, last);
+  }
+
+  picker.addEventListener("change", () => open(picker.value));
+  const watcher = new ResizeObserver(() => plots.resize(figures.clientWidth));
+  watcher.observe(figures);
+
+  function update(found) {
+    context = found;
+    if (!found.state) return;
+    if (source !== found.entry.key) choose();
+    else if (held && !loading && !found.old && held.to > found.now && performance.now() - held.loaded > FRESH_MS) follow();
+    setAttr(node, "data-source", source);
+  }
+
+  return { node, update, close: () => { watcher.disconnect(); plots.clear(); } };
+}
+
+// The angles A and B that point at the sun; null while it is down.
+function sunAngles({ azimuth_deg, elevation_deg }, latitude) {
+  if (elevation_deg <= 0) return null;
+  const [east, north, up] = direction(azimuth_deg, elevation_deg);
+  const equatorward = latitude >= 0 ? -north : north;
+  return [(Math.asin(-east) * 180) / Math.PI, (Math.atan2(up, equatorward) * 180) / Math.PI];
+}
+
+// Fills in between the known points, so that a line on other points' times is whole.
+function bridged(x, values) {
+  const found = new Array(values.length).fill(null);
+  let before = -1;
+  for (let i = 0; i < values.length; i += 1) {
+    if (values[i] === null || values[i] === undefined) continue;
+    if (before >= 0 && x[i] - x[before] < 1300) for (let k = before + 1; k < i; k += 1) found[k] = values[before] + ((values[i] - values[before]) * (x[k] - x[before])) / (x[i] - x[before]);
+    found[i] = values[i];
+    before = i;
+  }
+  return found;
+}

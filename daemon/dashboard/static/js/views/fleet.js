@@ -1,0 +1,109 @@
+// All trackers at once: who is where, who is not where the others are, and stow for all.
+
+import { card, fill, h, icon, setAttr, setText } from "../dom.js";
+import { deg, duration, num, sentence, signedDeg } from "../format.js";
+import { normal, separationDeg } from "../geometry.js";
+import { elapsed, isOld } from "../live.js";
+import { target } from "./dome.js";
+import { KIND, TITLE } from "./hero.js";
+
+const HEADS = ["Tracker", "Mode", "A actual / set", "B actual / set", "Off its set point", "Set point off the median", "Wind", "Age", "Alarms"];
+// As independent monitors count a tracker as not available.
+const FAR_DEG = 5;
+
+export function fleet(orders) {
+  const title = h("h1", null);
+  const tally = h("p", { class: "why" });
+  const progress = h("p", { class: "moving", role: "status" });
+  const all = h("button", { type: "button", class: "order stow", onclick: stowAll }, icon("stow"), h("span", null, h("strong", null, "Stow all"), h("small", null, "every tracker of every service")));
+  const body = h("tbody");
+  const table = h("table", { class: "fleet" }, h("thead", null, h("tr", null, HEADS.map((text) => h("th", { scope: "col" }, text)))), body);
+  const results = h("ul", { class: "results" });
+  const node = h("div", { class: "whole" },
+    h("section", { class: "hero", "aria-label": "State of the fleet" }, title, tally, progress), all, results,
+    card("Trackers", { class: "wide" }, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Trackers, one a row" }, table)));
+  let ordered = null;
+
+  async function stowAll() {
+    const found = await orders.stowAll();
+    if (!found) return;
+    ordered = performance.now();
+    results.replaceChildren(...found.map(({ service, accepted, text }) => h("li", { class: accepted ? null : "problem" }, `${service}: ${accepted ? "" : "NOT DONE: "}${text}`)));
+  }
+
+  function update({ trackers, live }) {
+    const rows = trackers.map((entry) => row(entry, live.connected));
+    compare(rows);
+    const own = rows.filter(({ tracker }) => tracker);
+    const bad = own.filter(({ kind }) => kind === "bad" || kind === "lost").length;
+    const gone = rows.filter(({ old, state }) => old || !state).length;
+    setText(title, `${own.length} tracker${own.length === 1 ? "" : "s"}: ${bad || gone ? `${bad + rows.filter(({ tracker, old, state }) => !tracker && (old || !state)).length} need attention` : "none needs attention"}`);
+    setAttr(node.firstChild, "data-kind", bad || gone ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
+    const counts = {};
+    for (const { mode } of own) counts[mode] = (counts[mode] ?? 0) + 1;
+    setText(tally, Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`).join(", "));
+    const stowed = own.filter(({ mode, tracker }) => mode === "stow" && !tracker.tracker.moving).length;
+    setText(progress, ordered === null ? "" : `${stowed} of ${own.length} stand stowed, ${duration((performance.now() - ordered) / 1000)} after the order`);
+    if (ordered !== null && stowed === own.length) ordered = Infinity;
+    if (ordered === Infinity) setText(progress, stowed === own.length ? `All ${own.length} stand stowed.` : "");
+    all.disabled = own.length === 0;
+    fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map(() => h("td", null)))));
+    rows.forEach((each, index) => show(body.children[index], each));
+  }
+
+  return { node, update };
+}
+
+function row({ key, label, service, tracker }, connected) {
+  const state = service.state;
+  const extra = elapsed(service);
+  const old = Boolean(state) && isOld(service, connected);
+  const mode = old || !state ? "no connection" : tracker ? tracker.mode.name : state.cube_down_why ? "cube down" : "cube reads";
+  const kind = old || !state ? "lost" : tracker ? KIND[tracker.mode.name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
+  const pose = tracker?.tracker.pose;
+  const wanted = target(tracker);
+  const latitude = state?.site.latitude_deg ?? 0;
+  const direction = wanted ? normal(wanted.a_deg, wanted.b_deg, latitude) : null;
+  const off = pose && direction ? separationDeg(normal(pose.a_deg, pose.b_deg, latitude), direction) : null;
+  const alarms = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || !tracker || alarm.tracker === tracker.tracker.name);
+  return { key, label, state, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker?.mode.why, group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
+}
+
+// Set points are held against the median of the same site and law, where there are three or more.
+function compare(rows) {
+  const groups = new Map();
+  for (const each of rows) if (each.wanted && !each.old) groups.set(each.group, [...(groups.get(each.group) ?? []), each]);
+  for (const members of groups.values()) {
+    if (members.length < 3) continue;
+    const [a, b] = ["a_deg", "b_deg"].map((name) => median(members.map(({ wanted }) => wanted[name])));
+    for (const each of members) each.astray = separationDeg(normal(each.wanted.a_deg, each.wanted.b_deg, 1), normal(a, b, 1));
+  }
+}
+
+function median(values) {
+  const sorted = [...values].sort((x, y) => x - y);
+  const middle = sorted.length >> 1;
+  return sorted.length % 2 ? sorted[middle] : (sorted[middle - 1] + sorted[middle]) / 2;
+}
+
+const worse = (value, moving) => (value === null || value === undefined ? null : value >= FAR_DEG && !moving ? "bad" : value >= 1 && !moving ? "warn" : "ok");
+
+function show(line, each) {
+  const [, mode, a, b, off, astray, wind, age, alarms] = line.children;
+  const moving = each.tracker?.tracker.moving;
+  setAttr(line, "data-kind", each.kind);
+  setText(mode, TITLE[each.mode] ? each.mode : sentence(each.mode));
+  setAttr(mode, "title", each.why ?? null);
+  setText(a, each.tracker ? `${signedDeg(each.pose?.a_deg)} / ${signedDeg(each.wanted?.a_deg)}` : "–");
+  setText(b, each.tracker ? `${deg(each.pose?.b_deg)} / ${deg(each.wanted?.b_deg)}` : "–");
+  setText(off, each.off === null ? "–" : `${deg(each.off)}${moving ? ", moving" : ""}`);
+  setAttr(off, "data-off", worse(each.off, moving));
+  setText(astray, each.astray === undefined ? "–" : deg(each.astray));
+  setAttr(astray, "data-off", worse(each.astray, false));
+  const gusts = each.tracker?.wind ?? [];
+  setText(wind, gusts.length ? gusts.map(({ speed_m_s, why }) => `${num(speed_m_s, 1, "m/s")}${why ? ", stows" : ""}`).join("; ") : "–");
+  setText(age, each.pose ? `${each.stale ? "STALE " : ""}${duration(each.pose.age_s + each.extra)}` : each.state?.scan && !each.tracker ? duration(each.state.scan.age_s + each.extra) : "–");
+  setAttr(age, "data-off", each.stale && each.tracker ? "bad" : null);
+  setText(alarms, each.alarms.length ? each.alarms.map(({ name }) => name).join(", ") : "none");
+  setAttr(alarms, "data-off", each.alarms.length ? "bad" : null);
+}

@@ -1,0 +1,136 @@
+"""A span of the store for pictures: numbers as packed columns, and what is told in words as rows."""
+
+import json
+import math
+import sqlite3
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
+from daemon.store.schema import columns_of, open_for_reading
+
+MOST_ROWS = 40_000
+"""Of numbers in one page: more than two days of scans."""
+MOST_LINES = 2000
+"""Of words in one page."""
+
+_DAY_S = 86400.0
+# Few enough that whoever waits for the interpreter meanwhile does not wait for long.
+_ROWS_AT_ONCE = 500
+_FACES = ("east", "south", "west", "zenith")
+# By kind: the table, what is a number there, and what a row must be to count.
+_NUMBERS = {
+    "scans": {f"{face}_w_m2": f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in _FACES},
+    "poses": {name: name for name in ("a_deg", "b_deg", "moving")},
+    "decisions": {
+        name: name
+        for name in ("target_a_deg", "target_b_deg", "moved", "dni_est", "dhi_est", "albedo_est", "zenith_w_m2")
+    },
+    "curves": {"pmpp_w": "CASE quality WHEN 'ok' THEN pmpp_w END"},
+}
+_LINES = {
+    "modes": ("before", "after", "why"),
+    "moves": ("duration_s", "from_a_deg", "from_b_deg", "end_a_deg", "end_b_deg", "outcome", "why"),
+    "events": ("subject", "text"),
+}
+KINDS_OF_NUMBERS = tuple(_NUMBERS)
+KINDS_OF_LINES = tuple(_LINES)
+
+
+def stored_days(path: Path) -> list[str]:
+    """Return the UTC days that have records, such as ``2022-10-14``, the oldest first; raises `UserError`."""
+    with closing(open_for_reading(path)) as connection, _reading(path):
+        days = connection.execute("SELECT day FROM days ORDER BY day").fetchall()
+    return [datetime.fromtimestamp(day * _DAY_S, UTC).date().isoformat() for (day,) in days]
+
+
+def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker: str) -> bytes:
+    """Return one kind of a span as packed columns, compressed by gzip.
+
+    Parameters
+    ----------
+    kind
+        Of `KINDS_OF_NUMBERS`.
+    start_s, end_s
+        UTC [s]; the start is included, the end is not.
+    tracker
+        Whose records; scans are everybody's.
+
+    Returns
+    -------
+    bytes
+        A line of JSON: ``rows``, ``columns``, ``start`` [s UTC] and ``more``; then for each column ``rows`` floats of
+        32 bits, little-endian, times as seconds from the start, NaN for what is not known.
+
+    Raises
+    ------
+    UserError
+        The store cannot be read.
+    """
+    columns = _NUMBERS[kind]
+    with closing(open_for_reading(path)) as connection, _reading(path):
+        known = columns_of(connection, kind)
+        wanted = [sql if name in known else "NULL" for name, sql in columns.items()]
+        blocks = [
+            np.array(block, dtype=np.float64).reshape(-1, len(wanted) + 1)
+            for block in _blocks(connection, kind, wanted, start_s, end_s, tracker, MOST_ROWS + 1)
+        ]
+    found = np.concatenate([np.empty((0, len(columns) + 1)), *blocks])
+    more, found = len(found) > MOST_ROWS, found[:MOST_ROWS]
+    found[:, 0] -= start_s
+    head = {"rows": len(found), "columns": ["time_s", *columns], "start": start_s, "more": more}
+    content = json.dumps(head).encode() + b"\n" + found.T.astype("<f4").tobytes()
+    packer = zlib.compressobj(4, zlib.DEFLATED, 31)
+    return packer.compress(content) + packer.flush()
+
+
+def lines_of(path: Path, kind: str, start_s: float, end_s: float, tracker: str) -> dict[str, Any]:
+    """Return the rows of a kind of `KINDS_OF_LINES`, oldest first, at most `MOST_LINES`; arguments as for numbers."""
+    names = _LINES[kind]
+    with closing(open_for_reading(path)) as connection, _reading(path):
+        blocks = _blocks(connection, kind, names, start_s, end_s, tracker, MOST_LINES + 1)
+        rows = [row for block in blocks for row in block]
+    found = [{"time": iso_utc(row[0])} | dict(zip(names, row[1:], strict=True)) for row in rows[:MOST_LINES]]
+    return {"rows": found, "more": len(rows) > MOST_LINES}
+
+
+def _blocks(
+    connection: sqlite3.Connection,
+    kind: str,
+    wanted: Sequence[str],
+    start_s: float,
+    end_s: float,
+    tracker: str,
+    most: int,
+) -> list[list[tuple[Any, ...]]]:
+    whose = ""
+    if "tracker" in columns_of(connection, kind):
+        # What is of no tracker, such as an event of the cube, is everybody's; so is what an older store kept.
+        whose = "AND COALESCE(kept.tracker, '') IN (?, '')"
+    query = (
+        f"SELECT kept.time, {', '.join(wanted)} FROM {kind} AS kept "  # noqa: S608 - our own names
+        f"WHERE kept.time >= ? AND kept.time < ? {whose} ORDER BY kept.time, kept.run, kept.number LIMIT ?"
+    )
+    cursor = connection.execute(query, (start_s, end_s, *([tracker] if whose else []), most))
+    return list(iter(lambda: cursor.fetchmany(_ROWS_AT_ONCE), []))
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn what SQLite raises into a sentence."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise UserError(f"the store {path} cannot be read: {error}") from None
+
+
+def is_span(start_s: float, end_s: float) -> bool:
+    """Whether two instants are a span that may be asked for: not longer than a week."""
+    return math.isfinite(start_s) and 0 < end_s - start_s <= 7 * _DAY_S

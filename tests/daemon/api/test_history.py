@@ -1,0 +1,88 @@
+"""Stored days, the sun's path and the check of a token, over the interface."""
+
+import asyncio
+import gzip
+import json
+
+import pvlib
+import pytest
+
+from daemon.api.models import DaysPage, LinesPage
+from daemon.base.clock import SystemClock
+from daemon.store.store import Store
+from tests.daemon.store.test_history import ORIGIN
+from tests.daemon.store.test_tables import ALL
+from tests.support.api import BEARER, Caller, server_of
+
+SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
+
+
+def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
+    store = Store(tmp_path, 60.0, 400, ORIGIN, SystemClock(), lambda event: None)
+    for record in ALL:
+        store.keep(record)
+    store.close()
+
+    async def scenario(rig):
+        settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
+        server = server_of(rig, settings, store=store.status)
+        serving = asyncio.create_task(server.run())
+        call = Caller(server)
+        try:
+            assert (await call.get("/api/days")).json == {"days": ["2022-10-14"]}
+            DaysPage.model_validate((await call.get("/api/days")).json)
+            LinesPage.model_validate((await call.get(f"/api/history/moves?{SPAN}")).json)
+            reply = await call.get(f"/api/history/scans?{SPAN}")
+            assert "content-encoding: gzip" in reply.head.lower()
+            assert json.loads(gzip.decompress(reply.body).partition(b"\n")[0])["rows"] == 2
+            rows = (await call.get(f"/api/history/modes?{SPAN}&tracker=")).json["rows"]
+            assert [row["after"] for row in rows] == [ALL[6].after]
+            for path, status, words in [
+                ("/api/history/scans", 400, "from='' is no UTC time"),
+                (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets', but scans"),
+                ("/api/history/scans?from=2022-10-14&to=2022-10-14", 400, "from must be before to"),
+                ("/api/history/scans?from=2022-10-14&to=2023-10-14", 400, "not by more than 7 days"),
+            ]:
+                reply = await call.get(path)
+                assert (reply.status, words in reply.json["error"]) == (status, True), reply.json
+        finally:
+            serving.cancel()
+            await asyncio.wait((serving,))
+
+    run_rig(scenario)
+
+
+def test_where_no_records_are_kept_that_is_said_with_the_remedy(serve):
+    async def scenario(rig, call):
+        reply = await call.get("/api/days")
+        assert (reply.status, reply.json) == (409, {"error": "no records are kept here: set store.directory"})
+
+    serve(scenario)
+
+
+def test_the_suns_path_is_that_of_the_solar_day_by_pvlib(serve):
+    async def scenario(rig, call):
+        found = (await call.get("/api/sun?at=2022-06-21T10:00:00Z")).json
+        assert len(found["path"]) == 145
+        site = rig.service.settings.site
+        times = [point["time"] for point in found["path"]]
+        truth = pvlib.solarposition.get_solarposition(
+            times, site.latitude_deg, site.longitude_deg, altitude=site.altitude_m
+        )
+        azimuths = [point["azimuth_deg"] for point in found["path"]]
+        assert azimuths == pytest.approx(truth["azimuth"].to_list(), abs=0.01)
+        assert times[0] < found["sunrise"] < found["noon"] < found["sunset"] < times[-1]
+        noon = (await call.get("/api/sun")).json["noon"]
+        assert noon[:10] == (await call.get("/api/state")).json["time"][:10]
+        assert (await call.get("/api/sun?at=noon")).status == 400
+
+    serve(scenario)
+
+
+def test_a_token_can_be_tried_without_any_effect(serve):
+    async def scenario(rig, call):
+        assert (await call.post("authorised")).json == {"ok": True}
+        wrong = await call.post("authorised", headers=BEARER | {"Authorization": "Bearer " + "x" * 43})
+        assert (wrong.status, wrong.json["error"]) == (401, "the token is not the service's: see api.token_file")
+
+    serve(scenario)
