@@ -134,6 +134,7 @@ def write_example(
     values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
+    cube = None if cube is None else CUBE.complete(cube)
     chosen = () if cube is None else ((CUBE.path, cube),)
     if cube is not None:
         CUBE.settings_class(cube)

@@ -84,6 +84,11 @@ class Plugged:
         """Return every name that may be chosen."""
         return (*self.built_in, *plugins.names(self.group))
 
+    def complete(self, name: str) -> str:
+        """Return the one name that begins like this, such as ``modbus-pyranometers`` for ``modbus``, else as it is."""
+        found = [known for known in self.names() if known.startswith(name)]
+        return found[0] if len(found) == 1 else name
+
     def settings_class(self, name: str) -> type[BaseModel]:
         """Return the settings class behind a name; raises `PluginError` where there is none."""
         if name in self.built_in:

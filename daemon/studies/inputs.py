@@ -74,7 +74,7 @@ def settings_for(
     seed, speed, start
         Of the simulation.
     cube
-        What reads its faces, by name.
+        What reads its faces, by name or by the only beginning of one.
 
     Raises
     ------
@@ -98,5 +98,5 @@ def settings_for(
     }
     settings = load_settings(config) if config is not None else Settings()
     if cube is not None:
-        changes["instruments"] = {"cube": CUBE.changed(settings.instruments.cube, {DRIVER: cube})}
+        changes["instruments"] = {"cube": CUBE.changed(settings.instruments.cube, {DRIVER: CUBE.complete(cube)})}
     return override(settings, changes)

@@ -123,7 +123,7 @@ def test_check_warns_of_a_stuck_line_that_no_self_test_sees_and_finds_the_file_g
 
 
 def test_init_writes_the_keys_of_another_cube(tmp_path):
-    write_example(tmp_path / "rig", "cube", "modbus-pyranometers")
+    write_example(tmp_path / "rig", "cube", "modbus")
     settings = check_file(tmp_path / "rig" / "heliocube.toml")
     assert settings.instruments.cube.driver == "modbus-pyranometers"
     assert "[instruments.cube.zenith]" in (tmp_path / "rig" / "heliocube.toml").read_text(encoding="utf-8")
