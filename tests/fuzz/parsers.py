@@ -276,7 +276,7 @@ PARSERS = {
     "csv-scans": Parser(lambda: _file(recorded.read_csv, "scans.csv"), (b"time,east,south,west,zenith\n", b",", b'"')),
     "toml-settings": Parser(
         lambda: _file(load_settings, "settings.toml"),
-        (b"[bridge]\n", b"[[tracker]]\n", b"= ", b"[" * 50, b"~root", b"'"),
+        (b"[bridge]\n", b"[[tracker]]\n", b"= ", b"[" * 50, b"~root", b"'", b"9" * 500, b"\\u0000"),
     ),
     "toml-calibration": Parser(lambda: _file(read_calibration, "calibration.toml"), (b"[east]\n", b"= ", b"[" * 50)),
     "command-bodies": Parser(_bodies, (b'"why":', b'"id":', b'"tracker":', b'"a_deg":', b'"time":', b"auto", *_JSON)),

@@ -100,37 +100,49 @@ def hostile(kind: str, key: bytes) -> list[bytes]:
     }[kind]
 
 
-def flood(tracker: Tracker, key: bytes, kind: str, rate: int, seconds: float, *, same_port: bool) -> dict:
-    """Send true scans among hostile ones, and return what became of both."""
-    cube, attacker = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    if same_port:
-        attacker.close()
-        attacker = cube
-    with cube, attacker:
-        session, clock = token_hex(8), SystemClock()
-        cube.sendto(pack(scan(session, 0, clock.utc(), clock.monotonic()), key), tracker.place)
-        recorded = [*hostile(kind, key)]
-        time.sleep(0.2)
+class Cube:
+    """One that sends true scans, from one socket for as long as it lives."""
+
+    def __init__(self, key: bytes, place: tuple[str, int]) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._key, self._place, self._clock = key, place, SystemClock()
+        self._session, self._number = token_hex(8), 0
+
+    def send(self) -> bytes:
+        """Send the next scan and return its datagram."""
+        made = scan(self._session, self._number, self._clock.utc(), self._clock.monotonic())
+        self._number += 1
+        datagram = pack(made, self._key)
+        self.socket.sendto(datagram, self._place)
+        return datagram
+
+
+def flood(tracker: Tracker, cube: Cube, recorded: list[bytes], rate: int, seconds: float, *, same_port: bool) -> dict:
+    """Send true scans among hostile datagrams, and return what became of both."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        attacker = cube.socket if same_port else own
+        cube.send()
+        time.sleep(1.0)
         before, cpu_s, began_s = tracker.counts(), tracker.cpu_s(), time.monotonic()
         sent = scans = 0
         while (now_s := time.monotonic() - began_s) < seconds:
             while scans < now_s * SCANS_PER_S:
+                true = cube.send()
+                recorded[scans % len(recorded)] = true
                 scans += 1
-                true = pack(scan(session, scans, clock.utc(), clock.monotonic()), key)
-                cube.sendto(true, tracker.place)
-                recorded[scans % len(recorded)] = true if kind != "forged" else recorded[scans % len(recorded)]
             while sent < now_s * rate:
                 attacker.sendto(recorded[sent % len(recorded)], tracker.place)
                 sent += 1
             time.sleep(TICK_S)
-        time.sleep(1.0)
+        cpu_s, took_s = tracker.cpu_s() - cpu_s, now_s
+        time.sleep(3.0)
         after = tracker.counts()
         return {
             "true": scans,
             "accepted": after["accepted"] - before["accepted"],
-            "hostile_per_s": sent / now_s,
-            "examined_per_s": (after["refused"] - before["refused"]) / now_s,
-            "core_percent": 100.0 * (tracker.cpu_s() - cpu_s) / now_s,
+            "hostile_per_s": sent / took_s,
+            "examined_per_s": (after["refused"] - before["refused"]) / took_s,
+            "core_percent": 100.0 * cpu_s / took_s,
         }
 
 
@@ -146,11 +158,12 @@ def main() -> None:
     key = generate_key()
     with tempfile.TemporaryDirectory() as folder:
         tracker = Tracker(Path(folder), key, cores[0])
+        cube = Cube(key, tracker.place)
         try:
             print("flood                        true scans  accepted  hostile/s  examined/s  % of a core")
             for kind, same_port in (("forged", False), ("replayed", False), ("mixed", False), ("mixed", True)):
                 rows = [
-                    flood(tracker, key, kind, arguments.rate, arguments.seconds, same_port=same_port)
+                    flood(tracker, cube, hostile(kind, key), arguments.rate, arguments.seconds, same_port=same_port)
                     for _ in range(arguments.repeats)
                 ]
                 true, accepted = (sum(row[name] for row in rows) for name in ("true", "accepted"))
@@ -163,6 +176,7 @@ def main() -> None:
                 print(" ".join(shown), flush=True)
         finally:
             tracker.end()
+            cube.socket.close()
 
 
 def _free(kind: socket.SocketKind) -> int:
