@@ -125,7 +125,7 @@ done
 fingerprint() {
   {
     "$python" --version
-    cat "$here/lock/runtime.txt"
+    cat "$here/lock/runtime.txt" "$here/lock/build.txt"
     if [ -f "$from" ]; then
       cat "$from"
     else
@@ -143,13 +143,24 @@ id=$(fingerprint)
 release=$opt/releases/$id
 if [ ! -e "$release/.complete" ]; then
   say "building the environment in $release"
-  rm -rf "$release"
+  rm -rf "$release" "$release.build"
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
   pip="$release/bin/python -m pip --disable-pip-version-check --quiet install"
   $pip --only-binary :all: --require-hashes -r "$here/lock/runtime.txt" ||
     fail 'pip could not install what heliocube needs, see above; nothing has been changed'
-  $pip --no-deps "$from" || fail 'pip could not install heliocube itself, see above; nothing has been changed'
+  wheel=$from
+  if [ -d "$from" ]; then
+    # A checkout is built by what the lock names, which does not stay, and without the network.
+    $pip --only-binary :all: --require-hashes --target "$release.build/site" -r "$here/lock/build.txt" ||
+      fail 'pip could not install what builds heliocube, see above; nothing has been changed'
+    PYTHONPATH=$release.build/site "$release/bin/python" -m pip --disable-pip-version-check --quiet \
+      wheel --no-index --no-deps --no-build-isolation --wheel-dir "$release.build/wheel" "$from" ||
+      fail 'heliocube could not be built, see above; nothing has been changed'
+    wheel=$(echo "$release.build/wheel"/heliocube-*.whl)
+  fi
+  $pip --no-index --no-deps "$wheel" || fail 'pip could not install heliocube itself, see above; nothing has been changed'
+  rm -rf "$release.build"
   "$release/bin/heliocube" --version >/dev/null || fail 'the new environment does not run; nothing has been changed'
   touch "$release/.complete"
 fi
