@@ -6,6 +6,7 @@ from random import Random
 
 import pytest
 
+from daemon.base.alarms import Alarms
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop
@@ -23,6 +24,8 @@ class Pyranometers:
         self._clock = clock
         self.faces = [300.0, 410.0, 60.0, 470.0]
         self.proven = True
+        self.rounded = False
+        self.notes = ()
 
     async def open(self):
         return "four pyranometers"
@@ -32,7 +35,16 @@ class Pyranometers:
 
     async def read(self):
         east, south, west, zenith = (self._sample(face) for face in self.faces)
-        return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="W/m2", proven=self.proven)
+        return CubeReading(
+            east=east,
+            south=south,
+            west=west,
+            zenith=zenith,
+            unit="W/m2",
+            proven=self.proven,
+            rounded=self.rounded,
+            notes=self.notes,
+        )
 
     def _sample(self, face):
         flaw = face if isinstance(face, str) else None
@@ -98,3 +110,40 @@ def test_a_way_that_failed_its_test_spoils_every_face(scan_of):
 
 def test_a_frozen_value_is_stale(scan_of):
     assert {face.quality for face in scan_of(count=7).faces} == {Quality.STALE}
+
+
+def test_values_in_steps_may_stand_still_for_a_while_but_not_by_day_for_ever(scan_of):
+    qualities = [{face.quality for face in scan_of(count=count, rounded=True).faces} for count in (7, 361)]
+    assert qualities == [{Quality.OK}, {Quality.STALE}]
+    assert {face.quality for face in scan_of(count=361, rounded=True, faces=[-1.0] * 4).faces} == {Quality.OK}
+
+
+def test_what_the_instruments_have_against_themselves_is_an_alarm_until_it_is_over():
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        clock = LoopClock(runner.get_loop().time, 1.7e9)
+        cube, events = Pyranometers(clock), []
+        alarms = Alarms(clock, events.append)
+        acquisition = Acquisition(
+            CubeSettings(),
+            cube,
+            clock,
+            Random(1),
+            lambda _scan: None,
+            events.append,
+            lambda _utc_s: NIGHT,
+            simulated=True,
+            alarms=alarms,
+        )
+
+        async def scans():
+            shown = []
+            for notes in ((), ("the east sensor reports overflow",), ("the east sensor reports overflow",), ()):
+                cube.notes = notes
+                await acquisition.scan()
+                shown.append([(alarm.name, alarm.text) for alarm in alarms.active])
+            return shown
+
+        shown = runner.run(scans())
+    on = [("cube-sensor", "the east sensor reports overflow")]
+    assert shown == [[], on, on, []]
+    assert len(events) == 2
