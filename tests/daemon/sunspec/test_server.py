@@ -1,0 +1,122 @@
+"""The device on a real port: garbage, a port that is taken, and clients that come and go."""
+
+import asyncio
+import socket
+
+import pytest
+
+from daemon.service.operator_commands import Operators
+from daemon.sunspec.models import BASE
+from daemon.sunspec.server import SunSpecServer
+from drivers.modbus.framing import TcpClient
+from drivers.modbus.pdu import read_registers, registers_of
+
+
+@pytest.fixture
+def serve(run_rig):
+    """Run a scenario beside a rig and its SunSpec device on a free port."""
+
+    def run(scenario):
+        async def beside(rig):
+            with socket.socket() as probe:
+                probe.bind(("127.0.0.1", 0))
+                port = probe.getsockname()[1]
+            settings = rig.service.settings
+            own = settings.sunspec.model_copy(update={"enabled": True, "listen": f"127.0.0.1:{port}"})
+            server = SunSpecServer(
+                settings.model_copy(update={"sunspec": own}),
+                rig.see,
+                Operators(rig.service.trackers, 1.0),
+                rig.clock,
+                rig.bus.publish,
+                1.0,
+            )
+            try:
+                await scenario(rig, server, port)
+            finally:
+                await server._end(None)
+
+        return run_rig(beside)
+
+    return run
+
+
+async def running(rig, server):
+    task = asyncio.create_task(server.run())
+    await rig.until(lambda: server.port, 30, "the device to be served")
+    return task
+
+
+async def ended(task):
+    task.cancel()
+    await asyncio.wait((task,))
+
+
+async def asked(port, data):
+    """Return what comes back before the device closes, or the first reply."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        writer.write(data)
+        await writer.drain()
+        return await reader.read(300)
+    except ConnectionResetError:
+        return b""
+    finally:
+        writer.close()
+
+
+QUESTION = read_registers(1, 3, BASE, 2)
+
+
+def test_garbage_ends_its_own_connection_alone(serve):
+    async def scenario(rig, server, port):
+        task = await running(rig, server)
+        framing = TcpClient()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        for garbage in (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\xff" * 600):
+            assert await asked(port, garbage) == b""
+        frame = framing.begin(QUESTION)
+        writer.write(frame[:5])
+        await writer.drain()
+        writer.write(frame[5:])
+        assert registers_of(framing.feed(await reader.read(300))) == (0x5375, 0x6E53)
+        writer.close()
+        await ended(task)
+
+    serve(scenario)
+
+
+def test_beyond_sixteen_clients_the_next_is_put_off_and_the_others_go_on(serve):
+    async def scenario(rig, server, port):
+        task = await running(rig, server)
+        others = [await asyncio.open_connection("127.0.0.1", port) for _ in range(16)]
+        await rig.until(lambda: len(server._clients) == 16, 10, "sixteen clients")
+        assert await asked(port, TcpClient().begin(QUESTION)) == b""
+        framing = TcpClient()
+        others[0][1].write(framing.begin(QUESTION))
+        assert framing.feed(await others[0][0].read(300)) is not None
+        for _, writer in others:
+            writer.close()
+        await rig.until(lambda: not server._clients, 10, "nobody")
+        assert await asked(port, TcpClient().begin(QUESTION)) != b""
+        await ended(task)
+
+    serve(scenario)
+
+
+def test_a_port_that_is_taken_is_told_once_and_tried_again(serve):
+    async def scenario(rig, server, port):
+        told = []
+        rig.bus.subscribe(lambda record: told.append(record) if getattr(record, "subject", "") == "sunspec" else None)
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", port))
+            taken.listen()
+            task = asyncio.create_task(server.run())
+            await asyncio.sleep(35)
+            assert server.port == 0
+            (only,) = told
+            assert "address already in use; set sunspec.listen to another port" in only.text
+        await rig.until(lambda: server.port == port, 30, "the port")
+        await ended(task)
+
+    serve(scenario)
