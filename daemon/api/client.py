@@ -4,6 +4,7 @@ import getpass
 import json
 import os
 import socket
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,10 @@ _TIMEOUT_S = 15.0
 _LONGEST_NAME = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
+# A service whose port is flooded may give a connection up for another.
+_REPEATABLE = ("/api/state", "/api/stop", "/api/stow", "/api/maintenance")
+_TRIES = 3
+_AGAIN_AFTER_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +78,7 @@ class Client:
 
     def _request(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
         try:
-            status, content = self._exchange(method, path, b"" if body is None else json.dumps(body).encode())
+            status, content = self._exchange_surely(method, path, b"" if body is None else json.dumps(body).encode())
         except ConnectionRefusedError:
             raise UserError(
                 f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
@@ -89,6 +94,18 @@ class Client:
         if status != _OK:
             raise UserError(str(found["error"]))
         return found
+
+    def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
+        """Ask again where the connection was cut off without an answer, if what is asked may be asked twice."""
+        for _ in range(_TRIES - 1 if path in _REPEATABLE else 0):
+            try:
+                status, content = self._exchange(method, path, body)
+            except (ConnectionResetError, BrokenPipeError):
+                status = b""
+            if status:
+                return status, content
+            time.sleep(_AGAIN_AFTER_S)
+        return self._exchange(method, path, body)
 
     def _exchange(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
         """Send one request and return the status and the body of the reply.

@@ -165,15 +165,25 @@ KINDS = (
 )  # fmt: skip
 
 
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def configured(folder, port, speed):
+    """Write a configuration and its token, and return its path."""
+    (folder / "api.token").write_text(TOKEN)
+    (folder / "api.token").chmod(0o600)
+    path = folder / "heliocube.toml"
+    path.write_text(CONFIG.format(port=port, folder=folder, speed=speed))
+    return path
+
+
 class Service:
-    def __init__(self, folder, speed):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        (folder / "api.token").write_text(TOKEN)
-        (folder / "api.token").chmod(0o600)
-        self.config = folder / "heliocube.toml"
-        self.config.write_text(CONFIG.format(port=self.port, folder=folder, speed=speed))
+    def __init__(self, folder, port, config):
+        self.port = port
+        self.config = config
         self.log = folder / "log"
         with self.log.open("w") as log:
             self._process = subprocess.Popen(
@@ -283,7 +293,8 @@ def main():
         return
     print(f"seed {chosen.seed}; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        service = Service(Path(folder), 60)
+        port = free_port()
+        service = Service(Path(folder), port, configured(Path(folder), port, 60))
         try:
             time.sleep(chosen.fill)
             measure(service, chosen.only, chosen)

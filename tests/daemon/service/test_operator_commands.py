@@ -11,6 +11,9 @@ import threading
 
 import pytest
 
+from daemon.api.client import Client
+from daemon.base.addresses import parse_address
+from daemon.base.errors import UserError
 from daemon.base.records import Event
 from daemon.service.command_bodies import MODES
 from daemon.service.operator import CommandError, Operator, Seen
@@ -129,6 +132,27 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
     assert (done.returncode, done.stdout, done.stderr) == (code, out, err)
     assert heard[0]["by"] == f"ana@{socket.gethostname()}"
     assert heard[0].get("tracker") == ("west" if "west" in command else None)
+
+
+def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto_is_not():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        heard = []
+
+        def serve():
+            for reply in (b"", b"", b'HTTP/1.1 200 x\r\n\r\n{"state": "done", "text": "standing"}', b""):
+                connection, _ = listener.accept()
+                with connection:
+                    heard.append(connection.recv(65536).split()[1].decode())
+                    connection.sendall(reply)
+
+        serving = threading.Thread(target=serve, daemon=True)
+        serving.start()
+        client = Client(parse_address(f"127.0.0.1:{listener.getsockname()[1]}"), "t" * 43)
+        assert client.command("stop").text == "standing"
+        with pytest.raises(UserError, match=r"is not heliocube|does not answer"):
+            client.command("goto", a_deg=1.0, b_deg=60.0)
+        serving.join(10)
+    assert heard == ["/api/stop"] * 3 + ["/api/goto"]
 
 
 def _config(folder, port):
