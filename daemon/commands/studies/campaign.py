@@ -23,6 +23,9 @@ def campaign(
         Path | None, typer.Option(metavar="FILE", help="Run this one instead, as a reduced failure was written.")
     ] = None,
     show: Annotated[bool, typer.Option("--show", help="Print each schedule and the service's log.")] = False,
+    reliability: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Throw every fault alone instead, and write this page of it.")
+    ] = None,
     keep: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Reduce each failure and write it here as seed-N.json.")
     ] = None,
@@ -33,14 +36,21 @@ def campaign(
     """
     from daemon.commands.studies.simulate import progress_bar
     from daemon.studies.campaign.attack import Attack, chosen_schedules
+    from daemon.studies.campaign.reliability import write_reliability
 
-    names = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
     out, errors = Console(), Console(stderr=True)
 
     def say(text: str) -> None:
         out.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    attack = Attack(names, jobs, say, keep, show=show)
+    if reliability is not None:
+        with progress_bar(errors, "drilling") as progress:
+            beyond = write_reliability(reliability, jobs, progress)
+        for text in (*beyond, f"written: {reliability}"):
+            say(text)
+        raise typer.Exit(1 if beyond else 0)
+    schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
+    attack = Attack(schedules, jobs, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
         broken = attack.run(progress)
     raise typer.Exit(1 if broken else 0)

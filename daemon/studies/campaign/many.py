@@ -107,9 +107,25 @@ def run_many(
     return summary
 
 
-def _here(schedules: Iterable[Schedule]) -> Generator[tuple[Schedule, CampaignOutcome], None, None]:
+def run_all(schedules: Sequence[Schedule], jobs: int, progress: Callable[[float], None]) -> list[CampaignOutcome]:
+    """Carry out schedules in so many processes and return what each showed, in their order.
+
+    `progress` takes the share that is done, 0..1.
+    """
+    outcomes: dict[int, CampaignOutcome] = {}
+    places = {id(schedule): place for place, schedule in enumerate(schedules)}
+    found = _here(schedules, _run_once) if jobs == 1 else _in_processes(schedules, jobs, _run_once)
+    for schedule, outcome in found:
+        outcomes[places[id(schedule)]] = outcome
+        progress(len(outcomes) / len(schedules))
+    return [outcomes[place] for place in range(len(schedules))]
+
+
+def _here(
+    schedules: Iterable[Schedule], run: Callable[[Schedule], CampaignOutcome] = run_schedule
+) -> Generator[tuple[Schedule, CampaignOutcome], None, None]:
     for schedule in schedules:
-        yield schedule, run_schedule(schedule)
+        yield schedule, run(schedule)
 
 
 def _in_processes(
@@ -134,6 +150,10 @@ def _in_processes(
 def _ends_at_ctrl_c() -> None:
     # Quietly: the process that began it says what there is to say.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _run_once(schedule: Schedule) -> CampaignOutcome:
+    return replace(run_schedule(schedule, heal=False), lines=())
 
 
 def _run_and_forget_log(schedule: Schedule) -> CampaignOutcome:

@@ -44,15 +44,15 @@ class CampaignOutcome:
         The service's log.
     moves
         How many there were.
-    modes
-        How often each was entered.
+    entered
+        The modes that were entered, each with its time [s].
     """
 
     violations: tuple[Violation, ...]
     stop_latencies_s: tuple[float, ...]
     lines: tuple[LogLine, ...]
     moves: int
-    modes: "Counter[Mode]"
+    entered: tuple[tuple[float, Mode], ...]
 
     @property
     def promises(self) -> set[str]:
@@ -293,7 +293,9 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
         stop_latencies_s=tuple(watch.stop_latencies_s),
         lines=tuple(bounded.lines),
         moves=sum(isinstance(record, Move) for record in plant.records),
-        modes=Counter(record.after for record in plant.records if isinstance(record, ModeChange)),
+        entered=tuple(
+            (record.time_monotonic_s, record.after) for record in plant.records if isinstance(record, ModeChange)
+        ),
     )
 
 

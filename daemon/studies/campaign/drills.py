@@ -1,0 +1,130 @@
+"""One fault at a time: how soon the tracker is in the mode that is declared for it, and how soon it works again."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from daemon.base.records import Mode
+from daemon.studies.campaign.person import WORKS
+from daemon.studies.campaign.run import CampaignOutcome
+from daemon.studies.campaign.schedule import Happening, Schedule
+
+Phase = Literal["at rest", "in mid-move"]
+
+FAULT, HOLD, STOW, FALLBACK, STARTING = (
+    (Mode.FAULT,),
+    (Mode.HOLD,),
+    (Mode.STOW,),
+    (Mode.FALLBACK,),
+    (Mode.STARTING,),
+)
+_BEGINS_S: dict[Phase, tuple[float, ...]] = {
+    # The slow screens take 3.24 s to come round, and control decides every 5 s.
+    "at rest": (300.0, 301.7, 303.1),
+    # The first move after the start, of a minute and a half.
+    "in mid-move": (45.0, 51.6, 58.2),
+}
+_PERSON_COMES_AFTER_S = 20.0
+_NEXT_COMMAND_S, _HOMES_WITHIN_S = 10.0, 250.0
+_WATCHED_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class Drill:
+    """A fault alone, and what is declared for it.
+
+    Attributes
+    ----------
+    fault, value, lasts_s
+        As in a schedule.
+    mode
+        What the tracker has to be in; empty: it goes on.
+    within_s
+        How soon after the fault began.
+    commands
+        What a person has to say before it works again, 20 s after the fault is over; empty: nothing.
+    back_s
+        How soon it works again, after the fault is over or after the last of these commands.
+    phase
+        Whether the axes stand when it begins.
+    """
+
+    fault: str
+    value: tuple[float, ...]
+    lasts_s: float
+    mode: tuple[Mode, ...]
+    within_s: float
+    commands: tuple[str, ...]
+    back_s: float
+    phase: Phase
+
+    def schedules(self) -> Iterator[Schedule]:
+        """Yield the runs of it."""
+        for seed, begin_s in enumerate(_BEGINS_S[self.phase]):
+            events = [
+                Happening(at_s=begin_s, what="fault", name=self.fault, value=self.value, lasts_s=self.lasts_s),
+                *(Happening(at_s, "command", name) for at_s, name in self._said(begin_s)),
+            ]
+            yield Schedule(
+                seed=seed,
+                hours=(events[-1].at_s + self.lasts_s + self.back_s + _WATCHED_S) / 3600,
+                start="2022-10-12T10:00",
+                law="mu-prime",
+                rehome="operator",
+                synchronous=False,
+                sky=(700.0, 90.0),
+                events=tuple(events),
+            )
+
+    def _said(self, begin_s: float) -> Iterator[tuple[float, str]]:
+        at_s = begin_s + self.lasts_s + _PERSON_COMES_AFTER_S
+        for name in self.commands:
+            yield at_s, name
+            at_s += _HOMES_WITHIN_S if name == "home" else _NEXT_COMMAND_S
+
+    def measure(self, schedules: Sequence[Schedule], outcomes: Sequence[CampaignOutcome]) -> "WorstSeen":
+        """Return the worst of its runs."""
+        reached, back, broken = [], [], []
+        for schedule, outcome in zip(schedules, outcomes, strict=True):
+            begin_s = schedule.events[0].at_s
+            over_s = schedule.events[-1].at_s if self.commands else begin_s + self.lasts_s
+            reached.append(_first_s(outcome, self.mode, begin_s) if self.mode else 0.0)
+            back.append(_works_from_s(outcome, over_s))
+            broken += [violation.promise for violation in outcome.violations]
+        return WorstSeen(max(reached), max(back), tuple(sorted(set(broken))), len(outcomes))
+
+
+@dataclass(frozen=True, slots=True)
+class WorstSeen:
+    """The worst of a drill's runs [s]; infinite where it did not happen.
+
+    Attributes
+    ----------
+    reached_s, back_s
+        From the fault to the declared mode; from its end, or the last command, to work.
+    broken
+        Promises that were broken.
+    runs
+        How many there were.
+    """
+
+    reached_s: float
+    back_s: float
+    broken: tuple[str, ...]
+    runs: int
+
+
+def _first_s(outcome: CampaignOutcome, modes: tuple[Mode, ...], begin_s: float) -> float:
+    """Return how long after `begin_s` one of the modes was entered, infinite for never."""
+    return next((at_s - begin_s for at_s, mode in outcome.entered if at_s >= begin_s and mode in modes), float("inf"))
+
+
+def _works_from_s(outcome: CampaignOutcome, over_s: float) -> float:
+    """Return how long after `over_s` the tracker began to work for good, infinite for never."""
+    works_s = float("inf")
+    for at_s, mode in outcome.entered:
+        if mode not in WORKS:
+            works_s = float("inf")
+        elif works_s == float("inf"):
+            works_s = max(at_s - over_s, 0.0)
+    return works_s

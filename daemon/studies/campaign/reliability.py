@@ -1,0 +1,106 @@
+"""The page of all faults: what is declared for each, and the worst that was seen."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from daemon.base.errors import UserError
+from daemon.studies.campaign.declared import UNSEEN, declared
+from daemon.studies.campaign.drills import Drill, WorstSeen
+from daemon.studies.campaign.many import run_all
+from daemon.studies.campaign.matrix import COMPONENTS, FAULT_KINDS, cell
+
+_HEAD = """# Reliability: every fault, what is declared for it, and the worst seen
+
+Written by `heliocube campaign --reliability docs/reliability.md`. The figures are those of the simulated rig under
+virtual time, with the real drivers and the service itself: the same on every machine, and a model's, not a rig's.
+[The campaign](campaign.md) tells how faults fall together; here each one falls alone, {runs} times, at rest or in
+mid-move, at other moments of the unit's screens and of the service's decisions each time, with every promise of the
+campaign watched.
+
+## One fault at a time
+
+The tracker has to be in the declared mode within the first bound after the fault began. "Back" is from the end of the
+fault, or from the last thing that a person has to say, to work; the second bound holds for it. "Goes on": the fault is
+met without a change of mode. {broken}
+
+| Fault | For | When | Mode | Bound | Worst | Back by | Bound | Worst |
+|---|---|---|---|---|---|---|---|---|
+"""
+_UNSEEN = """
+Faults without a row, which the campaign throws all the same:
+
+| Fault | Why |
+|---|---|
+"""
+_MATRIX = """
+## Component by component
+
+What the campaign does to each component, by the names of its faults. A cell that is not done is refused by
+`--only COMPONENT:FAULT`, for the reason that stands here.
+
+| Component | Fault | Done as, or why not |
+|---|---|---|
+"""
+
+
+def write_reliability(path: Path, jobs: int, progress: Callable[[float], None]) -> list[str]:
+    """Run all drills, write the page and return a sentence for each bound that was not kept.
+
+    Raises `UserError` where the page cannot be written.
+    """
+    drills = declared()
+    results = measure_drills(drills, jobs, progress)
+    try:
+        path.write_text(page(drills, results), encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"--reliability: {path} cannot be written: {error}") from error
+    return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
+
+
+def measure_drills(drills: Sequence[Drill], jobs: int, progress: Callable[[float], None]) -> list[WorstSeen]:
+    """Return the worst of each drill's runs."""
+    schedules = [tuple(drill.schedules()) for drill in drills]
+    outcomes = iter(run_all([one for some in schedules for one in some], jobs, progress))
+    return [drill.measure(some, [next(outcomes) for _ in some]) for drill, some in zip(drills, schedules, strict=True)]
+
+
+def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
+    """Yield what a drill has shown that was not declared, a sentence each."""
+    name = f"{drill.fault} {drill.phase}"
+    if not measured.reached_s <= drill.within_s:
+        yield f"{name}: {_modes(drill)} after {measured.reached_s:.1f} s, {drill.within_s:g} s are declared"
+    if not measured.back_s <= drill.back_s:
+        yield f"{name}: back after {measured.back_s:.1f} s, {drill.back_s:g} s are declared"
+    for promise in measured.broken:
+        yield f"{name}: breaks {promise}"
+
+
+def page(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> str:
+    """Return the page."""
+    broken = [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
+    kept = f"Not kept: {'; '.join(broken)}." if broken else "Every bound is kept, and no promise was broken."
+    runs = sum(measured.runs for measured in results)
+    text = _HEAD.format(runs=f"{results[0].runs if results else 0}", broken=f"{kept} {runs} runs in all.")
+    for drill, measured in zip(drills, results, strict=True):
+        text += f"| {_row(drill, measured)} |\n"
+    text += _UNSEEN + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
+    text += _MATRIX
+    for component in COMPONENTS:
+        for kind in FAULT_KINDS:
+            found = cell(component, kind)
+            done = f"not done: {found}" if isinstance(found, str) else ", ".join(f"`{name}`" for name in found)
+            text += f"| {component} | {kind} | {done} |\n"
+    return text
+
+
+def _row(drill: Drill, measured: WorstSeen) -> str:
+    value = f" {' '.join(f'{number:g}' for number in drill.value)}" if drill.value else ""
+    lasts = f"{drill.lasts_s:g} s" if drill.lasts_s else "at once"
+    bound, worst = (f"{drill.within_s:g} s", f"{measured.reached_s:.1f} s") if drill.mode else ("", "")
+    by = ", ".join(f"`{name}`" for name in drill.commands) or "itself"
+    back = f"{drill.back_s:g} s | {measured.back_s:.1f} s"
+    return f"`{drill.fault}`{value} | {lasts} | {drill.phase} | {_modes(drill)} | {bound} | {worst} | {by} | {back}"
+
+
+def _modes(drill: Drill) -> str:
+    return " or ".join(drill.mode) or "goes on"
