@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from daemon.base.records import FACES, Mode, Target
+from daemon.base.records import FACES, Mode, MoveOutcome, Target
 from daemon.service.snapshot import Snapshot, TrackerState
 from drivers.modbus.pdu import words_for
 from solar.frames import (
@@ -132,7 +132,10 @@ class SunSpecMap:
         return bits if float(away_deg) <= self._tolerance_deg[tracker.name] else bits | _NOT_THERE
 
     def _target(self, seen: Snapshot, tracker: TrackerState) -> list[int]:
-        target: Target | None = tracker.positioner.target
+        """Return where it is sent, or where it was sent and has arrived."""
+        target, last = tracker.positioner.target, tracker.positioner.last_move
+        if target is None and last is not None and last.outcome is MoveOutcome.ARRIVED:
+            target = Target(last.target_a_deg, last.target_b_deg, last.why)
         if target is None:
             return [*_NO_INT32, *_NO_INT32]
         return self._angles(f"{tracker.name} target", target.a_deg, target.b_deg, seen.site.latitude_deg)

@@ -127,6 +127,7 @@ def test_manual_is_a_goto_and_automatic_gives_back(run_rig):
         points = (await control.models())[601][1]
         assert (number(points[18:20], "int32"), points[22], points[26 + 20]) == (3383.0, 1, 1)
         assert points[26 + 21] == 0
+        assert number(points[26 + 8 : 26 + 10], "int32") == pytest.approx(3383, abs=1)
         assert await control.write(at + 4, [0]) == 0
         await rig.until_mode(Mode.TRACKING, 60)
         assert (await control.models())[601][1][18:23] == (0x8000, 0, 0x8000, 0, 0)
