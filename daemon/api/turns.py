@@ -7,6 +7,7 @@ from collections.abc import Callable
 _SHARE = 0.25
 _AT_ONCE_S = 0.05
 _MOST_WAITING = 64
+_REFUSED_AFTER_S = 0.25
 # Of a request on a connection of its own, besides its page: accepting, parsing, closing.
 _OVERHEAD_S = 0.001
 # A page that waits for a thread is charged no more.
@@ -40,11 +41,12 @@ class ReadTurns:
         self._timer: asyncio.TimerHandle | None = None
 
     async def take(self) -> None:
-        """Wait for a turn; raises `CrowdedError` at once where too many wait."""
+        """Wait for a turn; raises `CrowdedError` where too many wait, after a while, as asking again costs too."""
         if not self._waiting and self._debt() <= _AT_ONCE_S:
             self._debt_s += _OVERHEAD_S
             return
         if len(self._waiting) >= _MOST_WAITING:
+            await asyncio.sleep(_REFUSED_AFTER_S * self._speed)
             raise CrowdedError
         turn = asyncio.get_running_loop().create_future()
         self._waiting.append(turn)
