@@ -34,6 +34,7 @@ from drivers.meters.keithley2000 import Keithley2000
 from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.unit_setup import count_step, missing_fields
 from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, own_moves, parse_number, parse_status
+from drivers.positioners.rotctld.protocol import ReplyStream, error_text, state_of
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0
@@ -176,6 +177,26 @@ def _drive(work) -> object:
     raise AssertionError("it waits for something")
 
 
+def _rotctld() -> Take:
+    """Replies of Hamlib's server, in pieces."""
+
+    def take(data: bytes) -> None:
+        stream, step = ReplyStream(), data[0] % 61 + 3 if data else 1
+        for place in range(0, len(data), step):
+            try:
+                replies = stream.feed(data[place : place + step])
+            except ValueError:
+                return
+            for reply in replies:
+                with contextlib.suppress(ValueError):
+                    assert math.isfinite(reply.number("Azimuth"))
+                with contextlib.suppress(ValueError):
+                    assert all(map(math.isfinite, state_of(reply).azimuth_deg))
+                assert error_text(reply.error)
+
+    return take
+
+
 def _meter() -> Take:
     async def talk(data: bytes) -> None:
         meter = Keithley2000(_Replies(data))
@@ -271,6 +292,7 @@ PARSERS = {
     "bridge-datagrams": Parser(_datagrams, (b".", b"eyJ", b"[", b"=", *_JSON)),
     "bridge-packs": Parser(_packs, (b'"bn":"cube/"', b'"bt":1665742815', b'"n":"east"', b"/quality", *_JSON)),
     "positioner-screens": Parser(_screens, (b"$", b"$\x88", b"$,", b"$0", b"-.", b"\r", b"1000", b"4294967295")),
+    "rotctld-replies": Parser(_rotctld, (b"get_pos:\n", b"RPRT 0\n", b"Azimuth: ", b"dump_state:\n", b" " * 100, b"=")),
     "voltmeter-replies": Parser(_meter, (*_SCPI, b"VDC", b"E+", b"1" * 400)),
     "load-replies": Parser(_loads, (*_SCPI, b"Chroma,63640-80-80", b"CV", b"VOLT", b"1E999", b";")),
     "csv-scans": Parser(lambda: _file(recorded.read_csv, "scans.csv"), (b"time,east,south,west,zenith\n", b",", b'"')),

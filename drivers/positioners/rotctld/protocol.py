@@ -26,7 +26,8 @@ _ERRORS = {
 }
 _END = re.compile(r"RPRT -?(\d+)")
 _HEAD = re.compile(r"([a-z_]+):(?: .*)?")
-_VALUE = re.compile(r"\s*([A-Za-z_ ]+?)\s*[:=]\s*(.*?)\s*")
+# Of a line without the blanks at its ends. Nothing in it can be read in two ways: a line of blanks took hours.
+_VALUE = re.compile(r"([A-Za-z_ ]+)[:=](.*)")
 _MOST_BYTES = 16384
 
 
@@ -124,5 +125,6 @@ class ReplyStream:
 
 def _reply(lines: list[str], error: int) -> RotctldReply:
     head = _HEAD.fullmatch(lines[0]) if lines else None
-    values = {found[1]: found[2] for line in lines[1:] if (found := _VALUE.fullmatch(line))}
+    found = (_VALUE.fullmatch(line.strip()) for line in lines[1:])
+    values = {one[1].strip(): one[2].strip() for one in found if one is not None}
     return RotctldReply(head[1] if head else "", values, error)
