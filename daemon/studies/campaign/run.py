@@ -21,7 +21,8 @@ from daemon.studies.campaign.door import DirectDoor, Door
 from daemon.studies.campaign.matrix import refuse_unknown
 from daemon.studies.campaign.person import WORKS, Person, known
 from daemon.studies.campaign.schedule import Happening, Schedule
-from daemon.studies.campaign.watch.truth import TruthWatch, Violation
+from daemon.studies.campaign.watch.reporting import Violation
+from daemon.studies.campaign.watch.truth import TruthWatch
 
 GUST_S = 1.3
 RECOVERS_WITHIN_S = 3000.0

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import islice
 
 from daemon.base.records import Event, Record
@@ -13,6 +14,18 @@ REPORTED_WITHIN_S = 10.0
 CAUSE_WITHIN_S = 30.0
 _SUBJECTS = ("alarm", "positioner", "control")
 _LATE_RECORDS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A broken promise: its name, when, and what was seen."""
+
+    promise: str
+    at_s: float
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.promise} at {self.at_s:.2f} s: {self.text}"
 
 
 class Reporting:

@@ -8,7 +8,6 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from daemon.base.records import Mode, Scan
 from daemon.base.timeloop import wait_at_most
@@ -16,7 +15,7 @@ from daemon.rigs.campaign.faults import FORGED_W_M2
 from daemon.rigs.campaign.plant import Plant
 from daemon.studies.campaign.watch.explained import Counted, Explained
 from daemon.studies.campaign.watch.reach import Reach
-from daemon.studies.campaign.watch.reporting import Reporting
+from daemon.studies.campaign.watch.reporting import Reporting, Violation
 from daemon.studies.campaign.watch.storms import STORM_S, Storms
 from drivers.interfaces import AxisName
 from solar.frames import Angles
@@ -40,18 +39,6 @@ STALE_S = 16.0
 CLOCK_SETTLES_S = 890.0
 CLOCK_STEP_S = 30.0
 LEAST_W_M2, MOST_W_M2 = -100.0, 2000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """A broken promise: its name, when, and what was seen."""
-
-    promise: str
-    at_s: float
-    text: str
-
-    def __str__(self) -> str:
-        return f"{self.promise} at {self.at_s:.2f} s: {self.text}"
 
 
 class TruthWatch:
@@ -276,6 +263,8 @@ class TruthWatch:
             self._unexplained_s[axis] = None
             return
         if why is None:
+            # Reason enough for an alarm, whatever the unit's count says of it.
+            self.reporting.cause(now_s)
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
             if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):

@@ -355,3 +355,13 @@ def test_a_unit_that_is_not_heard_binds_nobody(plant):
     plant.watch.link_changes()
     plant.wait(60, a=30)
     assert promises(plant) == []
+
+
+def test_an_alarm_of_what_moves_with_a_wrong_count_is_no_false_one(plant):
+    plant.count_off = 5.0
+    plant.watch.reference_excused = True
+    plant.wait(60)
+    plant.wait(1.0, a=0.3)
+    plant.motion.unexplained = "A moved from 3.0 to 3.3 degrees without an order"
+    plant.wait(5)
+    assert reports(plant) == []
