@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.commands.options import CubeOption, RoleChoice
+from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -48,9 +48,10 @@ def init(
     ],
     role: Annotated[RoleChoice, typer.Option(help="What the machine will do.")] = RoleChoice.both,
     cube: CubeOption = None,
+    positioner: PositionerOption = None,
 ) -> None:
     """Write heliocube.toml, every key explained, and a new bridge.key and api.token into DIR."""
-    *first, last = write_example(directory, role.value, cube)
+    *first, last = write_example(directory, role.value, cube, positioner)
     console = Console(highlight=False, soft_wrap=True)
     names = Text(", ").join(Text(str(path), "bold") for path in first)
     console.print(Text.assemble("written: ", names, " and ", (str(last), "bold")))
@@ -108,7 +109,7 @@ def check_file(path: Path) -> "Settings":
 
 
 def write_example(
-    directory: Path, role: Literal["both", "cube", "tracker"], cube: str | None = None
+    directory: Path, role: Literal["both", "cube", "tracker"], cube: str | None = None, positioner: str | None = None
 ) -> tuple[Path, Path, Path]:
     """Write a commented file, a new bridge key and a new token into a directory, made if missing; return their paths.
 
@@ -116,8 +117,8 @@ def write_example(
     ----------
     directory, role
         Where to, and for what machine.
-    cube
-        The driver that reads the faces, by name, where it is not the usual one.
+    cube, positioner
+        The drivers that read the faces and turn the tracker, by name, where they are not the usual ones.
 
     Raises
     ------
@@ -127,18 +128,20 @@ def write_example(
     from daemon.api.token import generate_token, write_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import generate_key, write_key
-    from daemon.config.plugged import CUBE, DRIVER
+    from daemon.config.plugged import CUBE, DRIVER, POSITIONER
     from daemon.config.template import FILE_NAME, example
 
     file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
     values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
-    cube = None if cube is None else CUBE.complete(cube)
-    chosen = () if cube is None else ((CUBE.path, cube),)
-    if cube is not None:
-        CUBE.settings_class(cube)
-        values[f"{CUBE.path}.{DRIVER}"] = cube
+    chosen = []
+    for plugged, given in ((CUBE, cube), (POSITIONER, positioner)):
+        if given is not None:
+            name = plugged.complete(given)
+            plugged.settings_class(name)
+            chosen.append((plugged.path, name))
+            values[f"{plugged.path}.{DRIVER}"] = name
     written: list[Path] = []
     made: list[Path] = []
     try:
@@ -147,7 +150,7 @@ def write_example(
         directory.mkdir(parents=True, exist_ok=True)
         with file.open("x", encoding="utf-8", newline="\n") as stream:
             written.append(file)
-            stream.write(example(role, values, chosen))
+            stream.write(example(role, values, tuple(chosen)))
         write_key(key, generate_key())
         written.append(key)
         write_token(token, generate_token())

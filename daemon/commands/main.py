@@ -13,7 +13,17 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.commands import config as config_commands
 from daemon.commands import dashboard, export, operate, probe, store, tools
-from daemon.commands.options import BENCH, FILES, SCIENCE, SERVICE, CubeOption, LawOption, RoleChoice, TableFormat
+from daemon.commands.options import (
+    BENCH,
+    FILES,
+    SCIENCE,
+    SERVICE,
+    CubeOption,
+    LawOption,
+    PositionerOption,
+    RoleChoice,
+    TableFormat,
+)
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain
 from daemon.commands.studies.simulate import progress_bar, replay, report
 from daemon.studies.inputs import instant, settings_for, site_values
@@ -80,6 +90,7 @@ def run(
     site: SiteOption = None,
     seed: SeedOption = None,
     cube: CubeOption = None,
+    positioner: PositionerOption = None,
     for_s: Annotated[
         float | None, typer.Option("--for", min=0, metavar="SECONDS", help="End after so many seconds of real time.")
     ] = None,
@@ -92,7 +103,17 @@ def run(
     from daemon.config.file import on_a_port_of_its_own
     from daemon.service.rig import Role
 
-    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=speed, start=start, cube=cube)
+    settings = _settings(
+        config,
+        weather=weather,
+        law=law,
+        site=site,
+        seed=seed,
+        speed=speed,
+        start=start,
+        cube=cube,
+        positioner=positioner,
+    )
     if config is None and role is RoleChoice.both:
         settings = on_a_port_of_its_own(settings)
     if settings.instruments.kind == "real":
@@ -118,12 +139,15 @@ def simulate(
     site: SiteOption = None,
     seed: SeedOption = None,
     cube: CubeOption = None,
+    positioner: PositionerOption = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
     from daemon.studies.simulate import simulate as run_simulation
 
-    settings = _settings(config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube)
+    settings = _settings(
+        config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube, positioner=positioner
+    )
     console = Console(stderr=True)
     with progress_bar(console) as progress:
         summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
@@ -147,12 +171,28 @@ def bench(
     site: SiteOption = None,
     config: ConfigOption = None,
     cube: CubeOption = None,
+    positioner: PositionerOption = None,
+    rotctld: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="A rotctld of your own, instead of a simulated positioner."),
+    ] = None,
 ) -> None:
     """Run simulated instruments on real transports, for `heliocube run --config DIR/heliocube.toml` to drive.
 
     The configuration that is given is the basis of the one that is written.
     """
-    settings = _settings(config, weather=weather, law=None, site=site, seed=seed, speed=None, start=start, cube=cube)
+    settings = _settings(
+        config,
+        weather=weather,
+        law=None,
+        site=site,
+        seed=seed,
+        speed=None,
+        start=start,
+        cube=cube,
+        positioner=positioner,
+        rotctld=rotctld,
+    )
     tools.serve(settings, directory)
 
 
@@ -166,6 +206,8 @@ def _settings(
     speed: float | None,
     start: str | None,
     cube: str | None,
+    positioner: str | None,
+    rotctld: str | None = None,
 ) -> "Settings":
     """Read the file, if any, and lay the command line's choices over it."""
     return settings_for(
@@ -177,6 +219,8 @@ def _settings(
         speed=speed,
         start=None if start is None else instant(start, "--start"),
         cube=cube,
+        positioner=positioner,
+        rotctld=rotctld,
     )
 
 

@@ -23,6 +23,12 @@ CubeOption = Annotated[
         "--cube", metavar="NAME", help="What reads the faces, as instruments.cube.driver; a wrong one lists all."
     ),
 ]
+PositionerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--positioner", metavar="NAME", help="What turns it, as instruments.positioner.driver; a wrong one lists all."
+    ),
+]
 TrackerOption = Annotated[
     str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")
 ]

@@ -25,6 +25,7 @@ MULTIPLEXED = "multiplexed"
 PYRANOMETERS = "modbus-pyranometers"
 LABJACK = "labjack"
 SCANNING_METER = "scanning-meter"
+ROTCTLD = "rotctld"
 Loc = tuple[int | str, ...]
 
 

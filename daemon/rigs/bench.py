@@ -17,10 +17,11 @@ from daemon.base.records import FACES
 from daemon.config.file import override
 from daemon.config.keys import Chosen
 from daemon.config.keys import keys as every_key
-from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED
+from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import DEFAULT_START, BenchPorts, build_weather, run_bench
+from drivers.positioners.rotctld.driver import RotctldSettings
 from solar.ephemeris import DAY_S
 
 log = logging.getLogger("heliocube.bench")
@@ -61,7 +62,10 @@ def serve_bench(settings: Settings, directory: Path) -> None:
 
         def ready(ports: BenchPorts) -> None:
             served = _served(settings, directory, ports, start, anchor)
-            chosen = ((CUBE.path, served.instruments.cube.driver),)
+            chosen = (
+                (CUBE.path, served.instruments.cube.driver),
+                (POSITIONER.path, served.instruments.positioner.driver),
+            )
             file.write_text(f"{_MARK}\n{example('both', _values(served, chosen), chosen)}", encoding="utf-8")
             sys.stdout.write("ready\n")
             sys.stdout.flush()
@@ -88,12 +92,20 @@ def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datet
     instruments = settings.instruments.model_dump() | {"kind": "real", "cube": _cube(settings, directory, ports)}
     instruments["multiplexer"] |= {"server": f"127.0.0.1:{ports.ni_server}", "digital_port": DIGITAL_PORT}
     instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
-    instruments["positioner"] |= {"port": str(directory / "positioner")}
+    instruments["positioner"] = _positioner(settings, directory, ports)
     load = settings.load.model_dump() | {"resource": f"ASRL{directory / 'load'}::INSTR", "visa": "py"}
     if load["driver"] != "agilent6063b":
         load["driver"] = "chroma63600"
     clock = {"start_utc": start, "anchor_utc": anchor, "speed": 1.0}
     return override(settings, {"instruments": instruments, "load": load, "simulation": clock})
+
+
+def _positioner(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:
+    """Return the section of the positioner; a rotctld that the basis names stays named."""
+    own = settings.instruments.positioner
+    if not isinstance(own, RotctldSettings):
+        return POSITIONER.changed(own, {"port": str(directory / "positioner")})
+    return POSITIONER.changed(own, {"server": own.server or f"127.0.0.1:{ports.rotctld}"})
 
 
 def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from daemon.rigs.real import (
 )
 from daemon.rigs.simulated_cube import build_bench_sensors, build_cube_cores, build_simulated_cube
 from daemon.rigs.simulated_positioner import build_unit
-from daemon.rigs.simulated_rotator import build_simulated_rotator
+from daemon.rigs.simulated_rotator import build_rotator, build_simulated_rotator, rotator_truth
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from drivers.interfaces import ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
@@ -45,9 +45,13 @@ from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305, PvModule
 from solar.sky import Sky, sky
 
+if TYPE_CHECKING:
+    from sim_drivers.pozsol.core import PositionerCore
+
 # A day of the paper's measuring campaign, minutes before its first cloud gap: what a visitor sees first.
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
+_FLAT = Angles(0.0, 90.0)
 _COVER_EVERY_S = 60.0
 _WIND_EVERY_S = 1800.0
 
@@ -294,10 +298,11 @@ def weather_notes(weather: MeasuredWeather, site: Site) -> list[str]:
 
 
 class BenchPorts(NamedTuple):
-    """Ports of the bench on loopback: of the NI gRPC server, and of Modbus TCP; 0 for one that is not there."""
+    """Ports of the bench on loopback: of NI's gRPC server, Modbus TCP and rotctld; 0 for one that is not there."""
 
     ni_server: int
     modbus: int
+    rotctld: int
 
 
 async def run_bench(
@@ -310,20 +315,28 @@ async def run_bench(
 ) -> None:
     """Serve the simulated instruments on real transports until `stop` is set.
 
-    `ready` is called with their ports as soon as all of them are there. Raises `UserError` when the
+    A rotctld that the settings name is left to whoever runs it. `ready` is called with the ports as soon as all of the
+    instruments are there. Raises `UserError` when the
     directory cannot be used.
     """
     try:
         from sim_drivers.bench.bench import Bench, BenchClock  # noqa: PLC0415 - needs pseudo-terminals, as nothing else does
         from sim_drivers.bench.client import BenchError  # noqa: PLC0415
         from sim_drivers.bench.control import BenchControl  # noqa: PLC0415
+        from sim_drivers.bench.rotator_host import RotatorHost  # noqa: PLC0415
     except ImportError as error:
         raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
 
     scene = _build_scene(settings, weather)
     switch, meter = build_cube_cores(settings, clock, scene)
-    unit = build_unit(settings, clock)
-    source = _build_source(clock, scene, unit.truth, Q_PEAK_G4_1_305)
+    own = settings.instruments.positioner
+    unit: PositionerCore | RotatorHost | None = None
+    if not isinstance(own, RotctldSettings):
+        unit = build_unit(settings, clock)
+    elif own.server is None:
+        core = build_rotator(settings, own, clock)
+        unit = RotatorHost(core, rotator_truth(core, settings), clock.monotonic)
+    source = _build_source(clock, scene, (lambda _now_s: _FLAT) if unit is None else unit.truth, Q_PEAK_G4_1_305)
     noise, now_s = _noise_of_load(settings), clock.monotonic()
     if settings.load.driver == "agilent6063b":
         load = LoadCore(source, noise, make="agilent6063b", now=now_s)
@@ -343,7 +356,8 @@ async def run_bench(
     )
 
     def served() -> None:
-        ready(BenchPorts(bench.multiplexer.port, bench.cube.tcp_port if bench.cube else 0))
+        rotctld = bench.positioner.tcp_port if isinstance(bench.positioner, RotatorHost) else 0
+        ready(BenchPorts(bench.multiplexer.port, bench.cube.tcp_port if bench.cube else 0, rotctld))
 
     try:
         async with BenchControl(bench):

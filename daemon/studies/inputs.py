@@ -58,6 +58,8 @@ def settings_for(
     speed: float | None = None,
     start: datetime | None = None,
     cube: str | None = None,
+    positioner: str | None = None,
+    rotctld: str | None = None,
 ) -> "Settings":
     """Return the settings of a file, or of the simulated rig as it comes, with the choices that are given laid over.
 
@@ -75,6 +77,10 @@ def settings_for(
         Of the simulation.
     cube
         What reads its faces, by name or by the only beginning of one.
+    positioner
+        What turns it, likewise.
+    rotctld
+        Host and port of a rotctld whose rotator turns it.
 
     Raises
     ------
@@ -82,7 +88,7 @@ def settings_for(
         The file, or a choice, cannot be used.
     """
     from daemon.config.file import load_settings, override  # noqa: PLC0415 - as above
-    from daemon.config.plugged import CUBE, DRIVER  # noqa: PLC0415 - as above
+    from daemon.config.plugged import CUBE, DRIVER, POSITIONER, ROTCTLD  # noqa: PLC0415 - as above
     from daemon.config.settings import Settings  # noqa: PLC0415 - as above
 
     simulation = {
@@ -97,6 +103,14 @@ def settings_for(
         "site": dict(site or {}),
     }
     settings = load_settings(config) if config is not None else Settings()
+    instruments = {}
     if cube is not None:
-        changes["instruments"] = {"cube": CUBE.changed(settings.instruments.cube, {DRIVER: CUBE.complete(cube)})}
+        instruments["cube"] = CUBE.changed(settings.instruments.cube, {DRIVER: CUBE.complete(cube)})
+    if positioner is not None:
+        driver = {DRIVER: POSITIONER.complete(positioner)}
+        instruments["positioner"] = POSITIONER.changed(settings.instruments.positioner, driver)
+    if rotctld is not None:
+        driver = {DRIVER: ROTCTLD, "server": rotctld}
+        instruments["positioner"] = POSITIONER.changed(settings.instruments.positioner, driver)
+    changes["instruments"] = instruments
     return override(settings, changes)

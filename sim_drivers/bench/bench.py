@@ -15,6 +15,7 @@ from sim_drivers.bench.line_host import LineHost, VoltmeterHost
 from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.bench.positioner_host import PositionerHost
+from sim_drivers.bench.rotator_host import RotatorHost
 from sim_drivers.load.core import LoadCore
 from sim_drivers.modbus.line import SimulatedDevice
 from sim_drivers.multiplexer import MultiplexerCore
@@ -45,8 +46,10 @@ class Bench:
         Where the ports ``positioner``, ``voltmeter`` and ``load`` appear.
     scene
         Sun, sky and cube.
-    switch, meter, unit
-        The cores of multiplexer, voltmeter and positioner.
+    switch, meter
+        The cores of multiplexer and voltmeter.
+    unit
+        The core of the positioner, or a rotator behind its rotctld; None: the tracker is no business of the bench.
     load, source
         The core of the electronic load, and the module that feeds it.
     clock
@@ -68,7 +71,7 @@ class Bench:
         scene: Scene,
         switch: MultiplexerCore,
         meter: VoltmeterCore,
-        unit: PositionerCore,
+        unit: PositionerCore | RotatorHost | None,
         load: LoadCore,
         source: PvSource,
         clock: BenchClock,
@@ -79,7 +82,11 @@ class Bench:
         self.scene = scene
         self.clock = clock
         random = np.random.default_rng(_DISTURBANCE_SEED)
-        self.positioner = PositionerHost(unit, directory / "positioner", clock.now, random)
+        self.positioner = (
+            PositionerHost(unit, directory / "positioner", clock.now, random)
+            if isinstance(unit, PositionerCore)
+            else unit
+        )
         self.voltmeter = VoltmeterHost(meter, directory / "voltmeter", clock.now, baud_rate)
         self.multiplexer = NiServer(switch, clock.now)
         self.load = LineHost(load, directory / "load", clock.now, _LOAD_BYTE_S)
@@ -91,13 +98,13 @@ class Bench:
         await self.multiplexer.start()
         if self.cube is not None:
             await self.cube.start()
-        lines: list[PositionerHost | LineHost[Any]] = [
-            self.positioner,
-            self.voltmeter,
-            self.load,
-            *([self.cube.line] if self.cube else []),
-        ]
-        ports = [host.port for host in (self.positioner, self.voltmeter, self.load)]
+        serial: list[PositionerHost | LineHost[Any]] = [self.voltmeter, self.load]
+        if isinstance(self.positioner, PositionerHost):
+            serial.append(self.positioner)
+        elif self.positioner is not None:
+            await self.positioner.plug()
+        lines = [*serial, *([self.cube.line] if self.cube else [])]
+        ports = [host.port for host in serial]
         for port in ports:
             port.plug()
         try:
@@ -110,6 +117,8 @@ class Bench:
         finally:
             for port in ports:
                 port.unplug()
+            if isinstance(self.positioner, RotatorHost):
+                self.positioner.unplug()
             if self.cube is not None:
                 await self.cube.stop()
             await self.multiplexer.stop()
@@ -117,15 +126,13 @@ class Bench:
     def state(self) -> dict[str, Any]:
         """Return the truth, which the instruments may tell or not, as plain data."""
         now, utc_s = self.clock.now(), self.clock.utc()
-        sky, pose = self.scene.sky_state(utc_s), self.positioner.core.truth(now)
+        sky = self.scene.sky_state(utc_s)
         return {
             "utc": datetime.fromtimestamp(utc_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
             "sun": {"azimuth_deg": sky.sun_azimuth_deg, "elevation_deg": sky.sun_elevation_deg},
             "sky": {"ghi_w_m2": sky.ghi_w_m2, "dni_w_m2": sky.dni_w_m2, "dhi_w_m2": sky.dhi_w_m2},
             "faces": self.scene.irradiances(utc_s)._asdict(),
-            "pose": {"a_deg": pose.a_deg, "b_deg": pose.b_deg},
-            "plane_of_array_w_m2": self.scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s),
-            "positioner": self._positioner_state(now),
+            **self._tracker_state(now, utc_s),
             "voltmeter": {
                 "plugged": self.voltmeter.port.plugged,
                 "in_use": self.voltmeter.port.in_use,
@@ -155,8 +162,19 @@ class Bench:
             "truth": {name: float(value) for name, value in asdict(self._source.maximum(light)).items()},
         }
 
-    def _positioner_state(self, now: float) -> dict[str, Any]:
+    def _tracker_state(self, now: float, utc_s: float) -> dict[str, Any]:
+        """Return where the module points and what falls on it, where that is the bench's."""
         host = self.positioner
+        if host is None:
+            return {}
+        pose = host.core.truth(now) if isinstance(host, PositionerHost) else host.truth(now)
+        return {
+            "pose": {"a_deg": pose.a_deg, "b_deg": pose.b_deg},
+            "plane_of_array_w_m2": self.scene.plane_of_array(pose.a_deg, pose.b_deg, utc_s),
+            "positioner": self._unit_state(host, now) if isinstance(host, PositionerHost) else host.state(now),
+        }
+
+    def _unit_state(self, host: PositionerHost, now: float) -> dict[str, Any]:
         values = dict(TokenStream().feed(host.core.live_screens(now) + bytes((wire.SEPARATOR,))))
         return {
             "plugged": host.port.plugged,

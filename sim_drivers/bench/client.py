@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
+from sim_drivers.rotctld.core import ROTATOR_FAULTS
 
 SOCKET_NAME = "control"
 DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load", "cube")
@@ -50,6 +51,8 @@ VERBS = {
     "shade": Verb("FACE SHARE", "let only a share (0 to 1) of the light reach a face"),
     "sensor": Verb("FACE VOLT|works", "let a sensor give one voltage, whatever falls on it"),
     "pyranometer": Verb("FACE WHAT [VALUE]", f"of a cube on Modbus: {', '.join(PYRANOMETER_CAN)}"),
+    "rotator": Verb("WHAT on|off", f"of a rotator: {', '.join(ROTATOR_FAULTS)}"),
+    "turn": Verb("AZIMUTH ELEVATION", "turn the rotator [deg] as another client of its rotctld would"),
     "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),
     "restart": Verb("SECONDS", "restart the positioner, its USB stays: silent for this long, then its banner"),
     "boots-at-open": Verb("SECONDS|never", "let the positioner restart so long whenever its port is opened"),

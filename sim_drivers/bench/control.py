@@ -12,8 +12,11 @@ from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench.bench import Bench
 from sim_drivers.bench.client import DEVICES, PYRANOMETER_CAN, SOCKET_NAME, VERBS, BenchError
 from sim_drivers.bench.modbus_host import ModbusHost
+from sim_drivers.bench.positioner_host import PositionerHost
+from sim_drivers.bench.rotator_host import RotatorHost
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
+from sim_drivers.rotctld.core import ROTATOR_FAULTS
 
 Name = TypeVar("Name", bound=str)
 
@@ -115,6 +118,8 @@ class BenchControl:
             bench.multiplexer.unplug()
         elif name == "cube":
             await self._sensors().unplug()
+        elif name == "positioner" and isinstance(bench.positioner, RotatorHost):
+            bench.positioner.unplug()
         else:
             self._host(name).port.unplug()
         if length_s is not None:
@@ -132,6 +137,8 @@ class BenchControl:
             bench.multiplexer.plug()
         elif name == "cube":
             await self._sensors().replug()
+        elif name == "positioner" and isinstance(bench.positioner, RotatorHost):
+            await bench.positioner.plug()
         else:
             self._host(name).port.plug()
 
@@ -223,21 +230,21 @@ class BenchControl:
             bench.multiplexer.reset()
         else:
             keep = _one_of(position, ("kept", "lost")) == "kept"
-            bench.positioner.core.power_cycle(bench.clock.now(), keep_position=keep)
+            self._unit().core.power_cycle(bench.clock.now(), keep_position=keep)
             await self.unplug("positioner", str(_REENUMERATION_S))
 
     def restart(self, seconds: str) -> None:
         """Restart the positioner while its USB stays."""
-        self._bench.positioner.restart(_number(seconds, 0, 60))
+        self._unit().restart(_number(seconds, 0, 60))
 
     def boots_at_open(self, seconds: str) -> None:
         """Let the positioner restart whenever its port is opened."""
-        self._bench.positioner.boots_at_open_s = None if seconds == "never" else _number(seconds, 0, 60)
+        self._unit().boots_at_open_s = None if seconds == "never" else _number(seconds, 0, 60)
 
     def identity(self, device: str, text: str) -> None:
         """Let a device say that it is something else."""
         if _one_of(device, ("positioner", "voltmeter", "load")) == "positioner":
-            self._bench.positioner.core.parameters[Field.BOARD] = text
+            self._unit().core.parameters[Field.BOARD] = text
         else:
             self._host(device).core.identity = text
 
@@ -245,9 +252,33 @@ class BenchControl:
         """Latch a protection of the load."""
         self._bench.load.core.trip(_one_of(protection, TRIPS))
 
+    def rotator(self, what: str, on: str) -> None:
+        """Let a rotator be unplugged from its rotctld, deaf, or without a stop."""
+        fault, faults = _one_of(what, ROTATOR_FAULTS), self._rotator().core.faults
+        (faults.add if _one_of(on, ("on", "off")) == "on" else faults.discard)(fault)
+
+    def turn(self, azimuth: str, elevation: str) -> None:
+        """Turn the rotator without an order of the service's."""
+        core, now = self._rotator().core, self._bench.clock.now()
+        core.turn(_number(azimuth, -360, 720), _number(elevation, 0, 90), now)
+
+    def _unit(self) -> PositionerHost:
+        host = self._bench.positioner
+        if not isinstance(host, PositionerHost):
+            raise BenchError("this bench has no POZSOL unit; start it without --positioner")
+        return host
+
+    def _rotator(self) -> RotatorHost:
+        host = self._bench.positioner
+        if not isinstance(host, RotatorHost):
+            raise BenchError("this bench has no rotator; start it with --positioner rotctld")
+        return host
+
     def _host(self, device: str) -> Any:
         if device == "cube":
             return self._sensors()
+        if device == "positioner" and self._bench.positioner is None:
+            raise BenchError("the positioner of this bench is somebody else's: --rotctld has named it")
         return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "load", "multiplexer")))
 
     def _sensors(self) -> ModbusHost:
@@ -257,11 +288,13 @@ class BenchControl:
 
     def _talker(self, device: str) -> Any:
         """Return what loses and garbles a device's words: its host, or the core of one that answers questions."""
-        host = self._host(_one_of(device, ("positioner", "voltmeter", "load")))
+        host = (
+            self._unit() if device == "positioner" else self._host(_one_of(device, ("positioner", "voltmeter", "load")))
+        )
         return host if device == "positioner" else host.core
 
     def _condition(self, fault: str, present: bool) -> None:
-        core, now = self._bench.positioner.core, self._bench.clock.now()
+        core, now = self._unit().core, self._bench.clock.now()
         name = _one_of(fault, FAULTS)
         if present:
             core.inject(name, now)

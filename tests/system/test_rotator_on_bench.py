@@ -1,0 +1,94 @@
+"""The service and a rotator behind rotctld: the simulated one of the bench, and Hamlib's own."""
+
+import subprocess
+
+import pytest
+
+from daemon.commands.config import check_file
+from drivers.positioners.rotctld.mount import angles
+from tests.system.processes import HELIOCUBE, wait_until
+from tests.system.rig import HIGH_SUN, SETTLES_WITHIN_S, WITHIN_DEG, Rig, brisk, law_says
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+
+def test_the_bench_serves_a_rotator_that_the_service_drives_loses_and_finds_again(tmp_path, start_bench, start_service):
+    bench = start_bench("--config", brisk(tmp_path), *HIGH_SUN, "--positioner", "rotctld")
+    settings = check_file(bench.config).instruments.positioner
+    assert settings.server == f"127.0.0.1:{bench.state()['positioner']['tcp_port']}"
+    rig = Rig(bench, start_service(bench.config))
+    rig.settle()
+    bench.ask("unplug", "positioner")
+    wait_until(lambda: rig.lines("the positioner is down") == 1, SETTLES_WITHIN_S, rig.service.log)
+    bench.ask("replug", "positioner")
+    wait_until(lambda: rig.lines("the positioner is back") == 1, SETTLES_WITHIN_S, rig.service.log)
+    rig.new_sky()
+    rig.settle()
+    # Its last move is over for the service too.
+    stays = rig.lines("staying")
+    wait_until(lambda: rig.lines("staying") > stays, SETTLES_WITHIN_S, rig.service.log)
+    stops = bench.state()["positioner"]["received"]["stop"]
+    bench.ask("turn", "100", "30")
+    wait_until(lambda: rig.lines("azimuth moved from") > 0, SETTLES_WITHIN_S, rig.service.log)
+    assert bench.state()["positioner"]["received"]["stop"] > stops
+
+
+def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it_was_killed(
+    tmp_path, start_bench, start_service, start_rotctld
+):
+    # The dummy begins where its offsets say; with them the limits that it tells are wrong, so the file has them.
+    server = start_rotctld("-o", "-180", "-O", "-40")
+    config = brisk(tmp_path)
+    text = config.read_text().replace("[safety]", "[safety]\nsnow_b_deg = 40.0")
+    config.write_text(
+        f"{text}\n[instruments.positioner]\nazimuth_min_deg = 0.0\nazimuth_max_deg = 360.0\n"
+        "elevation_min_deg = 40.0\nelevation_max_deg = 90.0\n[limits]\nb_min_deg = 40.0\n"
+    )
+    bench = start_bench("--config", config, *HIGH_SUN, "--rotctld", server.place)
+    assert "pose" not in bench.state()
+    service = start_service(bench.config)
+
+    def follows():
+        azimuth_deg, elevation_deg = map(float, server.ask("p\n", b"\n").split()[:2])
+        stands = angles(azimuth_deg, elevation_deg, 180.0)
+        return all(abs(here - there) <= WITHIN_DEG for here, there in zip(stands, law_says(bench), strict=True))
+
+    wait_until(follows, SETTLES_WITHIN_S, service.log)
+    bench.ask("shade", "east", 0)
+    wait_until(lambda: not follows(), SETTLES_WITHIN_S, service.log)
+    wait_until(follows, SETTLES_WITHIN_S, service.log)
+    server.kill()
+    wait_until(lambda: "nobody listens at" in service.log(), SETTLES_WITHIN_S, service.log)
+    server.start()
+    wait_until(lambda: "the positioner is back" in service.log(), SETTLES_WITHIN_S, service.log)
+    assert "move failed" not in service.log()
+
+
+def heliocube(*arguments):
+    return subprocess.run(
+        [str(HELIOCUBE), *map(str, arguments)], capture_output=True, text=True, timeout=200, check=False
+    )
+
+
+def test_a_file_is_written_for_the_instruments_that_are_named(tmp_path):
+    written = heliocube("config", "init", tmp_path / "lab", "--positioner", "rotctld", "--cube", "scanning-meter")
+    assert written.returncode == 0, written.stderr
+    file = tmp_path / "lab" / "heliocube.toml"
+    instruments = check_file(file).instruments
+    assert (instruments.positioner.driver, instruments.cube.driver) == ("rotctld", "scanning-meter")
+    text = file.read_text()
+    assert "azimuth_min_deg" in text
+    assert "meter_range_v" in text
+    assert "a_axis" not in text
+    wrong = heliocube("config", "init", tmp_path / "other", "--positioner", "rotor")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    assert "rotctld" in wrong.stderr
+    assert not (tmp_path / "other").exists()
+
+
+def test_the_simulated_rig_runs_with_it_by_one_option():
+    run = heliocube("run", "--positioner", "rotctld", "--for", "3")
+    assert run.returncode == 0, run.stderr
+    assert "motion is stopped" in run.stdout
+    mistaken = heliocube("run", "--positioner", "lathe", "--for", "1")
+    assert (mistaken.returncode, '"pozsol"' in mistaken.stderr, "Traceback" in mistaken.stderr) == (2, True, False)
