@@ -17,8 +17,9 @@ export function next() {
   const { list, values } = facts(["Last decision", "It said", "Moves today", "Travel today"]);
   const node = card("Next decision", null, big, list);
 
-  function update({ tracker, extra, now }) {
+  function update({ tracker, extra, now, old }) {
     node.hidden = !tracker;
+    setClass(node, "stale", old);
     if (!tracker) return;
     const due = tracker.next_decision_s;
     const left = due === null ? null : due - extra;
@@ -37,8 +38,9 @@ export function wind() {
   const body = h("div");
   const node = card("Wind", null, body);
 
-  function update({ tracker, extra }) {
+  function update({ tracker, extra, old }) {
     node.hidden = !tracker;
+    setClass(node, "stale", old);
     if (!tracker) return;
     const sources = tracker.wind;
     setClass(node, "alert", sources.some((source) => source.why));
@@ -80,7 +82,8 @@ export function light() {
   const { list, values } = facts(["Beam, normal to the sun", "Diffuse, horizontal", "Albedo of the ground", "Learned albedo", "Learned gains E / S / W", "Power of the module"]);
   const node = card("Light, as the law sees it", null, list);
 
-  function update({ tracker, extra }) {
+  function update({ tracker, extra, old }) {
+    setClass(node, "stale", old);
     const decision = tracker?.decision;
     const learned = tracker?.law.learned;
     const curve = tracker?.load?.curve;
@@ -107,7 +110,8 @@ export function equipment() {
   const node = card("Equipment", null, h("table", { class: "equipment" }, h("thead", null, h("tr", null, ["Part", "State", "Detail"].map((text) => h("th", { scope: "col" }, text)))), body));
 
   function update(context) {
-    const rows = parts(context);
+    const rows = parts(context).map((row) => (context.old ? { ...row, kind: "off", word: "not known" } : row));
+    setClass(node, "stale", context.old);
     fill(body, rows.map(({ name }) => name), () => rows.map(({ name }) => h("tr", null, h("th", { scope: "row" }, name), h("td", null, h("span", { class: "state" })), h("td", null))));
     rows.forEach(({ kind, word, detail }, index) => {
       const [, state, last] = body.children[index].children;

@@ -77,7 +77,9 @@ export function day() {
       held = { date, sun, from, to, loaded: performance.now(), latitude: state.site.latitude_deg };
       KINDS_OF_NUMBERS.forEach((kind, index) => (held[kind] = found[index]));
       KINDS_OF_LINES.forEach((kind, index) => (held[kind] = told[index]));
+      const drawing = performance.now();
       draw();
+      node.dataset.drawn = Math.round(performance.now() - drawing);
       node.dataset.ready = Math.round(performance.now() - begun);
     } catch (error) {
       fail(error);

@@ -51,7 +51,8 @@ export function dome() {
   const node = card("Sky", null, picture, legend(), facts);
   let shown = null;
 
-  function update({ state, tracker, sunDay, now }) {
+  function update({ state, tracker, sunDay, now, old }) {
+    node.classList.toggle("stale", Boolean(old || (tracker && (!tracker.tracker.pose || tracker.tracker.pose.stale))));
     const latitude = state?.site.latitude_deg ?? 0;
     const there = sunAt(sunDay?.path, now);
     const limits = tracker?.tracker.limits;

@@ -1,0 +1,153 @@
+"""Measures the dashboard: how soon a full day is drawn, and what open pages cost the dashboard and the service.
+
+    python -m tests.measurements.dashboard
+
+A store gets a day of 17,280 scans, poses and decisions, eight series in all; chromium opens it five times. Then twenty
+clients listen as pages do while stops are given over the interface.
+"""
+
+import math
+import statistics
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+
+from daemon.base.clock import SystemClock
+from daemon.base.records import Decision, Estimate, FaceReading, Mode, Pose, Quality, Scan, Target
+from daemon.store.store import Origin, Store
+from tests.system import browser as browsers
+
+EVERY_S = 5
+SCANS = 17_280
+PAGES = 20
+WHILE_S = 30.0
+STOPS = 20
+OPENED = 5
+T0 = 1663718400.0  # 2022-09-21
+
+
+def fill(folder):
+    """Write the day."""
+    origin = Origin(T0, "both", "0.1.0", True, "SIRTA", 10.0, 0.0, 0.0)
+    store = Store(folder, 0.1, 400, origin, SystemClock(), print)
+    nan = math.nan
+    for n in range(SCANS):
+        at_s = T0 + n * EVERY_S
+        light = [500 + 400 * math.sin(n / (900 + 100 * face)) for face in range(4)]
+        faces = [FaceReading(value, Quality.OK, at_s, float(n)) for value in light]
+        a_deg, b_deg = 50 * math.sin(n / 3000), 60 + 30 * math.cos(n / 2000)
+        store.keep(Scan("cube", "day", n, at_s, float(n), *faces, simulated=True))
+        store.keep(Pose(at_s, float(n), a_deg, b_deg, moving=False, tracker="tracker"))
+        store.keep(
+            Decision(
+                time_utc_s=at_s,
+                time_monotonic_s=float(n),
+                mode=Mode.TRACKING,
+                law="mu-prime",
+                irradiances=None,
+                direction_azimuth_deg=nan,
+                direction_elevation_deg=nan,
+                sun_azimuth_deg=nan,
+                sun_elevation_deg=nan,
+                target=Target(a_deg + 1, b_deg - 1, ""),
+                moved=False,
+                estimate=Estimate(nan, nan, nan),
+                tracker="tracker",
+            )
+        )
+        while store.status.waiting > 10_000:
+            time.sleep(0.05)
+    store.close()
+
+
+def memory_mb(process):
+    """Return the resident memory of a process."""
+    text = Path(f"/proc/{process.pid}/status").read_text()
+    return int(text.partition("VmRSS:")[2].split()[0]) / 1024
+
+
+def listen(url, ends, heard):
+    """Listen as one page does."""
+    with httpx.Client(timeout=30, trust_env=False) as client, client.stream("GET", f"{url}/events") as reply:
+        for part in reply.iter_raw():
+            heard.append(len(part))
+            if ends.is_set():
+                return
+
+
+def stops(site):
+    """Return how long stops took to be answered [ms]."""
+    found = []
+    for _ in range(STOPS):
+        begun_s = time.perf_counter()
+        site.order("stop")
+        found.append((time.perf_counter() - begun_s) * 1e3)
+        site.order("auto")
+        time.sleep(1.0)
+    return found
+
+
+def load(site, seconds):
+    """Return the share of a core that dashboard and service take together [%]."""
+    both = (site.service, site.dashboard)
+    begun_s, used_s = time.monotonic(), sum(process.cpu_s() for process in both)
+    time.sleep(seconds)
+    return 100 * (sum(process.cpu_s() for process in both) - used_s) / (time.monotonic() - begun_s)
+
+
+def said(name, values, unit):
+    """Print a figure with its spread."""
+    values = sorted(values)
+    print(
+        f"{name}: median {statistics.median(values):.0f}, {values[0]:.0f} to {values[-1]:.0f} {unit} of {len(values)}"
+    )
+
+
+def pages(site):
+    """Measure without and with twenty pages."""
+    late = lambda: httpx.get(f"http://{site.api}/healthz", trust_env=False).json()["loop_late_worst_s"] * 1e3  # noqa: E731
+    idle, memory = load(site, WHILE_S), memory_mb(site.dashboard)
+    said("stop without pages", stops(site), "ms")
+    print(f"loop late at worst without pages: {late():.0f} ms")
+    ends, heard = threading.Event(), []
+    threads = [threading.Thread(target=listen, args=(site.url, ends, heard)) for _ in range(PAGES)]
+    for thread in threads:
+        thread.start()
+    time.sleep(5)
+    busy, open_mb = load(site, WHILE_S), memory_mb(site.dashboard)
+    said(f"stop with {PAGES} pages", stops(site), "ms")
+    print(f"loop late at worst with {PAGES} pages: {late():.0f} ms")
+    last_mb = memory_mb(site.dashboard)
+    ends.set()
+    for thread in threads:
+        thread.join()
+    print(f"a page costs {(busy - idle) / PAGES:.3f} % of a core; without pages the two take {idle:.2f} %")
+    print(f"memory of the dashboard: {memory:.0f} MB, {open_mb:.0f} with {PAGES} pages, {last_mb:.0f} at their end")
+
+
+def main():
+    """Measure all, and print it."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        fill(folder / "records")
+        site = stack.enter_context(browsers.simulated_site(folder))
+        with browsers.chromium() as browser:
+            ready, drawn = [], []
+            for _ in range(OPENED):
+                with browser.new_context(viewport=browsers.DESKTOP) as context:
+                    page = browsers.Page(context, site.url, "day")
+                    page.page.wait_for_selector(".day[data-ready]", timeout=60_000)
+                    day = page.page.locator(".day")
+                    ready.append(float(day.get_attribute("data-ready")))
+                    drawn.append(float(day.get_attribute("data-drawn")))
+            said("a day of 17,280 scans and 8 series, asked for and drawn", ready, "ms")
+            said("of which drawing", drawn, "ms")
+        pages(site)
+
+
+if __name__ == "__main__":
+    main()
