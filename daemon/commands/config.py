@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
+# Beside the file: a person's stop and a month of data are not forgotten because nobody has set a key.
+RECORDS_NAME = "records"
 TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
@@ -132,7 +134,11 @@ def write_example(
     from daemon.config.template import FILE_NAME, example
 
     file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
-    values: dict[str, Any] = {"bridge.key_file": KEY_NAME, "api.token_file": TOKEN_NAME}
+    values: dict[str, Any] = {
+        "bridge.key_file": KEY_NAME,
+        "api.token_file": TOKEN_NAME,
+        "store.directory": RECORDS_NAME,
+    }
     if role == "tracker":
         values["bridge.listen"] = "0.0.0.0:20571"
     chosen = []

@@ -274,6 +274,8 @@ class Operator:
         """Give the disk a moment, and return what it has not taken by then, as the end of an answer."""
         folder = self._tracker.folder
         await self._until(lambda: None if folder.at_work else Seen.DONE, _WAIT_FOR_DISK_S)
+        if self._tracker.forgets is not None:
+            return f"; not kept: {self._tracker.forgets}"
         return "" if folder.unsaved is None else f"; not kept yet: {folder.unsaved}"
 
     async def _until(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:

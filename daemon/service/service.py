@@ -196,6 +196,7 @@ class Service:
             await self._open_bridge()
             for tracker in self.trackers:
                 tracker.check_wind_source()
+                tracker.check_folder()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [

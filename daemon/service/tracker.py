@@ -31,6 +31,10 @@ _NO_WIND_SOURCE = (
     "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
     ' or safety.without_wind_source = "accepted"'
 )
+_NOTHING_KEPT = (
+    "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
+    " are kept"
+)
 # The unit needs a second or two; systemd waits 15 s for the whole of it.
 _STAND_WITHIN_S = 8.0
 
@@ -153,6 +157,15 @@ class Tracker:
                 self.control.note(record)
         elif self.curves is not None:
             self.curves.note(record)
+
+    @property
+    def forgets(self) -> str | None:
+        """What a restart forgets of a real tracker because no folder is set for it, in a sentence, or None."""
+        return _NOTHING_KEPT if self.folder.directory is None and not self._rig.simulated else None
+
+    def check_folder(self) -> None:
+        """Raise an alarm where a restart would forget all that a real tracker has to keep."""
+        self.alarms.set("nothing-kept", self.forgets)
 
     def check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""

@@ -43,13 +43,14 @@ def test_init_writes_a_file_and_a_key_that_check_finds_good(heliocube, tmp_path,
     assert "\x1b" not in out
 
 
-def test_init_differs_from_the_defaults_by_its_secrets_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
+def test_init_differs_from_the_defaults_by_secrets_records_and_for_a_tracker_by_where_it_listens(heliocube, tmp_path):
     for role, listen in (("both", "127.0.0.1:20571"), ("tracker", "0.0.0.0:20571")):
         heliocube("config", "init", tmp_path / role, "--role", role)
         found = check_file(tmp_path / role / "heliocube.toml")
         bridge = Settings().bridge.model_copy(update={"key_file": tmp_path / role / "bridge.key", "listen": listen})
         api = Settings().api.model_copy(update={"token_file": tmp_path / role / "api.token"})
-        assert found == Settings().model_copy(update={"bridge": bridge, "api": api})
+        store = Settings().store.model_copy(update={"directory": tmp_path / role / "records"})
+        assert found == Settings().model_copy(update={"bridge": bridge, "api": api, "store": store})
 
 
 def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
