@@ -7,6 +7,7 @@ import pytest
 
 from daemon.base.records import Event, Mode, Move, MoveOutcome
 from daemon.config.file import ConfigError, load_settings
+from daemon.rigs.campaign import rig as handled
 from daemon.rigs.real import positioner_surroundings
 from daemon.rigs.simulated_rotator import build_rotator, rotator_truth
 from daemon.service.operator import Operator
@@ -38,7 +39,7 @@ class RotatorRig(rigs.ServiceRig):
 @pytest.fixture
 def run_rotator(run_rig, monkeypatch):
     monkeypatch.setattr(rigs, "ServiceRig", RotatorRig)
-    monkeypatch.setattr(rigs, "build_unit", lambda *_: None)
+    monkeypatch.setattr(handled, "build_unit", lambda *_: None)
 
     def run(scenario, *, positioner=None, **sections):
         sections["instruments"] = {"positioner": {"driver": "rotctld"} | (positioner or {})}

@@ -9,6 +9,7 @@ import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
+from daemon.base.files import StateFolder
 from daemon.commands.config import check_file
 from daemon.config.file import ConfigError
 from daemon.rigs.real import build_positioner
@@ -144,7 +145,7 @@ def test_a_law_that_asks_for_what_there_is_not_is_refused_at_the_start(package, 
     law = tmp_path / "site" / "acme_law.py"
     law.write_text(LAW.replace("        self._direction =", f"        self.{wrong}\n        self._direction ="))
     with pytest.raises(UserError, match=r"law\.driver: the law bearing asks for"):
-        build_pointing(check_file(file), 0.0)
+        build_pointing(check_file(file), 0.0, StateFolder(None))
 
 
 def test_its_driver_says_what_it_misses(package, file):

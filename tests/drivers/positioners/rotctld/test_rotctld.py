@@ -257,8 +257,15 @@ def test_a_rotator_that_its_rotctld_does_not_reach_is_said_with_the_remedy(start
     run(driver_of(near.place, telemetry_stale_s=10.0), act)
 
 
-@pytest.mark.parametrize("greeting", [b"SSH-2.0-OpenSSH_9.2\r\n", b"", b"RPRT 0\nRPRT 0\n"])
-def test_what_is_no_rotctld_is_never_believed(run, greeting):
+@pytest.mark.parametrize(
+    ("greeting", "sentence"),
+    [
+        (b"SSH-2.0-OpenSSH_9.2\r\n", "did not answer get_info"),
+        (b"", "did not answer get_info"),
+        (b"RPRT 0\n", "answers without a name to get_info|answers what nobody asked"),
+    ],
+)
+def test_what_is_no_rotctld_is_never_believed(run, greeting, sentence):
     async def serve():
         async def peer(reader, writer):
             writer.write(greeting)
@@ -269,7 +276,7 @@ def test_what_is_no_rotctld_is_never_believed(run, greeting):
         server = await asyncio.start_server(peer, "127.0.0.1", 0)
         driver = driver_of(f"127.0.0.1:{server.sockets[0].getsockname()[1]}", telemetry_stale_s=0.3)
         try:
-            with pytest.raises(ConnectError):
+            with pytest.raises(ConnectError, match=sentence):
                 await driver.open()
         finally:
             await driver.close()
