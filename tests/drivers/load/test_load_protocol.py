@@ -88,7 +88,7 @@ def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, 
     swept = asyncio.run(scene())
     assert len(swept.voltage_v) == 15
     truth = curve(Q_PEAK_G4_1_305, 800.0, 40.0, np.array(swept.voltage_v))
-    assert np.array(swept.current_a) == pytest.approx(truth, abs=0.04)
+    assert np.array(swept.current_a) == pytest.approx(truth, abs=0.1)
 
 
 def test_a_load_that_answers_one_question_a_line_is_asked_one_by_one(load_host):
