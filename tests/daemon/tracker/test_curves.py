@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daemon.api.metrics import Metrics
+from daemon.api.refusals import ApiRefusals
 from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
 from daemon.service.state import state_json
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
@@ -191,7 +192,7 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
 
 def test_the_load_stands_in_state_and_metrics(run_rig):
     async def scenario(rig):
-        metrics = Metrics(rig.see)
+        metrics = Metrics(rig.see, ApiRefusals(rig.clock.monotonic))
         assert "heliocube_module_power_watts" not in metrics.text().decode()
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
         assert 'heliocube_load_up{tracker="tracker"} 1.0' in metrics.text().decode()
