@@ -17,7 +17,7 @@ from daemon.base.records import FACES
 from daemon.config.file import override
 from daemon.config.keys import Chosen
 from daemon.config.keys import keys as every_key
-from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER
+from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER, SCANNING_METER
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME, example
 from daemon.rigs.simulated import DEFAULT_START, BenchPorts, build_weather, run_bench
@@ -115,6 +115,8 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
         return {"driver": MULTIPLEXED}
     if own.driver == LABJACK:
         return CUBE.changed(own, {"line": f"tcp:127.0.0.1:{ports.modbus}"})
+    if own.driver == SCANNING_METER:
+        return CUBE.changed(own, {"resource": f"ASRL{directory / 'cube'}::INSTR", "visa": "py"})
     # Of a pseudo-terminal Linux takes no parity.
     values: dict[str, Any] = CUBE.changed(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
     if str(getattr(own, "line", "")).startswith("tcp:"):

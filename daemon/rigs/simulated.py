@@ -357,7 +357,7 @@ async def run_bench(
 
     def served() -> None:
         rotctld = bench.positioner.tcp_port if isinstance(bench.positioner, RotatorHost) else 0
-        ready(BenchPorts(bench.multiplexer.port, bench.cube.tcp_port if bench.cube else 0, rotctld))
+        ready(BenchPorts(bench.multiplexer.port, getattr(bench.cube, "tcp_port", 0), rotctld))
 
     try:
         async with BenchControl(bench):

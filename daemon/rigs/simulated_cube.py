@@ -16,6 +16,7 @@ from drivers.interfaces import Cube
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.modbus.line import SimulatedDevice
 from sim_drivers.multiplexer import MultiplexerCore
+from sim_drivers.scanner.core import ScannerCore
 from sim_drivers.scene import Scene
 from sim_drivers.transports import InMemoryLine, InMemoryPort
 from sim_drivers.voltmeter.core import VoltmeterCore
@@ -58,8 +59,8 @@ def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube
     return cast("Cube", simulate(own, cube_surroundings(settings, clock), _sensors(clock, scene)))
 
 
-def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Sequence[SimulatedDevice]:
-    """Return the sensors of a cube on Modbus, for the bench to serve; none for the multiplexed cube.
+def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Sequence[SimulatedDevice] | ScannerCore:
+    """Return the sensors of a cube on Modbus or its scanning meter, for the bench to serve; none for the multiplexed.
 
     `UserError` for a cube that the bench has no simulator of.
     """
@@ -74,9 +75,13 @@ def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Seque
         from daemon.rigs.simulated_modbus import build_labjack  # noqa: PLC0415 - loads the driver
 
         return [build_labjack(own, _sensors(clock, scene))] * len(FACES)
+    if own.driver == SCANNING_METER:
+        from daemon.rigs.simulated_scanner import build_scanner  # noqa: PLC0415 - loads the driver
+
+        return build_scanner(settings, _sensors(clock, scene), clock.monotonic())
     raise UserError(
         f'instruments.cube.driver = "{own.driver}" has no simulator for the bench, which has'
-        f' "{MULTIPLEXED}", "{PYRANOMETERS}" and "{LABJACK}"; choose with --cube NAME'
+        f' "{MULTIPLEXED}", "{PYRANOMETERS}", "{LABJACK}" and "{SCANNING_METER}"; choose with --cube NAME'
     )
 
 

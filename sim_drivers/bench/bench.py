@@ -16,11 +16,13 @@ from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.bench.rotator_host import RotatorHost
+from sim_drivers.bench.scanner_host import ScannerHost
 from sim_drivers.load.core import LoadCore
 from sim_drivers.modbus.line import SimulatedDevice
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pv_source import PvSource
+from sim_drivers.scanner.core import ScannerCore
 from sim_drivers.scene import Scene
 from sim_drivers.voltmeter.core import VoltmeterCore
 
@@ -57,12 +59,12 @@ class Bench:
     baud_rate
         Of the voltmeter.
     sensors
-        Devices on Modbus that are the cube, at the port ``cube``, or none.
+        What is the cube, at the port ``cube``: devices on Modbus or a scanning meter. Empty: meter and switch are.
 
     Attributes
     ----------
     cube
-        Those devices on their line; None without them.
+        That on its line; None without it.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class Bench:
         source: PvSource,
         clock: BenchClock,
         baud_rate: int,
-        sensors: Sequence[SimulatedDevice] = (),
+        sensors: Sequence[SimulatedDevice] | ScannerCore = (),
     ) -> None:
         self.directory = directory
         self.scene = scene
@@ -90,7 +92,11 @@ class Bench:
         self.voltmeter = VoltmeterHost(meter, directory / "voltmeter", clock.now, baud_rate)
         self.multiplexer = NiServer(switch, clock.now)
         self.load = LineHost(load, directory / "load", clock.now, _LOAD_BYTE_S)
-        self.cube = ModbusHost(sensors, directory / "cube", clock.now) if sensors else None
+        self.cube: ModbusHost | ScannerHost | None = None
+        if isinstance(sensors, ScannerCore):
+            self.cube = ScannerHost(sensors, directory / "cube", clock.now)
+        elif sensors:
+            self.cube = ModbusHost(sensors, directory / "cube", clock.now)
         self._source = source
 
     async def run(self, stop: asyncio.Event, ready: Callable[[], None]) -> None:

@@ -14,6 +14,7 @@ from sim_drivers.bench.client import DEVICES, PYRANOMETER_CAN, SOCKET_NAME, VERB
 from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.bench.rotator_host import RotatorHost
+from sim_drivers.bench.scanner_host import ScannerHost
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 from sim_drivers.rotctld.core import ROTATOR_FAULTS
@@ -117,7 +118,7 @@ class BenchControl:
         elif name == "multiplexer":
             bench.multiplexer.unplug()
         elif name == "cube":
-            await self._sensors().unplug()
+            await self._cube().unplug()
         elif name == "positioner" and isinstance(bench.positioner, RotatorHost):
             bench.positioner.unplug()
         else:
@@ -136,7 +137,7 @@ class BenchControl:
         elif name == "multiplexer":
             bench.multiplexer.plug()
         elif name == "cube":
-            await self._sensors().replug()
+            await self._cube().replug()
         elif name == "positioner" and isinstance(bench.positioner, RotatorHost):
             await bench.positioner.plug()
         else:
@@ -276,15 +277,21 @@ class BenchControl:
 
     def _host(self, device: str) -> Any:
         if device == "cube":
-            return self._sensors()
+            return self._cube()
         if device == "positioner" and self._bench.positioner is None:
             raise BenchError("the positioner of this bench is somebody else's: --rotctld has named it")
         return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "load", "multiplexer")))
 
-    def _sensors(self) -> ModbusHost:
+    def _cube(self) -> ModbusHost | ScannerHost:
         if self._bench.cube is None:
-            raise BenchError("this bench has no cube on Modbus; start it with --cube modbus-pyranometers")
+            raise BenchError("the cube of this bench is multiplexer and voltmeter; start it with --cube for another")
         return self._bench.cube
+
+    def _sensors(self) -> ModbusHost:
+        host = self._bench.cube
+        if not isinstance(host, ModbusHost):
+            raise BenchError("this bench has no cube on Modbus; start it with --cube modbus-pyranometers")
+        return host
 
     def _talker(self, device: str) -> Any:
         """Return what loses and garbles a device's words: its host, or the core of one that answers questions."""

@@ -1,5 +1,6 @@
 """The bench as independent programs see it: its files, its ports, its commands."""
 
+import asyncio
 import os
 import re
 import subprocess
@@ -11,7 +12,11 @@ import time
 import pytest
 import serial
 
+from daemon.base.clock import SystemClock
+from daemon.base.records import FACES
 from daemon.commands.config import check_file
+from daemon.rigs.real import build_cube
+from drivers.errors import DeviceError
 from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.bench.client import BenchError
 from tests.system.processes import HELIOCUBE, wait_until
@@ -212,3 +217,30 @@ def test_a_bench_of_pyranometers_is_driven_by_the_file_that_it_writes(start_benc
     assert "error 9 cleared" in done.stdout
     network = heliocube("probe", "cube", "--line", f"tcp:127.0.0.1:{bench.state()['cube']['tcp_port']}")
     assert "address 4: SMP3 no. 24104" in network.stdout
+
+
+def test_a_bench_with_a_scanning_meter_is_read_by_the_driver_through_a_pulled_plug(start_bench):
+    bench = start_bench("--cube", "scanning-meter", "--weather", "clear", "--start", "2022-06-21T12:00Z")
+    settings = check_file(bench.config)
+
+    async def read():
+        cube = build_cube(settings, SystemClock())
+        assert "MODEL 2000" in await cube.open()
+        volts = [face.value for face in (await cube.read()).faces]
+        bench.ask("unplug", "cube")
+        with pytest.raises(DeviceError):
+            await cube.read()
+        await cube.close()
+        bench.ask("replug", "cube")
+        await cube.open()
+        again = [face.value for face in (await cube.read()).faces]
+        await cube.close()
+        return volts, again
+
+    volts, again = asyncio.run(read())
+    truth = [bench.state()["faces"][f"{name}_w_m2"] for name in FACES]
+    gains = [getattr(settings.cube, name).gain_w_m2_per_mv for name in FACES]
+    expected = [1e-3 * irradiance / gain for irradiance, gain in zip(truth, gains, strict=True)]
+    assert volts == pytest.approx(expected, rel=0.1)
+    assert again == pytest.approx(volts, rel=0.05)
+    assert bench.state()["cube"]["make"] == "keithley2000-scan"
