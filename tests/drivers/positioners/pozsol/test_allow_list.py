@@ -73,7 +73,7 @@ def test_these_are_all_the_doors_that_the_tests_below_go_through():
         "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "halt", "home",
         "clear_faults",
     }  # fmt: skip
-    assert public(SerialPort, inspect.isroutine) == {"read", "write", "echoes", "has_lines", "close"}
+    assert public(SerialPort, inspect.isroutine) == {"read", "write", "discard", "echoes", "has_lines", "close"}
     assert public(telemetry.TelemetryReader, inspect.isroutine) == {"stop", "close"}
     assert public(positioner_line.SerialLine, inspect.isroutine) == {"open", "close", "send", "state", "has_lines"}
     assert public(positioner_line, inspect.isroutine) == {"open_port"}
