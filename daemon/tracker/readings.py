@@ -10,8 +10,9 @@ from daemon.config.settings import Settings
 from daemon.tracker.modes import Data
 from solar.laws.law import Law
 
-# However low and clear the sun, a vertical face gets no ten times of what the sky gives to the zenith face.
-_SUNLIT_SHARE = 10.0
+# So much brighter than the end of night a vertical face is lit by the sun, which gives the zenith face its share.
+_SUNLIT = 10.0
+_LEAST_SHARE = 0.5
 
 
 class Readings:
@@ -117,10 +118,13 @@ class Readings:
         zenith = mean.zenith_w_m2
         if zenith >= self._safety.night_above_w_m2:
             return True
-        if self._sun_elevation_deg(self._clock.utc()) <= 0.0:
+        sun_deg = self._sun_elevation_deg(self._clock.utc())
+        if sun_deg <= 0.0:
             return True
         vertical = [face for face in (mean.east_w_m2, mean.south_w_m2, mean.west_w_m2) if not math.isnan(face)]
-        if max(vertical, default=0.0) > _SUNLIT_SHARE * self._safety.night_above_w_m2:
+        brightest = max(vertical, default=0.0)
+        lit = brightest > _SUNLIT * self._safety.night_above_w_m2
+        if lit and not (zenith >= _LEAST_SHARE * brightest * math.tan(math.radians(sun_deg))):
             return False
         return self._law_believes_zenith(mean)
 
