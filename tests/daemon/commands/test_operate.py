@@ -11,7 +11,7 @@ from tests.support import ROOT
 PAGE = (ROOT / "docs" / "operate.md").read_text(encoding="utf-8")
 METRICS = (ROOT / "daemon" / "api" / "metrics.py").read_text(encoding="utf-8")
 COUNTED = re.findall(r'found\.count\(\s*"(\w+)"', METRICS)
-MEASURED = re.findall(r'found\.(?:gauge|by_axis)\(\s*"(\w+)"', METRICS)
+MEASURED = re.findall(r'(?:found\.(?:gauge|by_axis)\(\s*"|HistogramMetricFamily\("heliocube_)(\w+)"', METRICS)
 
 
 @pytest.mark.parametrize("name", [*Mode, *MoveOutcome, *Refusal, *(q for q in Quality if q is not Quality.OK)])
