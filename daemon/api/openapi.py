@@ -59,7 +59,7 @@ _REFUSALS = {
     409: "the tracker cannot do it now",
     413: f"the body has more than {LONGEST_BODY} bytes",
     421: "the host is not served",
-    422: "outside the limits, or no such tracker",
+    422: "outside the limits, no such tracker, or no such span of time",
     429: "more commands than are carried out",
     503: "too many ask at once",
 }
@@ -153,7 +153,7 @@ def _sun() -> dict[str, Any]:
 
 
 def _history() -> dict[str, Any]:
-    found = _page("Stored records of a span of at most a week", LinesPage, 400, 409, 421, 503)
+    found = _page("Stored records of a span of at most a week", LinesPage, 400, 409, 421, 422, 503)
     found["get"]["responses"]["200"]["content"]["application/octet-stream"] = {}
     kinds = {"type": "string", "enum": [*KINDS_OF_LINES, *KINDS_OF_NUMBERS]}
     found["get"]["parameters"] = [

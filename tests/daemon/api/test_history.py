@@ -40,8 +40,8 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
             for path, status, words in [
                 ("/api/history/scans", 400, "from='' is no UTC time"),
                 (f"/api/history/secrets?{SPAN}", 400, "there are no records of the kind 'secrets', but scans"),
-                ("/api/history/scans?from=2022-10-14&to=2022-10-14", 400, "from must be before to"),
-                ("/api/history/scans?from=2022-10-14&to=2023-10-14", 400, "not by more than 7 days"),
+                ("/api/history/scans?from=2022-10-14&to=2022-10-14", 422, "from must be before to"),
+                ("/api/history/scans?from=2022-10-14&to=2023-10-14", 422, "not by more than 7 days"),
             ]:
                 reply = await call.get(path)
                 assert (reply.status, words in reply.json["error"]) == (status, True), reply.json
