@@ -3,8 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 ARGS   ?=
-# More than cores: many tests wait for something real.
-WORKERS ?= 3
+# As many as two cores carry: what the tests wait for is real and needs its share of them.
+WORKERS ?= 2
 
 .PHONY: run test lint format clean help
 
