@@ -31,7 +31,6 @@ from daemon.config.trackers import (
 if TYPE_CHECKING:
     from daemon.config.section import Section
 
-_LONGEST_VALUE = 60
 # What somebody meant is searched for that often in a section: a file of another program has no end of keys.
 _MOST_REMEDIES = 20
 _AND_MORE = ": more is wrong here; put right what stands above first"
@@ -166,7 +165,7 @@ def _syntax_problem(message: str, text: str) -> str:
     lines = text.split("\n")
     found = re.match(r"line (\d+), column (\d+)", place)
     line, column = (int(found[1]), int(found[2])) if found else (len(lines), len(lines[-1]) + 1)
-    return f"line {line}, column {column}: {reason} in: {_shortened(_printable(lines[line - 1].strip()))}{hint}"
+    return f"line {line}, column {column}: {reason} in: {keys.shortened(keys.printable(lines[line - 1].strip()))}{hint}"
 
 
 def _settings(
@@ -196,11 +195,11 @@ def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Probl
     for number, table in enumerate(tables):
         name = table.get("name")
         if not isinstance(name, str) or not re.fullmatch(NAME_FORM, name):
-            shown = "" if name is None else f" = {_shown(name)}"
+            shown = "" if name is None else f" = {keys.shown(name)}"
             yield _Problem(f"tracker[{number}].name", f"{shown}: every tracker has a name, {NAME_IN_WORDS}")
             continue
         if name.lower() in names:
-            yield _Problem(f"tracker[{number}].name", f" = {_shown(name)}: is the name of another tracker already")
+            yield _Problem(f"tracker[{number}].name", f" = {keys.shown(name)}: is the name of another tracker already")
         names.add(name.lower())
         settings, problems = _checked(merged(raw, table))
         found.append(NamedSettings(name, settings))
@@ -210,7 +209,7 @@ def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Probl
             if problem not in known:
                 yield _Problem(f"tracker[{name}].{place_in_table(problem.key)}", problem.reason)
     for port in shared_ports(found):
-        reason = f" = {_shown(port.value)}: is that of the tracker {port.other} already; each needs one of its own"
+        reason = f" = {keys.shown(port.value)}: is that of the tracker {port.other} already; each needs one of its own"
         yield _Problem(f"tracker[{port.tracker}].{port.key}", reason)
 
 
@@ -243,7 +242,7 @@ def _checked(
     wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
-            shown = _shown(_value_of(settings, conflict.key))
+            shown = keys.shown(_value_of(settings, conflict.key))
             default = "" if _is_given(raw, conflict.key) else " (default)"
             problems.append(_Problem(conflict.key, f" = {shown}{default}: {conflict.reason}"))
     return settings, problems
@@ -262,7 +261,7 @@ def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
     """Return what is wrong in a section that belongs to a driver."""
     if wrong.kind == "other":
         path = _joined(section, ".".join(str(part) for part in wrong.loc))
-        return _Problem(path, f" = {_shown(wrong.value)}: {wrong.reason}")
+        return _Problem(path, f" = {keys.shown(wrong.value)}: {wrong.reason}")
     loc: tuple[int | str, ...] = (*section.split("."), *wrong.loc)
     former = SECTIONS[section].former
     if wrong.kind == "value" and wrong.loc == (former,):
@@ -270,7 +269,7 @@ def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
         return _Problem(f"{section}.{former}", _wrong(f"{section}.{DRIVER}", wrong.value, chosen))
     if wrong.kind == "unknown" and [str(part).lower() for part in wrong.loc] == [former]:
         meant = f"{section}.{DRIVER}"
-        reason = f" = {_shown(wrong.value)}: there is no such key; did you mean {meant}?"
+        reason = f" = {keys.shown(wrong.value)}: there is no such key; did you mean {meant}?"
         return _Problem(_joined(section, str(wrong.loc[0])), reason, meant)
     return _problem(loc, wrong.value, wrong.kind, chosen)
 
@@ -295,10 +294,10 @@ def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
 def _wrong(path: str, value: Any, chosen: Chosen) -> str:
     key = keys.keys(chosen).get(path.partition("[")[0])
     if key is None:
-        return f" = {_shown(value)}: must be a section of its own, [{path}]"
+        return f" = {keys.shown(value)}: must be a section of its own, [{path}]"
     if "[" in path:
-        return f" = {_shown(value)}: must be {key.expected_item}"
-    return f" = {_shown(value)}: must be {key.expected}{_hint(key, value)}"
+        return f" = {keys.shown(value)}: must be {key.expected_item}"
+    return f" = {keys.shown(value)}: must be {key.expected}{_hint(key, value)}"
 
 
 def _hint(key: keys.Key, value: Any) -> str:
@@ -336,7 +335,7 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
         wanted, unit = keys.split_unit(meant)[1], keys.split_unit(name)[1]
         number = keys.converted(value, unit, wanted) if unit != wanted else None
         remedy = f"did you mean {meant}{'' if number is None else f' = {number:g}'}?"
-    shown = "" if isinstance(value, dict) else f" = {_shown(value)}"
+    shown = "" if isinstance(value, dict) else f" = {keys.shown(value)}"
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 
 
@@ -391,21 +390,9 @@ def _resolved(settings: Settings, folder: Path, source: str) -> Settings:
                 values = {name: (folder / path.expanduser()).resolve()}
             except (RuntimeError, OSError) as error:
                 # Of a user that there is not, and of a link that leads back to itself.
-                problems.append(f"{section}.{name} = {_shown(str(path))}: {ascii(str(error))[1:-1]}")
+                problems.append(f"{section}.{name} = {keys.shown(str(path))}: {ascii(str(error))[1:-1]}")
                 continue
             changed[section] = changed.get(section, getattr(settings, section)).model_copy(update=values)
     if problems:
         raise ConfigError(source, problems)
     return settings.model_copy(update=changed)
-
-
-def _shown(value: Any) -> str:
-    return _shortened(keys.toml_value(value))
-
-
-def _printable(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from daemon.config.plugged import DRIVER, SECTIONS, Plugged
 from daemon.config.sections import Sections
 
+_LONGEST_VALUE = 60
 Chosen = tuple[tuple[str, str], ...]
 """Paths of sections that name a driver, and the names."""
 
@@ -361,3 +362,18 @@ def _range(part: dict[str, Any]) -> str:
     if below is not None:
         return f"{start}{' to' if low is not None else ''} below {below:g}"
     return f"{start} up" if low is not None else start
+
+
+def shown(value: Any) -> str:
+    """Return a value as a file would say it, cut where it is long."""
+    return shortened(toml_value(value))
+
+
+def printable(text: str) -> str:
+    """Return the text with a question mark for what a terminal cannot show."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def shortened(text: str) -> str:
+    """Return the text, cut where it is long."""
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
