@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import time
+from pathlib import Path
 
 ROTCTLD = shutil.which("rotctld")
 LEFT_OUT = "rotctld is not here (libhamlib-utils): the tests against Hamlib's own server are left out"
@@ -65,7 +66,16 @@ class Rotctld:
             self.process = None
 
     def hang(self):
+        """Freeze it, and return when every thread of it has stopped: until then it may still answer."""
         self.process.send_signal(signal.SIGSTOP)
+        deadline_s = time.monotonic() + _STARTS_WITHIN_S
+        while any(_state(stat) != "T" for stat in Path(f"/proc/{self.process.pid}/task").glob("*/stat")):
+            assert time.monotonic() < deadline_s, "rotctld does not stop"
+            time.sleep(0.005)
 
     def go_on(self):
         self.process.send_signal(signal.SIGCONT)
+
+
+def _state(stat):
+    return stat.read_text().rpartition(")")[2].split()[0]
