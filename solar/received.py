@@ -1,0 +1,95 @@
+"""What planes receive in the light that the cube shows: the tracker's own, a chronometric tracker's, and the best.
+
+The estimate of :mod:`solar.laws.light` (beam B, uniform diffuse D, horizon H; albedo rho) is put on three planes,
+
+    I(n) = B max(s.n, 0) + D (1 + n_z)/2 + H sqrt(1 - n_z^2) + rho (B s_z + D) (1 - n_z)/2,
+
+equation (1) of Andriamahefa et al. (2023) with the horizon's part. These are results of a model, for nothing measures
+the light in any plane but those of the four faces; what counts is their difference under one and the same light.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solar.frames import Array, Limits, angles_within, normal_from_angles
+from solar.laws.light import Light, aim_vector, light_from_faces, usable_faces
+
+FACES_NEEDED = 3
+
+
+class Received(NamedTuple):
+    """Irradiance [W/m2] of three planes at the same instants, arrays of one shape; NaN in all where one is not known.
+
+    Attributes
+    ----------
+    actual_w_m2
+        Where the tracker stands.
+    chronometric_w_m2
+        Where a tracker would stand that points at the sun at every instant, within its limits.
+    best_w_m2
+        The most that any pose within the limits receives: the bound of every law.
+    """
+
+    actual_w_m2: Array
+    chronometric_w_m2: Array
+    best_w_m2: Array
+
+
+def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: ArrayLike) -> Array:
+    """Return the irradiance [W/m2], shape (...), of unit normals (..., 3) in the light under suns (..., 3)."""
+    sun, normals = np.asarray(sun, dtype=np.float64), np.asarray(normals, dtype=np.float64)
+    height, up = np.maximum(sun[..., 2], 0.0), normals[..., 2]
+    towards = np.maximum(np.sum(sun * normals, axis=-1), 0.0)
+    level = np.sqrt(np.maximum(1.0 - up * up, 0.0))
+    ground = np.asarray(albedo) * (light.beam * height + light.uniform)
+    result: Array = (
+        light.beam * towards + light.uniform * (1.0 + up) / 2.0 + light.horizon * level + ground * (1.0 - up) / 2.0
+    )
+    return result
+
+
+def received(
+    faces: ArrayLike, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits, albedo: ArrayLike = 0.2
+) -> Received:
+    """Return what the three planes receive, by the faces' readings of the same instants.
+
+    Parameters
+    ----------
+    faces
+        Irradiances east, south, west, zenith [W/m2], shape (..., 4), NaN for a reading that is not good.
+    sun
+        Unit vectors to the apparent sun, shape (..., 3). With the sun below the horizon nothing is known.
+    a_deg, b_deg
+        Where the tracker stands [deg], shape (...), NaN where that is not known.
+    limits
+        Of the tracker, for the other two planes.
+    albedo
+        Of the ground around the cube, shape (...).
+    """
+    readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
+    usable = usable_faces(readings, sun)
+    light = light_from_faces(readings, sun, albedo, usable)
+    actual = irradiance_on(light, sun, albedo, normal_from_angles(a_deg, b_deg))
+    chronometric = irradiance_on(light, sun, albedo, normal_from_angles(*angles_within(sun, limits)))
+    aimed = normal_from_angles(*angles_within(aim_vector(light, sun, albedo), limits))
+    # The closed form is the best of the sun's vertical plane; at the limits another pose may be better by a little.
+    best = np.maximum(irradiance_on(light, sun, albedo, aimed), np.fmax(actual, chronometric))
+    known = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0) & np.isfinite(actual)
+    return Received(*(np.where(known, part, np.nan) for part in (actual, chronometric, best)))
+
+
+def insolation(utc_s: ArrayLike, irradiance_w_m2: ArrayLike, longest_s: float = 60.0) -> tuple[float, float]:
+    """Return the insolation [kWh/m2] of rising instants, shape (n,), and the time [s] that they stand for.
+
+    Each value stands until the next instant but for no longer than `longest_s`, the last for as long as the one before
+    it; a gap beyond that, and NaN, stand for nothing.
+    """
+    time, power = np.asarray(utc_s, dtype=np.float64), np.asarray(irradiance_w_m2, dtype=np.float64)
+    if time.size < 2:
+        return 0.0, 0.0
+    steps = np.minimum(np.diff(time), longest_s)
+    steps = np.append(steps, steps[-1])
+    known = np.isfinite(power)
+    return float((power[known] * steps[known]).sum()) / 3.6e6, float(steps[known].sum())
