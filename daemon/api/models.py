@@ -162,6 +162,17 @@ class LoopPart(Page):
     late_worst_s: float = Field(description="At most within the last minute or two.")
 
 
+class NextPart(Page):
+    """What the next decision would be, were the light to stay as it is."""
+
+    time: UtcText = Field(description="When it falls.")
+    law: str
+    target_a_deg: float | None
+    target_b_deg: float | None
+    moves: bool = Field(description="Whether that is worth a move; else the tracker stays where it stands.")
+    why: str = Field(description="In words.")
+
+
 class TrackerPart(Page):
     """A tracker, or, at the top, the only one; all null where there are several or none."""
 
@@ -172,6 +183,7 @@ class TrackerPart(Page):
     decision: dict[str, Any] | None
     law: dict[str, Any] | None
     next_decision_s: float | None
+    next_decision: NextPart | None = Field(description="Null in modes that do not decide.")
     tracker: dict[str, Any] | None = Field(description="The positioner, its limits and its name.")
     load: dict[str, Any] | None
     wind: list[dict[str, Any]] | None

@@ -20,6 +20,7 @@ from daemon.service.tracker import Tracker
 from daemon.store.store import StoreStatus
 from daemon.tracker.control import ControlState
 from daemon.tracker.curves import IvAcquisition
+from daemon.tracker.pointing import Foresight
 from daemon.tracker.stow import StowStatus
 from daemon.tracker.wishes import Wishes
 from drivers.interfaces import PositionerIdentity, Telemetry
@@ -81,6 +82,8 @@ class TrackerState:
     ----------
     control
         Mode, reason, decision and means.
+    next
+        What the next decision would be by the readings of now, or None.
     silent_s
         Time since control's last tick.
     law, law_shown
@@ -101,6 +104,7 @@ class TrackerState:
 
     name: str
     control: ControlState
+    next: Foresight | None
     silent_s: float
     law: str
     law_shown: Mapping[str, Any]
@@ -243,6 +247,7 @@ def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
     return TrackerState(
         name=tracker.name,
         control=control.state,
+        next=control.foresee(),
         silent_s=now_s - control.last_tick_s,
         law=tracker.settings.law.driver,
         law_shown=control.pointing.law.shown(),

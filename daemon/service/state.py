@@ -15,6 +15,7 @@ from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from daemon.store.tables import COLUMNS, with_irradiances
 from daemon.tracker.control import ControlState
+from daemon.tracker.pointing import Foresight
 from daemon.tracker.wishes import Wish
 from solar.frames import Limits
 
@@ -28,6 +29,7 @@ _OF_A_TRACKER = (
     "decision",
     "law",
     "next_decision_s",
+    "next_decision",
     "tracker",
     "load",
     "wind",
@@ -128,6 +130,9 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         | {"age_s": number(round(now_s - control.decision.time_monotonic_s, 3))},
         "law": {"name": tracker.law} | dict(tracker.law_shown),
         "next_decision_s": number(control.next_decision_s),
+        "next_decision": None
+        if tracker.next is None
+        else _next(tracker.next, seen.time_utc_s + control.next_decision_s),
         "tracker": _positioner(tracker.positioner, tracker.name) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
         "wind": [{name: number(value) for name, value in asdict(status).items()} for status in tracker.wind],
@@ -140,6 +145,18 @@ def _irradiances(control: ControlState) -> dict[str, Any] | None:
         return None
     names = [*(f"{face}_w_m2" for face in FACES), "coverage"]
     return {name: number(getattr(control.irradiances, name)) for name in names}
+
+
+def _next(foresight: Foresight, due_utc_s: float) -> dict[str, Any]:
+    target = foresight.target
+    return {
+        "time": iso_utc(due_utc_s),
+        "law": foresight.law,
+        "target_a_deg": number(target.a_deg),
+        "target_b_deg": number(target.b_deg),
+        "moves": foresight.moves,
+        "why": target.why,
+    }
 
 
 def _limits(limits: Limits) -> dict[str, float]:

@@ -3,9 +3,7 @@
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from daemon.base.alarms import Alarms
 from daemon.base.clock import Clock
@@ -21,17 +19,17 @@ from daemon.tracker.doors import Doors
 from daemon.tracker.modes import Data, Situation, next_mode
 from daemon.tracker.orders import RELEASE, Orders
 from daemon.tracker.parking import Parking
-from daemon.tracker.pointing import NamedLaw, Pointing, aim
+from daemon.tracker.pointing import Foresight, NamedLaw, Pointing, Whereabouts, ask, foresee
 from daemon.tracker.readings import Readings
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.stow_watch import StowWatch
 from drivers.errors import DeviceError
-from solar.frames import Angles, normal_from_angles, separation_deg
-from solar.laws.law import Aim
 
 log = logging.getLogger("heliocube.control")
 
 _TICK_S = 5.0
+# To ask a law takes milliseconds, and displays ask once a second.
+_FORESEE_EVERY_S = 10.0
 # Longer than a clock's resolution: a timer may fire that much early, and the tick after it must find time moved on.
 _SHORTEST_WAIT_S = 0.001
 # Changes between the same two modes that are told each for itself.
@@ -130,6 +128,8 @@ class Control(Doors):
         self._decision: Decision | None = None
         self._data = Data.WAITING
         self._last_why = ""
+        self._foreseen: tuple[object, Foresight | None] | None = None
+        self._foreseen_s = -math.inf
         self._changes: dict[frozenset[Mode], Recurrence] = {}
         self.last_tick_s = clock.monotonic()
 
@@ -168,6 +168,35 @@ class Control(Doors):
             decision=self._decision,
             next_decision_s=max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
+
+    def foresee(self) -> Foresight | None:
+        """Return what the next decision would be were the light to stay as it is; None in modes that do not decide."""
+        if self.mode not in (Mode.TRACKING, Mode.FALLBACK):
+            return None
+        now_s, known = self._clock.monotonic(), (self.mode, self._decision, self._motion.target)
+        if self._foreseen is None or self._foreseen[0] != known or now_s - self._foreseen_s >= _FORESEE_EVERY_S:
+            in_s = max(self._due_s - now_s, 0.0)
+            self._foreseen_s = now_s
+            self._foreseen = (
+                known,
+                foresee(
+                    self._deciding,
+                    self._readings.mean(now_s),
+                    self._whereabouts,
+                    self._clock.utc() + in_s,
+                    self._settings.motion.deadband_deg,
+                    sun_known=self._clock_watch.trusted,
+                ),
+            )
+        return self._foreseen[1]
+
+    @property
+    def _deciding(self) -> NamedLaw:
+        return self.pointing.chosen if self.mode is Mode.TRACKING else self.pointing.fallback
+
+    @property
+    def _whereabouts(self) -> Whereabouts:
+        return Whereabouts(self._motion.pose, self._motion.target)
 
     async def run(self) -> None:
         """Tick every few seconds, and at once on request, until cancelled."""
@@ -302,11 +331,13 @@ class Control(Doors):
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        chosen = self.pointing.chosen if self.mode is Mode.TRACKING else self.pointing.fallback
+        chosen = self._deciding
         self._due_s = now_s + chosen.law.decide_every_s
         utc_s = self._clock.utc()
-        answer, target = self._evaluate(chosen, mean, utc_s)
-        moved = answer.target is not None and self._worth_moving(target) and self._order_within_budget(target)
+        whereabouts, deadband_deg = self._whereabouts, self._settings.motion.deadband_deg
+        said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
+        answer, target = said
+        moved = said.worth_moving(whereabouts.heading, deadband_deg) and self._order_within_budget(target)
         log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(chosen.name, target)})
         self._decision = Decision(
             time_utc_s=utc_s,
@@ -323,34 +354,6 @@ class Control(Doors):
             estimate=Estimate(answer.beam_w_m2, answer.diffuse_w_m2, answer.albedo),
         )
         self._publish(self._decision)
-
-    def _evaluate(self, chosen: NamedLaw, mean: Irradiances | None, utc_s: float) -> tuple[Aim, Target]:
-        """Return what the law says, and where the tracker is to be by that: where it stands, without a target."""
-        sun_known = self._clock_watch.trusted
-        whence = self._motion.target or self._motion.pose
-        heading = Angles(whence.a_deg, whence.b_deg) if whence else None
-        answer = aim(chosen.law, mean, heading, utc_s, sun_known=sun_known)
-        if chosen.law.needs_sun and not sun_known:
-            answer = replace(answer, target=None)
-            return answer, self._standing("the clock was set a short while ago: the sun's position is in doubt")
-        why = f"{chosen.name}: {answer.why}" if answer.why else chosen.name
-        if answer.target is None:
-            return answer, self._standing(why)
-        return answer, Target(answer.target.a_deg, answer.target.b_deg, why)
-
-    def _standing(self, why: str) -> Target:
-        pose = self._motion.pose
-        return Target(pose.a_deg, pose.b_deg, why) if pose else Target(math.nan, math.nan, why)
-
-    def _worth_moving(self, target: Target) -> bool:
-        """Return whether the target is far enough from where the tracker stands or is already heading."""
-        whence = self._motion.target or self._motion.pose
-        if whence is None:
-            return False
-        apart = separation_deg(
-            normal_from_angles(whence.a_deg, whence.b_deg), normal_from_angles(target.a_deg, target.b_deg)
-        )
-        return bool(np.isnan(apart) or apart >= self._settings.motion.deadband_deg)
 
     def _order_within_budget(self, target: Target) -> bool:
         """Order a move of a law within the day's limits; the law's own plan holds in fallback too."""

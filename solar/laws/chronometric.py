@@ -7,6 +7,7 @@ from solar.frames import Array, Limits, angles_within
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import or_stay
+from solar.laws.words import place
 
 
 class ChronometricSettings(LawSettings):
@@ -30,6 +31,10 @@ class ChronometricLaw(DirectionLaw):
     def direction(self, now: Moment, to_sun: Array) -> Array:
         """Return the sun's direction; none below the horizon or while it is in doubt."""
         return paper.chronometric(to_sun) if now.sun_known else NO_DIRECTION
+
+    def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
+        """Return where the sun is."""
+        return f"by the clock the sun is in {place(azimuth_deg, elevation_deg)}"
 
 
 SETTINGS = ChronometricSettings

@@ -26,6 +26,10 @@ class FlatLaw(DirectionLaw):
         """Return the zenith."""
         return ZENITH
 
+    def reason(self, _azimuth_deg: float, _elevation_deg: float) -> str:
+        """Return that it lies flat."""
+        return "flat, whatever the sky does"
+
 
 SETTINGS = FlatSettings
 build = FlatLaw

@@ -216,6 +216,10 @@ class DirectionLaw(Law):
     def direction(self, now: Moment, to_sun: Array) -> Array:
         """Return the direction, shape (3,), of any length, NaN for none; `to_sun` is the ephemeris' unit vector."""
 
+    def reason(self, azimuth_deg: float, elevation_deg: float) -> str:  # noqa: ARG002
+        """Return in words why it points in its direction; empty for nothing to say."""
+        return ""
+
     def aim(self, now: Moment) -> Aim:
         """Return the angles that are closest to the direction."""
         sun = self.sun(now.utc_s)
@@ -223,8 +227,15 @@ class DirectionLaw(Law):
         if not np.isfinite(direction).all():
             return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=sun, target=None, why="has no direction")
         a_deg, b_deg = angles_within(direction, self.limits)
-        azimuth, elevation = azimuth_from_direction(direction, self.site[0])
-        return Aim(float(azimuth), float(elevation), sun, Angles(float(a_deg), float(b_deg)))
+        azimuth, elevation = map(float, azimuth_from_direction(direction, self.site[0]))
+        target = Angles(float(a_deg), float(b_deg))
+        return Aim(
+            azimuth_deg=azimuth,
+            elevation_deg=elevation,
+            sun=sun,
+            target=target,
+            why=self.reason(azimuth, elevation),
+        )
 
 
 NO_DIRECTION = np.full(3, np.nan)

@@ -7,6 +7,7 @@ from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
+from solar.laws.words import towards_light
 
 
 class MuPrimeSettings(LawSettings):
@@ -38,6 +39,10 @@ class MuPrimeLaw(DirectionLaw):
         if now.mean_w_m2 is None:
             return NO_DIRECTION
         return paper.mu_prime(now.mean_w_m2, uniform_threshold=self._settings.uniform_threshold)
+
+    def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
+        """Return where the light comes from."""
+        return towards_light(azimuth_deg, elevation_deg)
 
 
 SETTINGS = MuPrimeSettings

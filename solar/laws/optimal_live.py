@@ -17,6 +17,7 @@ from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Read
 from solar.laws.light import light_from_faces, usable_faces
 from solar.laws.optimal import THRIFT_RANGE, OptimalLaw, OptimalSettings
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+from solar.laws.words import weighed
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
@@ -170,10 +171,9 @@ class LiveOptimal(Law):
             )
         choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s))
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
-        target, why = None, f"{float(choice.gain_w_m2):.1f} W/m2 to gain, not worth a move"
-        if choice.move:
-            why = f"{float(choice.gain_w_m2):.1f} W/m2 to gain"
-            target = Angles(float(choice.a_deg), float(choice.b_deg))
+        moves = bool(choice.move)
+        why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves)
+        target = Angles(float(choice.a_deg), float(choice.b_deg)) if moves else None
         light = self._law.light
         return Aim(
             azimuth_deg=float(azimuth),

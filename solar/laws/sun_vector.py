@@ -7,6 +7,7 @@ from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
+from solar.laws.words import towards_sun
 
 
 class SunVectorSettings(LawSettings):
@@ -60,6 +61,10 @@ class SunVectorLaw(DirectionLaw):
             return NO_DIRECTION
         seen = self._settings.seen(now.mean_w_m2)
         return paper.complete_poleward(seen, to_sun) if now.sun_known else seen
+
+    def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
+        """Return where the sun is seen."""
+        return towards_sun(azimuth_deg, elevation_deg)
 
 
 SETTINGS = SunVectorSettings

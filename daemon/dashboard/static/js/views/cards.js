@@ -12,9 +12,11 @@ function facts(names) {
   return { list, values };
 }
 
+const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${deg(b)}`;
+
 export function next() {
   const big = h("p", { class: "big" });
-  const { list, values } = facts(["Last decision", "It said", "Moves today", "Travel today"]);
+  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today"]);
   const node = card("Next decision", null, big, list);
 
   function update({ tracker, extra, now, old }) {
@@ -24,9 +26,13 @@ export function next() {
     const due = tracker.next_decision_s;
     const left = due === null ? null : due - extra;
     setText(big, due === null ? `None while the mode is ${tracker.mode.name}` : left > 0 ? `in ${countdown(left)}, by ${tracker.law.name}` : `due now, by ${tracker.law.name}`);
+    // A service of an earlier version does not say.
+    const coming = tracker.next_decision ?? null;
+    values["In the light of now"].parentElement.hidden = coming === null;
+    if (coming) setText(values["In the light of now"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)} (${coming.why})`);
     const decision = tracker.decision;
     setText(values["Last decision"], decision ? `${at(decision.time, now)}, ${duration(decision.age_s + extra)} ago` : "none yet");
-    setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} A ${signedDeg(decision.target_a_deg)}, B ${deg(decision.target_b_deg)} (${decision.why})` : "–");
+    setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)} (${decision.why})` : "–");
     setText(values["Moves today"], `${num(tracker.today.moves)}, ${num(tracker.today.left.moves)} left`);
     setText(values["Travel today"], `${deg(tracker.today.travelled_deg)}, ${deg(tracker.today.left.travel_deg)} left`);
   }

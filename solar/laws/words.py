@@ -1,0 +1,37 @@
+"""Why a law points where it does, in words for persons."""
+
+_POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+# The noise of the faces tilts the direction of an even sky by so much, which costs 0.4 % at most.
+_EVEN_WITHIN_DEG = 5.0
+
+
+def point_of_compass(azimuth_deg: float) -> str:
+    """Return the nearest of eight points."""
+    return _POINTS[round(azimuth_deg / 45.0) % len(_POINTS)]
+
+
+def place(azimuth_deg: float, elevation_deg: float) -> str:
+    """Return a direction as a person would show it."""
+    return f"the {point_of_compass(azimuth_deg)}, {elevation_deg:.0f} deg up"
+
+
+def towards_light(azimuth_deg: float, elevation_deg: float) -> str:
+    """Return where the light comes from, or that it comes from everywhere."""
+    if elevation_deg >= 90.0 - _EVEN_WITHIN_DEG:
+        return "the sky is even: lying flat collects most"
+    return f"most light comes from {place(azimuth_deg, elevation_deg)}"
+
+
+def towards_sun(azimuth_deg: float, elevation_deg: float) -> str:
+    """Return where the faces see the sun, or that they see none: then the direction is the zenith."""
+    if elevation_deg >= 90.0 - _EVEN_WITHIN_DEG:
+        return "no sun is seen, or it is overhead: lying flat collects most"
+    return f"the faces see the sun in {place(azimuth_deg, elevation_deg)}"
+
+
+def weighed(gain_w_m2: float, price_w_m2: float, *, moves: bool) -> str:
+    """Return what a move would gain and what it costs in wear, as the law `optimal` weighs them."""
+    gain, price = f"{gain_w_m2:.1f}", f"{price_w_m2:.1f}"
+    if moves:
+        return f"{gain} W/m2 to gain, more than the wear of a move is worth ({price})"
+    return f"{gain} W/m2 to gain, not worth a move (from {price})"

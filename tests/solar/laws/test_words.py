@@ -1,0 +1,22 @@
+import pytest
+
+from solar.laws import words
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "name"), [(0.0, "north"), (359.0, "north"), (22.4, "north"), (22.6, "north-east"), (201.0, "south")]
+)
+def test_the_nearest_of_eight_points_is_named(azimuth_deg, name):
+    assert words.point_of_compass(azimuth_deg) == name
+
+
+def test_a_direction_near_the_zenith_is_an_even_sky_or_no_sun():
+    assert words.towards_light(140.0, 85.0) == "the sky is even: lying flat collects most"
+    assert words.towards_sun(140.0, 90.0) == "no sun is seen, or it is overhead: lying flat collects most"
+    assert words.towards_light(140.0, 84.0) == "most light comes from the south-east, 84 deg up"
+    assert words.towards_sun(140.0, 40.4) == "the faces see the sun in the south-east, 40 deg up"
+
+
+def test_what_a_move_gains_stands_beside_what_it_costs():
+    assert words.weighed(7.04, 1.16, moves=True) == "7.0 W/m2 to gain, more than the wear of a move is worth (1.2)"
+    assert words.weighed(0.24, 0.2, moves=False) == "0.2 W/m2 to gain, not worth a move (from 0.2)"
