@@ -4,6 +4,9 @@ SPA is split in its two natural halves. The geocentric half (declination, right 
 slow to compute and slow to change: it is computed at whole hours and interpolated linearly, which costs less than
 1e-5 deg. The topocentric half (site, parallax, refraction) is exact at every instant. Sources: Reda & Andreas (2004),
 Solar Energy 76, 577, as implemented by :mod:`pvlib.spa`.
+
+pvlib is loaded when a sun is first asked for: with scipy and pandas behind it, it takes longer than reading and
+refusing a configuration, which knows sites and laws from here.
 """
 
 from functools import lru_cache
@@ -11,8 +14,6 @@ from typing import Generic, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from pvlib import spa
-from pvlib.atmosphere import alt2pres
 
 from solar.frames import Array, direction_from_azimuth
 
@@ -114,6 +115,8 @@ def extraterrestrial_dni(utc_s: float | Array) -> Array:
 
 def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
     """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude."""
+    from pvlib import spa
+
     mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
     mean_noon_utc_s = (mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0
     # The equation of time can carry the true noon into the UTC day before or after that of the mean noon.
@@ -132,6 +135,9 @@ def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m:
 
 def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitude_m: float) -> list[Array]:
     """Azimuth, apparent elevation and geometric elevation [deg] of instants of shape (n,)."""
+    from pvlib import spa
+    from pvlib.atmosphere import alt2pres
+
     sidereal, ascension, declination, distance_au = _geocentric(utc_s)
     hour_angle = spa.local_hour_angle(sidereal, longitude_deg, ascension)
     parallax = spa.equatorial_horizontal_parallax(distance_au)
@@ -176,6 +182,8 @@ def _at_hour(hour: int) -> Array:
 
 
 def _geocentric_exact(utc_s: Array) -> Array:
+    from pvlib import spa
+
     delta_t = _delta_t_s(utc_s)
     angles = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
     (distance_au,) = spa.solar_position_numpy(utc_s, 0, 0, 0, 0, 0, delta_t, 0, 1, esd=True)
@@ -184,6 +192,8 @@ def _geocentric_exact(utc_s: Array) -> Array:
 
 def _delta_t_s(utc_s: Array) -> Array:
     """Terrestrial time minus universal time [s], constant over a month."""
+    from pvlib import spa
+
     months = utc_s.astype("datetime64[s]").astype("datetime64[M]").astype(np.int64)
     return np.asarray(spa.calculate_deltat(1970 + months // 12, months % 12 + 1), dtype=np.float64)
 

@@ -99,9 +99,7 @@ def run(
     ] = False,
 ) -> None:
     """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
-    from daemon.commands.run import run_service
     from daemon.config.file import on_a_port_of_its_own
-    from daemon.service.rig import Role
 
     settings = _settings(
         config,
@@ -125,6 +123,10 @@ def run(
             settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
+        # Only now: a mistake in an option or in the file is told before the science is loaded.
+        from daemon.commands.run import run_service
+        from daemon.service.rig import Role
+
         run_service(settings, Role(role), for_s, Console())
 
 

@@ -112,17 +112,10 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         assert process.wait(timeout=10) == 0
 
 
-def test_start_up_does_not_wait_for_what_a_command_does_not_need():
-    imported = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys, daemon.commands.main; print('pvlib' in sys.modules, 'pandas' in sys.modules)",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
+@pytest.mark.parametrize("needed", ["daemon.commands.main", "daemon.config.file, daemon.config.stuck_lines"])
+def test_help_and_a_refused_configuration_do_not_wait_for_the_science(needed):
+    program = f"import sys, {needed}; print('pvlib' in sys.modules, 'pandas' in sys.modules)"
+    imported = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
     assert imported.stdout.split() == ["False", "False"]
 
 
