@@ -103,12 +103,12 @@ class LabjackCube:
         await self._bus.open(_OPEN_S)
         if await self._read(TEST) != TEST_WORDS:
             raise IdentityError(DEVICE, "what answers is no LabJack, or gives its words in another order")
-        product, serial = round(number(await self._read(PRODUCT_ID), "float32")), await self._read(SERIAL_NUMBER)
+        product, serial = number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
         if product not in (_T7, _T8):
-            raise IdentityError(DEVICE, f"is a LabJack of type {product}, and a T7 or T8 was expected")
+            raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, and a T7 or T8 was expected")
         for each in self._settings.inputs:
             await self._configure(each, product)
-        return f"LabJack T{product} no. {int(number(serial, 'uint32'))}"
+        return f"LabJack T{product:g} no. {int(number(serial, 'uint32'))}"
 
     async def close(self) -> None:
         """Disconnect."""
@@ -120,7 +120,7 @@ class LabjackCube:
         # The steps of a 16-bit converter are wider than its noise on the larger ranges.
         return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="V", rounded=True)
 
-    async def _configure(self, each: int, product: int) -> None:
+    async def _configure(self, each: int, product: float) -> None:
         wanted = words_for(self._settings.range_v, "float32")
         settings = {AIN_RANGE + 2 * each: wanted, AIN_RESOLUTION + each: (self._settings.resolution_index,)}
         if product == _T7:

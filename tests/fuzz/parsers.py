@@ -27,6 +27,8 @@ from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import NAMES, parse
 from daemon.studies import recorded
+from drivers.cube.scanning.dialects import DIALECTS
+from drivers.cube.scanning.meter import ScanningMeterCube
 from drivers.errors import DeadlineError, DeviceError
 from drivers.load import agilent6063b, chroma63600
 from drivers.load.session import LoadSession
@@ -35,6 +37,9 @@ from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.unit_setup import count_step, missing_fields
 from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, own_moves, parse_number, parse_status
 from drivers.positioners.rotctld.protocol import ReplyStream, error_text, state_of
+from drivers.settings import CubeSurroundings
+from tests.fuzz import registers
+from tests.fuzz.waitless import drive
 
 KEY = bytes(range(1, 33))
 UTC_S = 1665742815.0
@@ -168,15 +173,6 @@ class _Replies:
         pass
 
 
-def _drive(work) -> object:
-    """Run what never waits, without an event loop."""
-    try:
-        work.send(None)
-    except StopIteration as end:
-        return end.value
-    raise AssertionError("it waits for something")
-
-
 def _rotctld() -> Take:
     """Replies of Hamlib's server, in pieces."""
 
@@ -206,7 +202,25 @@ def _meter() -> Take:
             with contextlib.suppress(DeviceError):
                 assert abs(await meter.read_voltage()) <= 1.21
 
-    return lambda data: _drive(talk(data))
+    return lambda data: drive(talk(data))
+
+
+def _scanning_meters() -> Take:
+    """Replies of meters with a scanner card; the first byte chooses the make."""
+    makes = tuple(DIALECTS.values())
+
+    async def talk(data: bytes) -> None:
+        make = makes[data[0] % len(makes) if data else 0]
+        around = CubeSurroundings(lambda: 0.0, lambda: 0.0, 1.0, lambda: None)
+        cube = ScanningMeterCube(_Replies(data[1:]), make, make.channels, range_v=0.1, nplc=1.0, surroundings=around)
+        with contextlib.suppress(DeviceError):
+            await cube.open()
+        with contextlib.suppress(DeviceError):
+            reading = await cube.read()
+            for face in (reading.east, reading.south, reading.west, reading.zenith):
+                assert face.flaw or abs(face.value) <= 0.121
+
+    return lambda data: drive(talk(data))
 
 
 def _loads() -> Take:
@@ -224,7 +238,7 @@ def _loads() -> Take:
                 assert point is None or all(map(math.isfinite, point))
         await session.close()
 
-    return lambda data: _drive(talk(data))
+    return lambda data: drive(talk(data))
 
 
 def _file(read: Callable[[Path], object], name: str, mode: int = 0o600) -> Take:
@@ -287,6 +301,7 @@ def _inputs() -> Take:
 
 _JSON = (b'"v":', b"1e999", b"NaN", b"null", b"true", b"-0", b"[[[[", b'{"', b"\\u0000", b'"a":', b'"b":', b"9" * 400)
 _SCPI = (b"KEITHLEY INSTRUMENTS INC.,MODEL 2000,1,A06", b"HEWLETT-PACKARD,6063B,0,A", b"+9.9E37", b"0,No error", b"\n")
+_MODBUS = (b"\0\x01\0\0\0\x06\x01\x03", b"\x01\x03\x06", b"\x01\x83\x02", b"\x01\x10\0\x28\0\x02\x04", b"\xff\xff")
 
 PARSERS = {
     "bridge-datagrams": Parser(_datagrams, (b".", b"eyJ", b"[", b"=", *_JSON)),
@@ -294,6 +309,14 @@ PARSERS = {
     "positioner-screens": Parser(_screens, (b"$", b"$\x88", b"$,", b"$0", b"-.", b"\r", b"1000", b"4294967295")),
     "rotctld-replies": Parser(_rotctld, (b"get_pos:\n", b"RPRT 0\n", b"Azimuth: ", b"dump_state:\n", b" " * 100, b"=")),
     "voltmeter-replies": Parser(_meter, (*_SCPI, b"VDC", b"E+", b"1" * 400)),
+    "scanner-replies": Parser(
+        _scanning_meters,
+        (*_SCPI, b"HEWLETT-PACKARD,34970A,0,13", b"MODEL DMM6500", b"(@1:4)", b"#15", b"101,", b"VOLT:DC", b"2000,"),
+    ),
+    "modbus-replies": Parser(registers.replies, _MODBUS),
+    "modbus-questions": Parser(registers.questions, _MODBUS),
+    "pyranometers": Parser(registers.sensors, (b"\x7f\xc0\0\0", b"\x80\0\0\0", b"\xff" * 4, b"\x02\x5a", b"\0\x01")),
+    "labjack": Parser(registers.labjack, (b"\x7f\xc0\0\0", b"\x40\xe0\0\0", b"\0\x11\x22\x33", b"\x7f\x80\0\0")),
     "load-replies": Parser(_loads, (*_SCPI, b"Chroma,63640-80-80", b"CV", b"VOLT", b"1E999", b";")),
     "csv-scans": Parser(lambda: _file(recorded.read_csv, "scans.csv"), (b"time,east,south,west,zenith\n", b",", b'"')),
     "toml-settings": Parser(

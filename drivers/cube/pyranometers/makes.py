@@ -264,7 +264,7 @@ def _mapped(used: RegisterMapSettings) -> PlainRegisters:
 
 def _text_low_first(words: Words) -> str:
     data = b"".join(bytes((word & 0xFF, word >> 8)) for word in words)
-    return data.decode("latin-1").replace("\0", " ").strip()
+    return "".join(letter if " " <= letter <= "~" else " " for letter in data.decode("latin-1")).strip()
 
 
 _PLAIN = {

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 DEVICE = "scanning meter"
 _READING = re.compile(r"\s*([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)\s*(?:VDC)?\s*", re.ASCII | re.IGNORECASE)
 _CHANNEL = re.compile(r"\s*\+?0*(\d{1,3})\s*", re.ASCII)
+_NUMBER = re.compile(r"\d{1,3}", re.ASCII)
 _BLOCK = re.compile(r"#(\d)")
 _OVERLOAD_V = 9.9e37
 # These meters measure to 120 % of their range.
@@ -238,7 +239,7 @@ def _listed(text: str) -> list[int] | None:
     channels: list[int] = []
     for part in text[2:-1].split(","):
         first, _, last = part.strip().partition(":")
-        if not (first.isdecimal() and (last or first).isdecimal() and len(part) <= 9):
+        if not (_NUMBER.fullmatch(first) and _NUMBER.fullmatch(last or first)):
             return None
         channels += range(int(first), int(last or first) + 1)
     return sorted(channels)
