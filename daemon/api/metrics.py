@@ -1,7 +1,7 @@
 """A snapshot of the service as metrics for Prometheus, in a registry of its own."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -9,6 +9,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.registry import Collector
 
 from daemon.api.refusals import ApiRefusals
+from daemon.base.alarms.alarm import Alarm
 from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
 from daemon.service.health import LATE_UP_TO_S, LoopState
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
@@ -59,8 +60,8 @@ class Metrics(Collector):
         _cube(found, seen)
         for tracker in seen.trackers:
             _tracker(found, tracker)
-            _alarms(found, len(tracker.alarms), [alarm.name for alarm in tracker.alarms], tracker.name)
-        _alarms(found, len(seen.cube_alarms), [alarm.name for alarm in seen.cube_alarms], "")
+            _alarms(found, tracker.alarms, tracker.name)
+        _alarms(found, seen.cube_alarms, "")
         _bridge(found, seen)
         if seen.store is not None:
             found.gauge("store_up", "1 while the store can write.", float(seen.store.down_why is None))
@@ -205,7 +206,14 @@ def _link(found: _Families, link: LinkStatus, name: str) -> None:
             )
 
 
-def _alarms(found: _Families, count: int, names: list[str], tracker: str) -> None:
-    found.gauge("alarms", "How many alarms are on.", count, tracker=tracker)
-    for name in names:
-        found.gauge("alarm", "1 for an alarm that is on.", 1.0, tracker=tracker, name=name)
+def _alarms(found: _Families, alarms: Sequence[Alarm], tracker: str) -> None:
+    found.gauge("alarms", "How many alarms are on.", sum(alarm.on for alarm in alarms), tracker=tracker)
+    waiting = sum(alarm.acknowledged_utc_s is None for alarm in alarms)
+    found.gauge("alarms_unacknowledged", "Alarms that nobody has acknowledged.", waiting, tracker=tracker)
+    for alarm in alarms:
+        labels = {"tracker": tracker, "name": alarm.name, "severity": alarm.kind.severity.value}
+        if alarm.on:
+            found.gauge("alarm", "1 for an alarm that is on.", 1.0, **labels)
+        if alarm.acknowledged_utc_s is None:
+            about = "1 for an alarm, on or over, that nobody has acknowledged."
+            found.gauge("alarm_unacknowledged", about, 1.0, **labels)

@@ -84,11 +84,23 @@ class AuthorisedPage(Page):
 
 
 class AlarmPart(Page):
-    """An alarm that is on."""
+    """An alarm that is on, or that is over and waits for a person to look."""
 
-    name: str
-    text: str
-    since: UtcText
+    name: str = Field(description="Of its kind; docs/alarms.md lists them.")
+    severity: Literal["critical", "warning", "notice"]
+    state: Literal["raised", "acknowledged", "cleared"] = Field(
+        description="`cleared`: its cause has ended and nobody has acknowledged it."
+    )
+    text: str = Field(description="What is wrong now, in a sentence.")
+    cause: str
+    effect: str
+    remedy: str
+    latched: bool = Field(description="Whether it stays after its end until a person has acknowledged it.")
+    since: UtcText = Field(description="The same as `raised_at`.")
+    raised_at: UtcText
+    acknowledged_at: UtcText | None
+    acknowledged_by: str | None
+    cleared_at: UtcText | None
     tracker: str | None
 
 
@@ -204,6 +216,7 @@ class StatePage(TrackerPart):
     scan: NewestScanPart | None
     calibration: dict[str, Any] | None
     cube_down_why: str | None
+    unacknowledged: Whole = Field(description="How many of the alarms nobody has acknowledged.")
     alarms: list[AlarmPart]
     bridge: BridgePart | None
     store: StorePart | None

@@ -23,12 +23,12 @@ from daemon.api.models import (
     StatePage,
     SunPage,
 )
-from daemon.service.command_bodies import CommandBody, GotoBody, ModeBody, body_of
+from daemon.service.command_bodies import AcknowledgeBody, CommandBody, GotoBody, ModeBody, body_of
 from daemon.service.operator_commands import LONGEST_BODY, NAMES
 from daemon.store.history import KINDS_OF_LINES, KINDS_OF_NUMBERS
 
 _REF = "#/components/schemas/{model}"
-_CHECKED: tuple[type[BaseModel], ...] = (CommandBody, GotoBody, ModeBody)
+_CHECKED: tuple[type[BaseModel], ...] = (AcknowledgeBody, CommandBody, GotoBody, ModeBody)
 _ANSWERS: tuple[type[BaseModel], ...] = (
     AuthorisedPage,
     CommandPage,
@@ -52,6 +52,7 @@ _DOES = {
     "relearn": "Forget what the law has learned of the site",
     "maintenance": "Stop the axes, keep them still and the alarms silent until auto",
     "mode": "One of the modes by its name",
+    "acknowledge": "Note that a person has seen an alarm, or all; moves nothing and releases nothing",
 }
 _REFUSALS = {
     400: "the body cannot be meant",
@@ -179,7 +180,7 @@ def _health() -> dict[str, Any]:
 
 
 def _command(name: str) -> dict[str, Any]:
-    body = {"content": _of(body_of(name)), "required": body_of(name) is not CommandBody}
+    body = {"content": _of(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
     answers = {"200": {"description": "carried out", "content": _of(CommandPage)}} | _refusals(*_REFUSALS)
     return {
         "post": {

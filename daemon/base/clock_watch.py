@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 
 _STEP_S = 2.0

@@ -11,11 +11,12 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
-from daemon.commands import dashboard, export, operate, probe, store, tools
 from daemon.commands.options import (
     BENCH,
     FILES,
+    OPERATION,
     SCIENCE,
     SERVICE,
     CubeOption,
@@ -40,6 +41,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(operate.app)
+app.add_typer(alarms.app, name="alarms", rich_help_panel=OPERATION)
 app.add_typer(config_commands.app, name="config", rich_help_panel=FILES)
 app.add_typer(tools.app, name="bridge", rich_help_panel=FILES)
 app.add_typer(calibrate.app, name="calibrate", rich_help_panel=SCIENCE)

@@ -57,7 +57,7 @@ def _plain(name: str, meaning: str) -> None:
         why: WhyOption = _AN_OPERATOR,
         tracker: TrackerOption = None,
     ) -> None:
-        _command(name, config, api, token_file, why, tracker)
+        give(name, config, api, token_file, why, tracker)
 
 
 _plain("stow", "Go to the stow position now and stay there until 'auto'.")
@@ -79,7 +79,7 @@ def goto(
     tracker: TrackerOption = None,
 ) -> None:
     """Go to a position inside the limits and stay there until 'auto'."""
-    _command("goto", config, api, token_file, why, tracker, a_deg=a_deg, b_deg=b_deg)
+    give("goto", config, api, token_file, why, tracker, a_deg=a_deg, b_deg=b_deg)
 
 
 _plain("home", "Clear faults and start a reference run of both axes.")
@@ -87,18 +87,21 @@ _plain("clear", "Clear the faults and doubts that are shown, without a reference
 _plain("relearn", "Forget what the law has learned of the site.")
 
 
-def _command(
+def give(
     name: str,
     config: Path | None,
     api: str | None,
     token_file: Path | None,
     why: str,
     tracker: str | None,
-    **arguments: float,
+    **arguments: float | str,
 ) -> None:
+    """Give a command to the service, print what came of it and leave with its exit code."""
     from daemon.api.client import find
 
     which = {} if tracker is None else {"tracker": tracker}
-    reply = find(config, api, token_file).command(name, why=why, **which, **arguments)
+    if why:
+        which["why"] = why
+    reply = find(config, api, token_file).command(name, **which, **arguments)
     typer.echo(reply.text)
     raise typer.Exit(reply.exit_code)

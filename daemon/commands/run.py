@@ -213,7 +213,7 @@ def _api(
     if not settings.enabled:
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
-    operators = Operators(service.trackers, speed)
+    operators = Operators(service.trackers, speed, service.cube_alarms)
     api = Api(see, recent, operators, token, service.clock, speed, settings.hosts)
     server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
     if server.url is not None:

@@ -122,7 +122,8 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     if "" in trackers:
         yield _mode(state)
     for alarm in state["alarms"]:
-        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)}  {_since(alarm['since'], time)}", style=_BAD)
+        style = "" if alarm["state"] == "acknowledged" else _BAD
+        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)}  {alarm_state(alarm, time)}", style=style)
     for name, own in trackers.items():
         if name:
             yield name, Text()
@@ -139,6 +140,14 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     if state["store"] is not None:
         yield "store", _store(state["store"])
     yield from _mqtt(state, time)
+
+
+def alarm_state(alarm: dict[str, Any], time: str) -> str:
+    """Return since when an alarm is on, or that it is over, and who has acknowledged it."""
+    since = _since(alarm["since"], time)
+    if alarm["state"] == "cleared":
+        return f"{since}; over: acknowledge it with 'heliocube alarms ack {alarm['name']}'"
+    return f"{since}; acknowledged by {alarm['acknowledged_by']}" if alarm["state"] == "acknowledged" else since
 
 
 def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:

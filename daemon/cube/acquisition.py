@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage, Reconnection, Rhythm
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan

@@ -25,7 +25,7 @@ from daemon.dashboard.upstream import Fleet, Upstream
 STATIC = Path(__file__).with_name("static")
 COOKIE = "heliocube"
 
-_COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn")
+_COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
 _LONGEST_BODY = 4096
 _LONGEST_READ = 1 << 20
 _LONGEST_NAME = 60

@@ -1,6 +1,6 @@
 """What motion shows of itself as alarms, and when motor currents are one."""
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.motion.reference import Doubts, fault_text
 from drivers.interfaces import PositionerIdentity, Telemetry
 

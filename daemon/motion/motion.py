@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.files import StateFolder
 from daemon.base.reconnect import Outage, Reconnection

@@ -2,7 +2,7 @@
 
 import math
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 
 _STOW_PAUSES_S = (60.0, 120.0, 300.0, 600.0)
 _OTHER_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)

@@ -113,7 +113,7 @@ class Mqtt:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)
         if mqtt.commands and own:
-            operators = Operators(own, self._speed)
+            operators = Operators(own, self._speed, service.cube_alarms)
             self._commands = Commands(
                 operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed
             )

@@ -121,7 +121,13 @@ def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
             "payload_press": _PRESS,
             **({"command_template": _DATED.format(_PRESS.strip("{}"))} if dated else {}),
         }
-        for name, label in {"stow": "Stow", "stop": "Stop", "hold": "Hold", "auto": "Track"}.items()
+        for name, label in {
+            "stow": "Stow",
+            "stop": "Stop",
+            "hold": "Hold",
+            "auto": "Track",
+            "acknowledge": "Acknowledge alarms",
+        }.items()
     }
     return {"command": select, **buttons}
 
@@ -136,6 +142,10 @@ _CUBE = {
     "alarm_text": _sensor(
         "Alarm text", "value_json.alarms[0].text[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC
     ),
+    "alarm_remedy": _sensor(
+        "Alarm remedy", "value_json.alarms[0].remedy[:255] if value_json.alarms else 'none'", None, None, **_DIAGNOSTIC
+    ),
+    "unacknowledged": _binary("Alarm unacknowledged", "value_json.unacknowledged", "problem"),
     "dropped": _sensor("Messages dropped", "value_json.mqtt.dropped", None, None, **_DIAGNOSTIC),
 }
 _TRACKER = {

@@ -75,10 +75,18 @@ class ModeBody(CommandBody):
     mode: ModeName = Field(description="What is asked for, as by the command of that name.")
 
 
+class AcknowledgeBody(CommandBody):
+    """What comes with acknowledge."""
+
+    alarm: Line = Field(default_factory=str, description="The alarm's name; left out: all that are shown.")
+
+
 def body_of(name: str) -> type[CommandBody]:
     """Return the model of a command's body."""
     if name == "goto":
         return GotoBody
+    if name == "acknowledge":
+        return AcknowledgeBody
     return ModeBody if name == "mode" else CommandBody
 
 
@@ -111,7 +119,7 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
         if kind == "extra_forbidden":
             known = ", ".join([*(key for key in model.model_fields if key not in lines), *lines])
             raise ValueError(f"the body has {ascii(key)[:40]}, but may have only {known}")
-    for key in lines:
+    for key in (*lines, "alarm"):
         if key in wrong:
             raise ValueError(f'"{key}" must be one line of text with at most {_LONGEST_LINE} letters')
     if model is ModeBody:

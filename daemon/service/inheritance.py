@@ -9,13 +9,14 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from daemon.base.alarms import kept
 from daemon.base.errors import UserError
 from daemon.motion import reference
 from daemon.tracker import budget, law_file, stow_watch, wishes
 
 log = logging.getLogger("heliocube.service")
 
-_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file))
+_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept))
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
@@ -27,16 +28,16 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
         The disk does not let it: a service that goes on would have forgotten what is in force.
     """
     for name in _FILES:
-        kept = directory / name
-        if not kept.is_file():
+        before = directory / name
+        if not before.is_file():
             continue
         try:
             for tracker in trackers:
                 own = directory / tracker / name
                 if not own.exists():
                     own.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(kept, own)
-            kept.replace(kept.with_name(f"{name}.before"))
+                    shutil.copyfile(before, own)
+            before.replace(before.with_name(f"{name}.before"))
         except OSError as error:
-            raise UserError(f"{kept} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None
-        log.warning("%s holds for %s from now on", kept, ", ".join(trackers))
+            raise UserError(f"{before} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None
+        log.warning("%s holds for %s from now on", before, ", ".join(trackers))

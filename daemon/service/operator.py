@@ -219,13 +219,17 @@ class Operator:
         return Answer(await self._until(lambda: Seen.UNDER_WAY if motion.homing else None), self._seen())
 
     async def clear(self, why: str, by: str = "") -> Answer:
-        """Clear the faults and doubts that are shown now; what came unseen or comes later stays."""
+        """Clear the faults and doubts that are shown now; what came unseen or comes later stays.
+
+        Whoever clears has looked: the alarms that wait for that are acknowledged.
+        """
         control, motion = self._control, self._motion
         with _refusals():
             control.refuse_while_still("clear")
             self._require_telemetry("cleared of faults")
             shown, asked_s = control.clear_faults(), self._clock.monotonic()
         self._note("clear faults", why, by)
+        self._tracker.alarms.acknowledge(by or "clear", why="clear", latched=True)
 
         def seen() -> Seen | None:
             looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s >= asked_s

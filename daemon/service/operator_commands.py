@@ -11,13 +11,28 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
-from daemon.service.command_bodies import MODES, GotoBody, ModeBody, check
+from daemon.service.acknowledge import acknowledge
+from daemon.service.command_bodies import MODES, AcknowledgeBody, GotoBody, ModeBody, check
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
-NAMES = ("stow", "snow", "hold", "stop", "auto", "goto", "home", "clear", "relearn", "maintenance", "mode")
+NAMES = (
+    "stow",
+    "snow",
+    "hold",
+    "stop",
+    "auto",
+    "goto",
+    "home",
+    "clear",
+    "relearn",
+    "maintenance",
+    "mode",
+    "acknowledge",
+)
 URGENT = ("stop", "stow", "maintenance")
 LONGEST_BODY = 4096
 
@@ -63,6 +78,8 @@ class Command:
         Which is meant, or None where it is not said.
     a_deg, b_deg
         Of a goto; NaN of others.
+    alarm
+        Which is acknowledged, or None for all.
     """
 
     name: str
@@ -75,6 +92,7 @@ class Command:
     tracker: str | None = None
     a_deg: float = math.nan
     b_deg: float = math.nan
+    alarm: str | None = None
 
     def meant_for(self, tracker: str | None) -> "Command":
         """Return the command for the tracker that a query names, if any; `CommandError` if its body names another."""
@@ -102,10 +120,14 @@ class Operators:
         Those of the process; none in that of a cube.
     speed
         How many times as fast as the machine's the service's clock runs.
+    cube_alarms
+        Those of no tracker, to be acknowledged as well; or None.
     """
 
-    def __init__(self, trackers: Sequence[Tracker], speed: float) -> None:
+    def __init__(self, trackers: Sequence[Tracker], speed: float, cube_alarms: Alarms | None = None) -> None:
         self._of = {tracker.name: Operator(tracker, speed) for tracker in trackers}
+        self._alarms = {} if cube_alarms is None else {"": cube_alarms}
+        self._alarms |= {tracker.name: tracker.alarms for tracker in trackers}
         self._speed = speed
         self._clock = trackers[0].clock if trackers else None
         self._limits: dict[tuple[str, bool], RateLimit] = {}
@@ -116,6 +138,10 @@ class Operators:
         More than twenty at once, and then two a second (five of the urgent ones), are `TooManyError`, counted for each
         way on its own; a stop always passes.
         """
+        if command.wanted == "acknowledge":
+            self._refuse_too_many(command)
+            answer = acknowledge(self._alarms, command.tracker, command.alarm, command.by, command.why)
+            return answer_json(command.name, command.identifier, answer)
         chosen = self._meant(command)
         self._refuse_too_many(command)
         if len(chosen) == 1:
@@ -232,6 +258,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
         tracker=body.tracker or None,
         a_deg=place[0],
         b_deg=place[1],
+        alarm=(body.alarm or None) if isinstance(body, AcknowledgeBody) else None,
     )
 
 

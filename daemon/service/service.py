@@ -8,7 +8,8 @@ from random import Random
 from types import MappingProxyType
 from typing import Any
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kept import CUBE_FILE_NAME, AlarmFile
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.files import StateFolder
@@ -85,7 +86,8 @@ class Service:
         self.rig = rig
         self.clock = clock
         self.bus = bus
-        self.cube_alarms = Alarms(clock, bus.publish)
+        self._folder = kept_in(settings.store.directory)
+        self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
         self._random = random
         self._kept_in = kept_in
         self._key = key
@@ -222,6 +224,7 @@ class Service:
                 companion.close()
             for tracker in self.trackers:
                 tracker.folder.close()
+            self._folder.close()
 
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge

@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from daemon.base.alarms import Alarm
+from daemon.base.alarms.alarm import Alarm
 from daemon.base.records import FACES, IvCurve, Move, Pose, Quality, Scan, Target
 from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
@@ -95,7 +95,7 @@ class TrackerState:
     wind
         How each source of stow stands.
     alarms
-        Its own that are on.
+        Its own that are on, or that wait for a person to look.
     load
         None where there is none.
     decisions, moves
@@ -225,7 +225,7 @@ def snapshot(
         has_cube=acquisition is not None,
         cube_down_why=acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         calibration=service.calibration,
-        cube_alarms=service.cube_alarms.active,
+        cube_alarms=service.cube_alarms.shown,
         trackers=tuple(_tracker(tracker, recent) for tracker in service.trackers),
         bridge=None if service.receiver is None else service.receiver.statistics,
         store=store,
@@ -257,7 +257,7 @@ def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
         positioner=_positioner(tracker.motion, now_s),
         load=None if tracker.curves is None else _load(tracker.curves),
         wind=tracker.stow_watch.statuses(now_s),
-        alarms=tracker.alarms.active,
+        alarms=tracker.alarms.shown,
         decisions=recent.decisions[tracker.name],
         moves=dict(recent.moves[tracker.name]),
     )

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from operator import attrgetter
 from typing import Any
 
-from daemon.base.alarms import Alarm
+from daemon.base.alarms.alarm import Alarm
 from daemon.base.clock import iso_utc
 from daemon.base.records import FACES, Record
 from daemon.cube.calibration import CubeCalibration
@@ -76,7 +76,7 @@ def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
 
 def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[str, Any]:
     """Return what is not of one tracker."""
-    ordered = sorted(alarms, key=lambda item: item[0].since_utc_s)
+    ordered = sorted(alarms, key=lambda item: item[0].raised_utc_s)
     return {
         "version": seen.version,
         "simulated": seen.simulated,
@@ -94,6 +94,7 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, str | None]]) -> dict[
         "scan": _scan(seen),
         "calibration": None if seen.calibration is None else _calibration(seen.calibration, seen.time_utc_s),
         "cube_down_why": seen.cube_down_why,
+        "unacknowledged": sum(alarm.acknowledged_utc_s is None for alarm, _ in ordered),
         "alarms": [_alarm(alarm) | {"tracker": tracker} for alarm, tracker in ordered],
         "bridge": None
         if seen.bridge is None
@@ -179,7 +180,22 @@ def _calibration(calibration: CubeCalibration, utc_s: float) -> dict[str, Any]:
 
 
 def _alarm(alarm: Alarm) -> dict[str, Any]:
-    return {"name": alarm.name, "text": alarm.text, "since": iso_utc(alarm.since_utc_s)}
+    kind, raised = alarm.kind, iso_utc(alarm.raised_utc_s)
+    return {
+        "name": alarm.name,
+        "severity": kind.severity.value,
+        "state": alarm.state,
+        "text": alarm.text,
+        "cause": kind.cause,
+        "effect": kind.effect,
+        "remedy": kind.remedy,
+        "latched": kind.latched,
+        "since": raised,
+        "raised_at": raised,
+        "acknowledged_at": None if alarm.acknowledged_utc_s is None else iso_utc(alarm.acknowledged_utc_s),
+        "acknowledged_by": alarm.acknowledged_by or None,
+        "cleared_at": None if alarm.cleared_utc_s is None else iso_utc(alarm.cleared_utc_s),
+    }
 
 
 def _wish(wish: Wish | None) -> dict[str, Any] | None:

@@ -5,7 +5,8 @@ import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from random import Random
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kept import AlarmFile
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.files import StateFolder
@@ -94,7 +95,7 @@ class Tracker:
         self.settings = settings
         self.clock = clock
         self.publish = stamped(publish, name)
-        self.alarms = Alarms(clock, self.publish, muted)
+        self.alarms = Alarms(clock, self.publish, muted, AlarmFile(folder))
         self._rig = rig
         self.folder = folder
         self.alone = alone

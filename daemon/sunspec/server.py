@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 from collections.abc import Callable
 
 from daemon.base.addresses import parse_address
@@ -168,7 +169,8 @@ class SunSpecServer:
             by=f"SunSpec client {host}",
             identifier=None,
             tracker=override.tracker,
-            **({"a_deg": override.a_deg, "b_deg": override.b_deg} if goes else {}),
+            a_deg=override.a_deg if goes else math.nan,
+            b_deg=override.b_deg if goes else math.nan,
         )
         task: asyncio.Task[object] = asyncio.create_task(self._command(command, override))
         self._running.add(task)

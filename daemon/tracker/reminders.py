@@ -4,7 +4,7 @@ import logging
 import math
 from collections.abc import Callable
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Record
 from daemon.config.sections import SiteSettings

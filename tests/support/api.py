@@ -58,7 +58,7 @@ class Caller:
 def server_of(rig, settings, recent=None, store=None, hosts=()):
     """Return the local interface of a rig's service."""
     recent = Recent() if recent is None else recent
-    operators = Operators(rig.service.trackers, 1.0)
+    operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
     api = Api(lambda: rig.see(recent, store), recent, operators, TOKEN, rig.clock, 1.0, hosts)
     return ApiServer(settings, api, rig.clock, rig.bus.publish, 1.0)
 

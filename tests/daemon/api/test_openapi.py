@@ -77,4 +77,5 @@ def test_what_checks_a_command_describes_it():
         found = schemas[model.__name__]
         assert set(found["properties"]) == set(model.model_fields)
         assert found["additionalProperties"] is False
-        assert found.get("required", []) == [key for key in model.model_fields if key not in CommandBody.model_fields]
+        assert found.get("required", []) == [key for key, field in model.model_fields.items() if field.is_required()]
+        assert set(found.get("required", [])) == (set(model.model_fields) - set(CommandBody.model_fields) - {"alarm"})

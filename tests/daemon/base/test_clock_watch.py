@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock_watch import ClockWatch
 
 

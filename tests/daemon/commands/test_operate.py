@@ -24,14 +24,6 @@ def test_every_metric_is_explained(name):
     assert f"`heliocube_{name}`" in PAGE
 
 
-def test_every_alarm_is_explained():
-    code = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "daemon").rglob("*.py"))
-    names = set(re.findall(r'alarms\.set\(\s*"([\w-]+)"|_ALARM = "([\w-]+)"', code))
-    assert names
-    for name in names:
-        assert f"`{''.join(name)}`" in PAGE
-
-
 def test_no_metric_is_explained_that_is_not_there():
     known = {f"{name}_total" for name in COUNTED} | set(MEASURED)
     assert set(re.findall(r"`heliocube_(\w+)`", PAGE)) == known

@@ -5,7 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.records import Mode, Quality
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch

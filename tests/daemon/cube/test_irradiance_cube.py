@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from daemon.base.alarms import Alarms
+from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
 from daemon.base.records import Quality
 from daemon.base.timeloop import VirtualTimeLoop

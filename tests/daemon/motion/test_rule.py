@@ -67,7 +67,7 @@ def test_what_moves_by_itself_is_stopped_within_2_s_and_blocks_even_a_stow(run_r
     told = [event for event in rig.of(Event) if event.subject == "alarm" and "without an order" in event.text]
     warned = [r for r in caplog.records if r.levelno == logging.WARNING and "without an order" in r.getMessage()]
     assert len(warned) == 1
-    assert [event.text.startswith("over: ") for event in told] == [False, True]
+    assert [event.text.startswith("cleared ") for event in told] == [False, True]
 
 
 @pytest.mark.parametrize("lost", [A_PACKET, B_PACKET])

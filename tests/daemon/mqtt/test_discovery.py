@@ -40,7 +40,7 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
     }
     assert components["mode"]["options"] == [mode.value for mode in Mode]
     assert components["command"]["options"] == ["auto", "hold", "stow", "snow", "maintenance"]
-    for name in ("stow", "stop", "hold", "auto"):
+    for name in ("stow", "stop", "hold", "auto", "acknowledge"):
         button = components[f"press_{name}"]
         assert button["command_topic"] == TOPICS.command(name)
         assert json.loads(button["payload_press"]).keys() == {"why"}
@@ -52,6 +52,7 @@ def test_the_document_has_every_kind_of_entity_with_names_of_their_own():
         "motor_current_a",
         "motor_current_b",
         "alarm_text",
+        "alarm_remedy",
     }
 
 
@@ -130,6 +131,7 @@ def test_every_template_finds_its_value_in_the_state_and_every_button_is_a_comma
                 assert values["command"] == "auto"
                 assert values["connected"] == "ON"
                 assert (values["alarm"], values["alarm_text"]) == ("OFF", "none")
+                assert (values["unacknowledged"], values["alarm_remedy"]) == ("OFF", "none")
                 for mode in ("hold", "stow", "snow", "maintenance", "fault"):
                     found_mode = _rendered(components["command"], {**tracking, "mode": {"name": mode}})
                     assert found_mode == ("auto" if mode == "fault" else mode)

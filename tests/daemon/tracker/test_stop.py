@@ -392,6 +392,6 @@ def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
         assert (alarm["name"], alarm["since"][:14]) == ("stow-wanted", "2022-10-12T10:")
         lines = (await call_http.get("/metrics")).body.decode().splitlines()
         assert 'heliocube_alarms{tracker="tracker"} 1.0' in lines
-        assert 'heliocube_alarm{name="stow-wanted",tracker="tracker"} 1.0' in lines
+        assert 'heliocube_alarm{name="stow-wanted",severity="critical",tracker="tracker"} 1.0' in lines
 
     serve(scenario)

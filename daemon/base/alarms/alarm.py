@@ -1,0 +1,48 @@
+"""One alarm, as everybody is shown it."""
+
+from dataclasses import dataclass
+
+from daemon.base.alarms.kinds import AlarmKind, kind_of_alarm
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One alarm that is on, or that is over and waits for a person to look.
+
+    Attributes
+    ----------
+    name
+        Of its kind, such as ``unexplained-motion``; at most one of a kind is on show.
+    text
+        What is wrong and what to do, in a sentence.
+    raised_utc_s
+        When it was raised.
+    acknowledged_utc_s, acknowledged_by
+        When and by whom it was acknowledged; None and empty where nobody has.
+    cleared_utc_s
+        When its cause ended, of one that is latched; None of one that is on.
+    """
+
+    name: str
+    text: str
+    raised_utc_s: float
+    acknowledged_utc_s: float | None = None
+    acknowledged_by: str = ""
+    cleared_utc_s: float | None = None
+
+    @property
+    def kind(self) -> AlarmKind:
+        """What is written of its kind."""
+        return kind_of_alarm(self.name)
+
+    @property
+    def on(self) -> bool:
+        """Whether its cause lasts."""
+        return self.cleared_utc_s is None
+
+    @property
+    def state(self) -> str:
+        """``raised``, ``acknowledged``, or ``cleared`` where the cause has ended and nobody has acknowledged it."""
+        if not self.on:
+            return "cleared"
+        return "raised" if self.acknowledged_utc_s is None else "acknowledged"

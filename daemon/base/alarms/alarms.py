@@ -1,0 +1,178 @@
+"""What a person has to know: raised once, acknowledged by a person, cleared with its cause, shown everywhere."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+from daemon.base.alarms.alarm import Alarm
+from daemon.base.alarms.kept import AlarmFile, KeptAlarm
+from daemon.base.clock import Clock
+from daemon.base.records import Event, Record
+
+log = logging.getLogger("heliocube.alarm")
+
+# What is raised anew within this time of a start is what was acknowledged before it, and not another one.
+_SAME_AFTER_START_S = 600.0
+
+
+class Alarms:
+    """The alarms of one tracker, or of the cube and its process.
+
+    Each change is an event of the subject ``alarm``: ``raised NAME: TEXT``, ``acknowledged NAME by WHO`` with the
+    reason after a colon where there is one, ``cleared NAME: TEXT``. Acknowledging moves nothing and releases nothing.
+
+    Parameters
+    ----------
+    clock
+        The service's time.
+    publish
+        Called with the events.
+    changed
+        Called when they are muted or shown again.
+    file
+        Keeps over a restart what was acknowledged, and what is latched; None keeps nothing.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        publish: Callable[[Record], None],
+        changed: Callable[[], None] = lambda: None,
+        file: AlarmFile | None = None,
+    ) -> None:
+        self._clock = clock
+        self._changed = changed
+        self._publish = publish
+        self._file = file
+        self._shown: dict[str, Alarm] = {}
+        self._held: dict[str, str] = {}
+        self._muted = False
+        self._started_s = clock.monotonic()
+        self._before: dict[str, KeptAlarm] = {}
+        self._saved: dict[str, KeptAlarm] = {}
+        if file is not None:
+            self._resume(file.load())
+
+    @property
+    def active(self) -> tuple[Alarm, ...]:
+        """The alarms that are on, oldest first; none while they are muted."""
+        return tuple(alarm for alarm in self.shown if alarm.on)
+
+    @property
+    def shown(self) -> tuple[Alarm, ...]:
+        """Those that are on, and those that are over and wait for a person; none while they are muted."""
+        return () if self._muted else tuple(self._shown.values())
+
+    @property
+    def muted(self) -> bool:
+        """Whether they are kept silent."""
+        return self._muted
+
+    def set(self, name: str, text: str | None) -> None:
+        """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently."""
+        if self._muted:
+            if text is None:
+                self._held.pop(name, None)
+            else:
+                self._held[name] = text
+            return
+        before = self._shown.get(name)
+        if text is None:
+            if self._before:
+                self._before.pop(name, None)
+            if before is not None and before.on:
+                self._clear(before)
+        elif before is None or not before.on:
+            self._raise(name, text, before)
+        elif before.text != text:
+            self._shown[name] = replace(before, text=text)
+
+    def acknowledge(self, by: str, name: str | None = None, why: str = "", *, latched: bool = False) -> tuple[str, ...]:
+        """Note that a person has seen an alarm, and return the names of those that nobody had acknowledged yet.
+
+        Parameters
+        ----------
+        by, why
+            Who, and a reason for the records, each one line.
+        name
+            Of one alarm; None for all that are shown.
+        latched
+            Whether only those that wait for a person are meant.
+        """
+        chosen = [
+            alarm
+            for alarm in self.shown
+            if name in (None, alarm.name) and alarm.acknowledged_utc_s is None and (alarm.kind.latched or not latched)
+        ]
+        for alarm in chosen:
+            if alarm.on:
+                now_utc_s = self._clock.utc()
+                self._shown[alarm.name] = replace(alarm, acknowledged_utc_s=now_utc_s, acknowledged_by=by)
+            else:
+                del self._shown[alarm.name]
+            self._report(f"acknowledged {alarm.name} by {by}{f': {why}' if why else ''}")
+        if chosen:
+            self._save()
+        return tuple(alarm.name for alarm in chosen)
+
+    def mute(self, *, muted: bool) -> None:
+        """Keep all alarms to itself, as in maintenance, or show again what is still on."""
+        if muted is self._muted:
+            return
+        self._muted = muted
+        if muted:
+            self._held = {alarm.name: alarm.text for alarm in self._shown.values() if alarm.on}
+            self._shown = {alarm.name: alarm for alarm in self._shown.values() if not alarm.on}
+        else:
+            held, self._held = self._held, {}
+            for name, text in held.items():
+                self.set(name, text)
+        self._changed()
+
+    def _raise(self, name: str, text: str, before: Alarm | None) -> None:
+        now_utc_s = self._clock.utc()
+        kept = self._before.pop(name, None)
+        if kept is not None and self._clock.monotonic() - self._started_s <= _SAME_AFTER_START_S:
+            self._shown[name] = kept.alarm(name, text)
+        else:
+            # Of one that came back before anybody had looked, the first time counts.
+            self._shown[name] = Alarm(name, text, now_utc_s if before is None else before.raised_utc_s)
+        log.warning("%s", text, extra={"fields": {"alarm": name}})
+        self._report(f"raised {name}: {text}")
+        self._save()
+
+    def _clear(self, before: Alarm) -> None:
+        if before.kind.latched and before.acknowledged_utc_s is None:
+            self._shown[before.name] = replace(before, cleared_utc_s=self._clock.utc())
+        else:
+            del self._shown[before.name]
+        log.info("alarm %s is over", before.name)
+        self._report(f"cleared {before.name}: {before.text}")
+        self._save()
+
+    def _resume(self, kept: dict[str, KeptAlarm]) -> None:
+        """Show again what waits for a person; what was acknowledged stays so if it is raised again at once."""
+        now_utc_s = self._clock.utc()
+        for name, found in kept.items():
+            if found.acknowledged_utc_s is not None:
+                self._before[name] = found
+            else:
+                cleared_utc_s = now_utc_s if found.cleared_utc_s is None else found.cleared_utc_s
+                self._shown[name] = replace(found.alarm(name, found.text), cleared_utc_s=cleared_utc_s)
+        self._saved = kept
+
+    def _save(self) -> None:
+        if self._file is None:
+            return
+        found = {
+            alarm.name: KeptAlarm.of(alarm)
+            for alarm in self._shown.values()
+            if alarm.kind.latched or alarm.acknowledged_utc_s is not None
+        }
+        whole = self._before | found
+        if whole != self._saved:
+            self._saved = whole
+            self._file.save(whole)
+
+    def _report(self, text: str) -> None:
+        self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))

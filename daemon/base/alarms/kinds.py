@@ -1,0 +1,196 @@
+"""Every alarm there is: what causes it, what it costs, what to do, and whether it waits for a person to look.
+
+``docs/alarms_table.py`` writes docs/alarms.md from this list; a test holds the list against the source.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """How soon somebody has to come."""
+
+    CRITICAL = "critical"
+    WARNING = "warning"
+    NOTICE = "notice"
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmKind:
+    """One kind of alarm.
+
+    Attributes
+    ----------
+    name
+        By which it is known everywhere, such as ``unexplained-motion``.
+    severity
+        ``critical``: steel, people or the shelter from a storm are at stake, at any hour. ``warning``: data or safety
+        suffer until somebody acts, by day. ``notice``: worth knowing.
+    latched
+        Whether it stays on show after its cause has ended, until a person has acknowledged it.
+    cause, effect, remedy
+        A sentence each, without the full stop.
+    """
+
+    name: str
+    severity: Severity
+    latched: bool
+    cause: str
+    effect: str
+    remedy: str
+
+
+def _kind(name: str, severity: Severity, cause: str, effect: str, remedy: str, *, latched: bool = False) -> AlarmKind:
+    return AlarmKind(name=name, severity=severity, latched=latched, cause=cause, effect=effect, remedy=remedy)
+
+
+_ALL = (
+    _kind(
+        "deaf-to-stop",
+        Severity.CRITICAL,
+        "5 s after stop the positioner still moves",
+        "stop is sent on and on; nothing else is ordered",
+        "switch the supply of the motors off, look for the cause, then `heliocube clear`",
+        latched=True,
+    ),
+    _kind(
+        "unexplained-motion",
+        Severity.CRITICAL,
+        "an axis moved without an order, away from its target, or against a stop",
+        "the axes are stopped and nothing moves any more, not even to stow",
+        "somebody may be at the axes: look who or what it was, then `heliocube clear`",
+        latched=True,
+    ),
+    _kind(
+        "positioner-fault",
+        Severity.CRITICAL,
+        "the positioner reports a fault, or one went away before anybody had seen it",
+        "nothing moves while the fault is on; after one that vanished nothing but a stow",
+        "find the cause at the mechanics, then `heliocube clear`, or `heliocube home` after a lost reference",
+        latched=True,
+    ),
+    _kind(
+        "move-failed",
+        Severity.CRITICAL,
+        "a move or a stow was given up after `motion.attempts` tries; ends with a move that arrives",
+        "the tracker is not where it should be, maybe not stowed; it is tried again with growing pauses",
+        "look for ice, something in the way, a slack cable, the unit's supply; the alarm's text says how it failed",
+        latched=True,
+    ),
+    _kind(
+        "positioner-setup",
+        Severity.CRITICAL,
+        "geometry, offsets or ranges in the unit contradict the configuration",
+        "nothing moves, not even to stow",
+        "correct the one that is wrong, then restart the service",
+    ),
+    _kind(
+        "stow-wanted",
+        Severity.CRITICAL,
+        "wind, or another reason to stow, while a person keeps the tracker still",
+        "the module stands in the wind as it was left",
+        "see that nobody is at the axes, then `heliocube auto`",
+    ),
+    _kind(
+        "driver-hung",
+        Severity.CRITICAL,
+        "of several trackers, the driver of one does not return; only a new process can connect it",
+        "this tracker is neither moved nor stowed; the others go on",
+        "restart the service when the others may stand still for it",
+    ),
+    _kind(
+        "no-wind-source",
+        Severity.WARNING,
+        "real instruments, and no wind sensor or other guard is configured",
+        "nothing stows the tracker in a storm",
+        'set mqtt.wind.topic or mqtt.safe.topic, or safety.without_wind_source = "accepted"',
+    ),
+    _kind(
+        "reference",
+        Severity.WARNING,
+        "the reference of an axis is in doubt: a restart of the unit, a jump of its count, a failed reference run",
+        "nothing moves but a stow",
+        "compare the angles of `status` with the arms; `heliocube clear` if they agree, else `heliocube home`",
+    ),
+    _kind(
+        "motor-current",
+        Severity.WARNING,
+        "for 2 s a motor draws more than `instruments.positioner.current_alarm_a`, or draws current at rest; ends after"
+        " an hour without",
+        "the drive wears, and may stall before it reaches its stow position",
+        "look for ice, something in the way, a dry joint, a worn spindle",
+        latched=True,
+    ),
+    _kind(
+        "cube-face",
+        Severity.WARNING,
+        "a face of the cube reads what cannot be true",
+        "the face is not used; laws that need it follow the ephemeris instead",
+        "look after the sensor, its cable and the multiplexer; it is used again after ten sound looks",
+    ),
+    _kind(
+        "cube-sensor",
+        Severity.WARNING,
+        "a digital sensor reports a fault, is silent for the third time, or is another one than configured",
+        "its face has no reading, or a doubtful one",
+        "do what the alarm's text says; docs/instruments.md explains the flags",
+    ),
+    _kind(
+        "clock",
+        Severity.WARNING,
+        "the time of day was set by a large step, or never synchronised",
+        "the sun's position is in doubt and is not used for a quarter of an hour, or until the clock is synchronised",
+        "see to time synchronisation: `timedatectl`, the network, the NTP server",
+    ),
+    _kind(
+        "hold-forgotten",
+        Severity.WARNING,
+        "the sun has risen since somebody said `hold`, `goto` or `snow`",
+        "the tracker does not track",
+        "`heliocube auto`, if it was forgotten",
+    ),
+    _kind(
+        "nothing-kept",
+        Severity.WARNING,
+        "real instruments, and `store.directory` is not set",
+        "a restart forgets stops, storms and doubts, and no records are kept",
+        "set store.directory, then restart the service",
+    ),
+    _kind(
+        "not-kept",
+        Severity.WARNING,
+        "a file of kept state cannot be written",
+        "a restart would forget what the alarm's text names",
+        "free the disk, or correct its rights; writing is tried again every few seconds",
+    ),
+    _kind(
+        "store-aside",
+        Severity.WARNING,
+        "the file of records was damaged, and a new one was begun",
+        "the records before are in the file that was moved aside",
+        "salvage them with `heliocube store salvage`, then move that file to another folder",
+    ),
+    _kind(
+        "store-down",
+        Severity.WARNING,
+        "the store cannot write",
+        "records wait in memory; of too many the oldest are lost",
+        "free the disk, or correct its rights; the alarm ends with the first record that is written",
+    ),
+    _kind(
+        "day-budget",
+        Severity.NOTICE,
+        "the laws have used up the moves or the travel of the solar day; ends at solar midnight",
+        "the tracker stands until then, but for stow, night and persons",
+        "a sky that varies much; if it is usual, raise motion.deadband_deg, or the day's limits",
+    ),
+)
+
+KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
+"""By name, the most severe first."""
+
+
+def kind_of_alarm(name: str) -> AlarmKind:
+    """Return the kind of a name; one that a plugged-in part has made up is a warning that its text must explain."""
+    found = KINDS.get(name)
+    return found or _kind(name, Severity.WARNING, "as the alarm's text says", "unknown", "as the alarm's text says")

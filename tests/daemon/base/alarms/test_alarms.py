@@ -1,0 +1,172 @@
+"""The states of an alarm: raised, acknowledged, cleared."""
+
+import pytest
+
+from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kept import FILE_NAME, AlarmFile
+from daemon.base.files import StateFolder
+
+LATCHED, PLAIN = "move-failed", "stow-wanted"
+
+
+class HandClock:
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+    def utc(self):
+        return 1.7e9 + self.now
+
+
+class House:
+    def __init__(self, directory=None):
+        self.clock, self.records = HandClock(), []
+        self.directory = directory
+        self.alarms = self.started()
+
+    def started(self):
+        file = AlarmFile(StateFolder(self.directory))
+        return Alarms(self.clock, self.records.append, file=file)
+
+    def restart(self, after_s=5.0):
+        self.alarms = self.started()
+        self.clock.now += after_s
+
+    @property
+    def states(self):
+        return {alarm.name: alarm.state for alarm in self.alarms.shown}
+
+    @property
+    def told(self):
+        return [record.text for record in self.records]
+
+
+@pytest.fixture
+def house(tmp_path):
+    return House(tmp_path)
+
+
+def test_an_alarm_is_raised_acknowledged_and_gone_with_its_cause(house):
+    house.alarms.set(PLAIN, "wind")
+    house.clock.now += 60
+    assert house.alarms.acknowledge("ana@lab", PLAIN, "on my way") == (PLAIN,)
+    (alarm,) = house.alarms.active
+    assert (alarm.state, alarm.acknowledged_by) == ("acknowledged", "ana@lab")
+    assert alarm.acknowledged_utc_s - alarm.raised_utc_s == 60
+    house.alarms.set(PLAIN, "more wind")
+    assert house.alarms.active[0].acknowledged_by == "ana@lab"
+    house.alarms.set(PLAIN, None)
+    assert house.states == {}
+    assert house.told == [
+        f"raised {PLAIN}: wind",
+        f"acknowledged {PLAIN} by ana@lab: on my way",
+        f"cleared {PLAIN}: more wind",
+    ]
+    assert {record.subject for record in house.records} == {"alarm"}
+
+
+def test_a_latched_one_stays_on_show_until_a_person_has_looked(house):
+    house.alarms.set(LATCHED, "stalled")
+    house.clock.now += 30
+    house.alarms.set(LATCHED, None)
+    assert house.states == {LATCHED: "cleared"}
+    assert house.alarms.active == ()
+    assert house.alarms.shown[0].cleared_utc_s == house.clock.utc()
+    house.alarms.set(LATCHED, None)
+    assert house.told.count(f"cleared {LATCHED}: stalled") == 1
+    house.alarms.acknowledge("ana")
+    assert house.states == {}
+
+
+def test_an_acknowledged_latched_one_goes_with_its_cause_and_the_next_is_a_new_one(house):
+    house.alarms.set(LATCHED, "stalled")
+    house.alarms.acknowledge("ana")
+    house.alarms.set(LATCHED, None)
+    assert house.states == {}
+    house.alarms.set(LATCHED, "stalled again")
+    assert house.states == {LATCHED: "raised"}
+
+
+def test_what_comes_back_before_anybody_has_looked_keeps_its_first_time(house):
+    house.alarms.set(LATCHED, "stalled")
+    first_utc_s = house.clock.utc()
+    house.alarms.set(LATCHED, None)
+    house.clock.now += 600
+    house.alarms.set(LATCHED, "stalled again")
+    (alarm,) = house.alarms.active
+    assert (alarm.raised_utc_s, alarm.text, alarm.cleared_utc_s) == (first_utc_s, "stalled again", None)
+
+
+def test_acknowledging_counts_once_and_only_what_is_shown(house):
+    assert house.alarms.acknowledge("ana") == ()
+    house.alarms.set(PLAIN, "wind")
+    house.alarms.set(LATCHED, "stalled")
+    assert house.alarms.acknowledge("ana", latched=True) == (LATCHED,)
+    assert house.alarms.acknowledge("bob") == (PLAIN,)
+    assert house.alarms.acknowledge("eve") == ()
+    assert [alarm.acknowledged_by for alarm in house.alarms.active] == ["bob", "ana"]
+
+
+def test_maintenance_hides_all_and_raises_anew_what_lasts(house):
+    house.alarms.set(PLAIN, "wind")
+    house.alarms.acknowledge("ana")
+    house.alarms.set(LATCHED, "stalled")
+    house.alarms.set(LATCHED, None)
+    house.alarms.mute(muted=True)
+    assert house.states == {}
+    assert house.alarms.acknowledge("ana") == ()
+    house.alarms.mute(muted=False)
+    assert house.states == {PLAIN: "raised", LATCHED: "cleared"}
+
+
+def test_a_restart_forgets_neither_what_waits_for_a_person_nor_what_one_has_seen(house):
+    for name in (PLAIN, LATCHED):
+        house.alarms.set(name, "bad")
+    house.alarms.acknowledge("ana", PLAIN)
+    raised_utc_s = house.clock.utc()
+    house.restart()
+    assert house.states == {LATCHED: "cleared"}
+    house.alarms.set(PLAIN, "bad")
+    house.alarms.set(LATCHED, "bad")
+    assert house.states == {PLAIN: "acknowledged", LATCHED: "raised"}
+    assert {alarm.raised_utc_s for alarm in house.alarms.shown} == {raised_utc_s}
+    house.alarms.acknowledge("ana")
+    house.alarms.set(LATCHED, None)
+    house.alarms.set(PLAIN, None)
+    house.restart()
+    assert house.states == {}
+
+
+@pytest.mark.parametrize("cause", ["over", "late"])
+def test_after_a_restart_a_new_cause_is_a_new_alarm(house, cause):
+    house.alarms.set(PLAIN, "bad")
+    house.alarms.acknowledge("ana")
+    house.restart()
+    if cause == "over":
+        house.alarms.set(PLAIN, None)
+    else:
+        house.clock.now += 3600
+    house.alarms.set(PLAIN, "bad")
+    assert house.states == {PLAIN: "raised"}
+
+
+def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
+    for _ in range(3):
+        house.alarms.set(PLAIN, "wind")
+        house.alarms.set(PLAIN, None)
+    assert not (house.directory / FILE_NAME).exists()
+
+
+@pytest.mark.parametrize(
+    "content", ["{", '{"alarms": {"move-failed": {"text": 3}}}', '{"alarms": {"x": {"text": "", "raised_utc_s": NaN}}}']
+)
+def test_a_file_that_cannot_be_used_is_logged_and_written_anew(tmp_path, caplog, content):
+    (tmp_path / FILE_NAME).write_text(content)
+    house = House(tmp_path)
+    assert house.states == {}
+    assert "which alarms were acknowledged is not known" in caplog.text
+    house.alarms.set(LATCHED, "stalled")
+    house.restart()
+    assert house.states == {LATCHED: "cleared"}

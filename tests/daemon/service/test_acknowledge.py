@@ -1,0 +1,75 @@
+"""Acknowledging an alarm, over the doors that people use."""
+
+import asyncio
+import json
+
+import pytest
+
+from daemon.base.records import Event, Mode
+from tests.daemon.service.test_faults import tracking
+from tests.support.api import serve
+
+__all__ = ["serve"]
+
+
+async def blown(rig, call_http):
+    """Stop the tracker and let the wind rise: stow is wanted, and cannot be."""
+    await tracking(rig)
+    await call_http.post("stop", b'{"by": "ana"}')
+    rig.wind_m_s = 20.0
+    await rig.until(lambda: rig.tracker.alarms.active, 6, "the alarm")
+
+
+def test_an_acknowledged_alarm_says_by_whom_and_nothing_moves_by_it(serve):
+    async def scenario(rig, call_http):
+        await blown(rig, call_http)
+        before = rig.truth()
+        reply = await call_http.post("acknowledge", b'{"alarm": "stow-wanted", "by": "bob@lab", "why": "I am here"}')
+        assert reply.status == 200, reply.body
+        assert reply.json["text"].startswith("acknowledged: stow-wanted is still on: see that nobody is at the axes")
+        found = (await call_http.get("/api/state")).json
+        (alarm,) = found["alarms"]
+        assert (alarm["state"], alarm["acknowledged_by"], found["unacknowledged"]) == ("acknowledged", "bob@lab", 0)
+        assert alarm["remedy"].endswith("then `heliocube auto`")
+        lines = (await call_http.get("/metrics")).body.decode()
+        assert 'heliocube_alarm{name="stow-wanted",severity="critical",tracker="tracker"} 1.0' in lines
+        assert "heliocube_alarm_unacknowledged{" not in lines
+        await asyncio.sleep(60)
+        assert rig.truth() == before
+        assert rig.mode is Mode.HOLD
+        assert rig.control.wishes.stop.by == "ana"
+        assert "acknowledged stow-wanted by bob@lab: I am here" in [event.text for event in rig.of(Event)]
+        again = await call_http.post("acknowledge", b'{"alarm": "stow-wanted"}')
+        assert again.json["text"] == "stow-wanted was acknowledged before"
+
+    serve(scenario)
+
+
+def test_without_a_name_all_are_meant_those_of_the_cube_too(serve):
+    async def scenario(rig, call_http):
+        await blown(rig, call_http)
+        rig.service.cube_alarms.set("store-down", "the disk is full")
+        reply = await call_http.post("acknowledge")
+        assert {alarm["state"] for alarm in (await call_http.get("/api/state")).json["alarms"]} == {"acknowledged"}
+        assert "store-down" in reply.json["text"]
+        assert (await call_http.post("acknowledge")).json["text"] == "there is nothing to acknowledge"
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "sentence"),
+    [
+        ({"alarm": "reference"}, 409, "the alarm reference is not on: shown are stow-wanted"),
+        ({"alarm": "tea"}, 422, "there is no alarm 'tea': shown are stow-wanted"),
+        ({"tracker": "east"}, 422, "there is no tracker 'east' here, but tracker"),
+        ({"alarm": 3}, 400, '"alarm" must be one line of text with at most 200 letters'),
+    ],
+)
+def test_what_cannot_be_acknowledged_is_one_sentence(serve, body, status, sentence):
+    async def scenario(rig, call_http):
+        await blown(rig, call_http)
+        reply = await call_http.post("acknowledge", json.dumps(body).encode())
+        assert (reply.status, reply.json) == (status, {"error": sentence})
+
+    serve(scenario)
