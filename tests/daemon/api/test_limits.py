@@ -173,6 +173,7 @@ def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     async def scenario(rig, call):
         await under_way(rig)
         readers = [asyncio.create_task(call.get("/api/state")) for _ in range(150)]
+        await asyncio.wait(readers, return_when=asyncio.FIRST_COMPLETED)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         stopped = await call.post("stop")
         replies = await asyncio.gather(*readers)
