@@ -35,6 +35,22 @@ listen = "0.0.0.0:20571"
 send_to = ["10.77.0.2:20571"]
 accept_from = ["10.77.0.1"]
 key_file = "bridge.key"
+[api]
+listen = "0.0.0.0:20572"
+"""
+_MANY_CONNECTIONS = """
+import socket, sys
+held = [socket.create_connection(("10.77.0.2", 20572), 9) for _ in range(int(sys.argv[1]))]
+still = 0
+for one in held:
+    one.settimeout(0.1)
+    try:
+        still += one.recv(1) != b""
+    except TimeoutError:
+        still += 1
+    except ConnectionError:
+        pass
+print(still)
 """
 
 
@@ -130,6 +146,11 @@ class BadNetwork:
             self._within("tracker", sys.executable, "-c", asked), capture_output=True, text=True, check=True
         )
         return json.loads(done.stdout)
+
+    def connections_kept(self, asked: int) -> int:
+        """Return how many of so many connections from the cube to the tracker's API are not closed on it at once."""
+        command = self._within("cube", sys.executable, "-c", _MANY_CONNECTIONS, asked)
+        return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
     def until_mode(self, mode: str) -> float:
         """Wait until the tracker is in a mode; return how long that took [s]."""
