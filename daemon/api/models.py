@@ -185,12 +185,24 @@ class NextPart(Page):
     why: str = Field(description="In words.")
 
 
+class ReceivedPart(Page):
+    """What three planes have received on this solar day, by the light that the faces show: a model's result."""
+
+    since: UtcText = Field(description="The first instant that counts.")
+    known_s: float = Field(description="The time that counts: with the sun up, a pose, and three good faces.", ge=0)
+    actual_kwh_m2: float = Field(description="The module's own.", ge=0)
+    chronometric_kwh_m2: float = Field(description="Of a tracker that always points at the sun.", ge=0)
+    best_kwh_m2: float = Field(description="The most that any pose within the limits receives.", ge=0)
+    gain: float | None = Field(description="Share that the first is more than the second.")
+
+
 class TrackerPart(Page):
     """A tracker, or, at the top, the only one; all null where there are several or none."""
 
     mode: ModePart | None
     wishes: dict[str, Any] | None = Field(description="What persons asked for: `why`, `by`, `since`, or null.")
     today: dict[str, Any] | None
+    received: ReceivedPart | None = Field(description="Null before the first minute of the day that counts.")
     irradiances: dict[str, Any] | None
     decision: dict[str, Any] | None
     law: dict[str, Any] | None

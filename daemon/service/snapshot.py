@@ -13,6 +13,7 @@ from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
 from daemon.motion.motion import Motion
 from daemon.service.health import LoopState
+from daemon.service.received import Insolation
 from daemon.service.recent import News, Recent
 from daemon.service.service import Service
 from daemon.service.status import LinkStatus
@@ -92,6 +93,8 @@ class TrackerState:
         What persons asked for and is in force.
     today
         Of the laws' moves.
+    received
+        What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces.
     wind
         How each source of stow stands.
     alarms
@@ -110,6 +113,7 @@ class TrackerState:
     law_shown: Mapping[str, Any]
     wishes: Wishes
     today: DayUse
+    received: Insolation
     limits: Limits
     positioner: PositionerState
     load: LoadState | None
@@ -253,6 +257,7 @@ def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
         law_shown=control.pointing.law.shown(),
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
+        received=tracker.received.today,
         limits=tracker.settings.limits.limits(),
         positioner=_positioner(tracker.motion, now_s),
         load=None if tracker.curves is None else _load(tracker.curves),

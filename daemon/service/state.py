@@ -10,6 +10,7 @@ from daemon.base.alarms.alarm import Alarm
 from daemon.base.clock import iso_utc
 from daemon.base.records import FACES, Record
 from daemon.cube.calibration import CubeCalibration
+from daemon.service.received import Insolation
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
@@ -25,6 +26,7 @@ _OF_A_TRACKER = (
     "mode",
     "wishes",
     "today",
+    "received",
     "irradiances",
     "decision",
     "law",
@@ -124,6 +126,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
             "moves": tracker.today.moves,
             "left": {"travel_deg": tracker.today.travel_left_deg, "moves": tracker.today.moves_left},
         },
+        "received": _received(tracker.received),
         "irradiances": _irradiances(control),
         "decision": None
         if control.decision is None
@@ -146,6 +149,19 @@ def _irradiances(control: ControlState) -> dict[str, Any] | None:
         return None
     names = [*(f"{face}_w_m2" for face in FACES), "coverage"]
     return {name: number(getattr(control.irradiances, name)) for name in names}
+
+
+def _received(today: Insolation) -> dict[str, Any] | None:
+    if today.since_utc_s is None:
+        return None
+    return {
+        "since": iso_utc(today.since_utc_s),
+        "known_s": round(today.known_s, 1),
+        "actual_kwh_m2": round(today.actual_kwh_m2, 5),
+        "chronometric_kwh_m2": round(today.chronometric_kwh_m2, 5),
+        "best_kwh_m2": round(today.best_kwh_m2, 5),
+        "gain": number(round(today.gain, 5)),
+    }
 
 
 def _next(foresight: Foresight, due_utc_s: float) -> dict[str, Any]:

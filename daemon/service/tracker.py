@@ -15,6 +15,7 @@ from daemon.base.records import Event, Pose, Record, Scan, stamped
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
 from daemon.motion.motion import Motion, Polling
+from daemon.service.received import ReceivedToday
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
@@ -28,6 +29,8 @@ from solar.ephemeris import SunElevation
 
 log = logging.getLogger("heliocube.service")
 
+# Of the ground, where the law learns none; the same as that of laws that are told one.
+_ALBEDO = 0.2
 _NO_WIND_SOURCE = (
     "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
     ' or safety.without_wind_source = "accepted"'
@@ -116,6 +119,7 @@ class Tracker:
             folder,
             polling,
         )
+        self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised)
         self.control = Control(
             settings,
             clock,
@@ -127,8 +131,11 @@ class Tracker:
             self.publish,
             self.alarms,
             folder,
-            ClockWatch(clock, self.alarms, rig.clock_synchronised),
+            self._clock_watch,
             refused,
+        )
+        self.received = ReceivedToday(
+            settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc()
         )
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:
@@ -150,6 +157,11 @@ class Tracker:
     def receive(self, scan: Scan) -> None:
         """Take in a fresh, authentic scan; its monotonic times are on our clock."""
         self.control.receive(scan)
+        if self._clock_watch.trusted:
+            self.received.add(scan, self.motion.pose if self.motion.connected else None, self.clock.utc())
+
+    def _albedo(self) -> float:
+        return float(getattr(self.control.pointing.law.learned, "albedo", _ALBEDO))
 
     def note(self, record: Record) -> None:
         """Take in a record of the bus: its own poses, and every scan."""

@@ -21,6 +21,11 @@ export function signedDeg(value, digits = 1) {
   return Number(value.toFixed(digits)) > 0 ? `+${text}` : text;
 }
 
+export function signed(value, digits, unit) {
+  const text = num(value, digits, unit);
+  return known(value) && Number(value.toFixed(digits)) > 0 ? `+${text}` : text;
+}
+
 export function duration(seconds) {
   if (!known(seconds)) return UNKNOWN;
   const s = Math.max(0, seconds);

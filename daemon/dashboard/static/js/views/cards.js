@@ -1,7 +1,7 @@
 // The smaller cards of the view of now: what comes next, wind, light, equipment, and what happened lately.
 
 import { card, fill, h, s, setAttr, setClass, setText } from "../dom.js";
-import { at, countdown, deg, duration, localTime, num, sentence, signedDeg, utcTime } from "../format.js";
+import { at, countdown, deg, duration, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
 
 function facts(names) {
   const values = {};
@@ -16,7 +16,7 @@ const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${d
 
 export function next() {
   const big = h("p", { class: "big" });
-  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today"]);
+  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today", "Received today", "Against chronometric"]);
   const node = card("Next decision", null, big, list);
 
   function update({ tracker, extra, now, old }) {
@@ -35,6 +35,11 @@ export function next() {
     setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)} (${decision.why})` : "–");
     setText(values["Moves today"], `${num(tracker.today.moves)}, ${num(tracker.today.left.moves)} left`);
     setText(values["Travel today"], `${deg(tracker.today.travelled_deg)}, ${deg(tracker.today.left.travel_deg)} left`);
+    const light = tracker.received ?? null;
+    for (const name of ["Received today", "Against chronometric"]) values[name].parentElement.hidden = light === null;
+    if (!light) return;
+    setText(values["Received today"], `${num(light.actual_kwh_m2, 2, "kWh/m²")}, in ${duration(light.known_s)} of light since ${at(light.since, now)}`);
+    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}; the best pose at every instant ${num(light.best_kwh_m2, 2, "kWh/m²")}; a model's result, from the faces`);
   }
 
   return { node, update };

@@ -1,0 +1,161 @@
+"""What the module has received today, beside a chronometric tracker and the best pose, by the light on the cube."""
+
+import logging
+import math
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.records import Pose, Quality, Scan
+from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.frames import Limits
+from solar.received import received
+
+log = logging.getLogger("heliocube.service")
+
+FILE_NAME = "received.json"
+
+_MEAN_S = 60.0
+# A minute's mean costs a fraction of a millisecond when it is taken in with others.
+_MOST_WAITING = 15
+# No reading stands for longer than this.
+_LONGEST_S = 60.0
+_J_PER_KWH = 3.6e6
+
+_Energy = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+
+
+class Insolation(BaseModel):
+    """Of a solar day, counted from 1970, as far as it is known.
+
+    Attributes
+    ----------
+    since_utc_s
+        The first instant that counts.
+    known_s
+        The time that counts: with the sun up, a pose, and three good faces.
+    actual_kwh_m2, chronometric_kwh_m2, best_kwh_m2
+        As :class:`solar.received.Received`, over that time.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    day: int
+    since_utc_s: float | None = Field(default=None, allow_inf_nan=False)
+    known_s: float = _Energy
+    actual_kwh_m2: float = _Energy
+    chronometric_kwh_m2: float = _Energy
+    best_kwh_m2: float = _Energy
+
+    @property
+    def gain(self) -> float:
+        """Share that the tracker has received more than a chronometric one; NaN where that has received nothing."""
+        return self.actual_kwh_m2 / self.chronometric_kwh_m2 - 1.0 if self.chronometric_kwh_m2 > 0.0 else math.nan
+
+
+class ReceivedToday:
+    """Counts through a solar day, from minute to minute, what three planes receive by :func:`solar.received.received`.
+
+    Parameters
+    ----------
+    site, limits
+        Of the tracker.
+    albedo
+        Returns what is known of the ground around the cube.
+    folder
+        Where the count is kept over a restart.
+    utc_s
+        The time of construction [s].
+    """
+
+    def __init__(
+        self, site: Site, limits: Limits, albedo: Callable[[], float], folder: StateFolder, utc_s: float
+    ) -> None:
+        self._site, self._limits, self._albedo = site, limits, albedo
+        self._file = StateFile(folder, FILE_NAME, Insolation, log, "the light received today")
+        self._today = self._load() or Insolation(day=self._day_of(utc_s))
+        self._newest_s = -math.inf
+        self._waiting: list[tuple[float, float, list[float]]] = []
+        self._unsaved = 0
+        self._begin_mean()
+
+    def add(self, scan: Scan, pose: Pose | None, utc_s: float) -> None:
+        """Take in a scan that has just arrived, at this UTC [s], and where the tracker stands; None: not known."""
+        elapsed_s = min(scan.time_monotonic_s - self._newest_s, _LONGEST_S)
+        self._newest_s = scan.time_monotonic_s
+        if self._day_of(utc_s) != self._today.day:
+            self._take_in()
+            self._begin_mean()
+            self._today = Insolation(day=self._day_of(utc_s))
+        if not elapsed_s < _LONGEST_S:
+            # After a gap nobody knows what the light was.
+            self._begin_mean()
+            return
+        values = [face.irradiance_w_m2 if face.quality is Quality.OK else math.nan for face in scan.faces]
+        values += [math.nan, math.nan] if pose is None else [pose.a_deg, pose.b_deg]
+        for place, value in enumerate(values):
+            if not math.isnan(value):
+                self._sums[place] += elapsed_s * value
+                self._seconds[place] += elapsed_s
+        self._elapsed_s += elapsed_s
+        if self._elapsed_s >= _MEAN_S - 1e-3:
+            self._end_mean(utc_s)
+
+    @property
+    def today(self) -> Insolation:
+        """The count so far; a started minute does not count yet."""
+        self._take_in()
+        return self._today
+
+    def _begin_mean(self) -> None:
+        self._elapsed_s = 0.0
+        self._sums, self._seconds = [0.0] * 6, [0.0] * 6
+
+    def _end_mean(self, utc_s: float) -> None:
+        pairs = zip(self._sums, self._seconds, strict=True)
+        means = [total / seconds if seconds > 0.0 else math.nan for total, seconds in pairs]
+        self._waiting.append((utc_s - self._elapsed_s, self._elapsed_s, means))
+        self._begin_mean()
+        if len(self._waiting) >= _MOST_WAITING:
+            self._take_in()
+
+    def _take_in(self) -> None:
+        """Add all means that wait, in one call: it costs little more than a single one."""
+        if not self._waiting:
+            return
+        begun, lasting, means = (np.array(column) for column in zip(*self._waiting, strict=True))
+        self._waiting.clear()
+        sun = sun_direction(begun + lasting / 2.0, *self._site)
+        planes = received(means[:, :4], sun, means[:, 4], means[:, 5], self._limits, self._albedo())
+        known = np.isfinite(planes.actual_w_m2)
+        if known.any():
+            self._add(float(begun[known][0]), lasting[known], [plane[known] for plane in planes])
+
+    def _add(self, since_utc_s: float, lasting_s: np.ndarray, planes_w_m2: list[np.ndarray]) -> None:
+        today = self._today
+        actual, chronometric, best = (float((plane * lasting_s).sum()) / _J_PER_KWH for plane in planes_w_m2)
+        self._today = Insolation(
+            day=today.day,
+            since_utc_s=since_utc_s if today.since_utc_s is None else today.since_utc_s,
+            known_s=today.known_s + float(lasting_s.sum()),
+            actual_kwh_m2=today.actual_kwh_m2 + actual,
+            chronometric_kwh_m2=today.chronometric_kwh_m2 + chronometric,
+            best_kwh_m2=today.best_kwh_m2 + best,
+        )
+        self._unsaved += len(lasting_s)
+        if self._unsaved >= _MOST_WAITING:
+            self._unsaved = 0
+            self._file.save(self._today)
+
+    def _day_of(self, utc_s: float) -> int:
+        """Count the solar days from midnight to midnight."""
+        return int((utc_s + self._site[1] * DAY_S / 360.0) // DAY_S)
+
+    def _load(self) -> Insolation | None:
+        try:
+            return self._file.load()
+        except UnreadableStateError as error:
+            log.warning("%s: the light received today is counted anew", error)
+            return None

@@ -1,0 +1,102 @@
+"""What the tracker has gained today, by the light that the faces show."""
+
+import math
+
+import numpy as np
+import pytest
+
+from daemon.base.files import StateFolder
+from daemon.base.records import FaceReading, Mode, Pose, Quality, Scan
+from daemon.service.received import ReceivedToday
+from daemon.service.recent import Recent
+from daemon.service.state import state_json
+from solar.ephemeris import Site, sun_direction
+from solar.frames import Limits, angles_within
+from tests.support.rig import SITE, HandWeather
+
+# 14 October 2022, 11:00 UTC.
+NOON_S = 1665745200.0
+FLAT = (0.0, 90.0)
+DAY_S = 86400
+
+
+def today(tmp_path=None, utc_s=NOON_S):
+    return ReceivedToday(Site(*SITE), Limits(), lambda: 0.2, StateFolder(tmp_path), utc_s)
+
+
+def scan(at_s, light, bad=()):
+    faces = [
+        FaceReading(value, Quality.MISSING if number in bad else Quality.OK, NOON_S + at_s, at_s)
+        for number, value in enumerate(light)
+    ]
+    return Scan("cube", "s", int(at_s), NOON_S + at_s, at_s, *faces, simulated=True)
+
+
+def feed(counted, light, seconds, begin_s=0.0, where=FLAT, bad=()):
+    """Hand in a scan every 5 s; `where` is None or the tracker's angles."""
+    for at_s in np.arange(begin_s, begin_s + seconds + 1.0, 5.0):
+        pose = None if where is None else Pose(NOON_S + at_s, at_s, *where, moving=False)
+        counted.add(scan(at_s, light, bad), pose, NOON_S + at_s)
+    return counted.today
+
+
+def even(diffuse_w_m2):
+    """Return what the faces show of a uniform sky over ground of albedo 0.2."""
+    vertical = diffuse_w_m2 * (0.5 + 0.2 * 0.5)
+    return (vertical, vertical, vertical, diffuse_w_m2)
+
+
+def test_under_an_even_sky_lying_flat_is_the_best_and_the_sun_s_direction_receives_less():
+    found = feed(today(), even(200.0), 3600)
+    to_sun = sun_direction(NOON_S + 1800, *SITE)
+    a_deg, b_deg = angles_within(to_sun, Limits())
+    up = math.cos(math.radians(a_deg)) * math.sin(math.radians(b_deg))
+    ratio = 1.0 / ((1.0 + up) / 2.0 + 0.2 * (1.0 - up) / 2.0)
+    assert found.known_s == 3600
+    assert found.since_utc_s == NOON_S
+    assert found.actual_kwh_m2 == pytest.approx(0.2, rel=1e-3)
+    assert found.best_kwh_m2 == pytest.approx(found.actual_kwh_m2, rel=1e-3)
+    assert found.gain == pytest.approx(ratio - 1.0, rel=0.02)
+    assert found.gain > 0.15
+
+
+def test_where_the_pose_or_two_faces_are_not_known_nothing_counts():
+    counted = today()
+    assert feed(counted, even(200.0), 600, where=None).known_s == 0.0
+    assert feed(counted, even(200.0), 600, begin_s=605, bad=(0, 1)).known_s == 0.0
+    assert math.isnan(counted.today.gain)
+    assert feed(counted, even(200.0), 600, begin_s=1210).since_utc_s == pytest.approx(NOON_S + 1205, abs=6)
+
+
+def test_a_gap_stands_for_nothing():
+    counted = today()
+    feed(counted, even(200.0), 600)
+    assert feed(counted, even(200.0), 600, begin_s=4000).known_s == 1200
+
+
+def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
+    folder = StateFolder(tmp_path)
+    before = feed(today(tmp_path), even(200.0), 3600)
+    again = ReceivedToday(Site(*SITE), Limits(), lambda: 0.2, folder, NOON_S + 3700)
+    assert again.today == before
+    assert feed(again, even(200.0), 600, begin_s=3700.0).known_s == 4200
+    assert feed(again, even(200.0), 600, begin_s=float(DAY_S)).known_s == 600
+
+
+def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog):
+    (tmp_path / "received.json").write_text('{"day": 1, "known_s": -3}')
+    assert today(tmp_path).today.known_s == 0.0
+    assert "counted anew" in caplog.text
+
+
+@pytest.mark.parametrize(("law", "least", "most"), [("chronometric", -0.01, 0.005), ("flat", -0.9, -0.1)])
+def test_the_state_has_it_by_the_rig_s_own_faces(run_rig, law, least, most):
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.until(lambda: rig.service.trackers[0].received.today.known_s >= 3000, 4000, "most of an hour")
+        found = state_json(rig.see(Recent()))["received"]
+        assert least < found["gain"] < most
+        assert found["chronometric_kwh_m2"] == pytest.approx(found["known_s"] / 3.6e6 * 780.0, rel=0.03)
+        assert found["actual_kwh_m2"] <= found["best_kwh_m2"]
+
+    run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90))
