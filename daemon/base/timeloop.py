@@ -79,6 +79,7 @@ class _VirtualSelector(_DelegatingSelector):
         self.beats: list[_Beat] = []
         self._now_ns = 0
         self.now_s = 0.0
+        self.resolution_s = _RESOLUTION_S
         self.jobs = 0
         self._rounds = 0
 
@@ -120,6 +121,9 @@ class _VirtualSelector(_DelegatingSelector):
         # Counted in whole nanoseconds, so that nothing is lost to rounding in a year.
         self._now_ns += ceil(duration_s * 1e9)
         self.now_s = self._now_ns / 1e9
+        # asyncio adds this to the time. With the machine's own resolution the sum is the time itself from 2^24 s on,
+        # and a timer that is due now never runs.
+        self.resolution_s = max(_RESOLUTION_S, math.ulp(self.now_s))
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
@@ -131,12 +135,8 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     @property
     def _clock_resolution(self) -> float:
-        """How far ahead of its time asyncio takes a timer for due.
-
-        asyncio adds this to the time. With the machine's own resolution the sum is the time itself from 2^24 s on, and
-        a timer that is due now never runs.
-        """
-        return max(_RESOLUTION_S, math.ulp(self._virtual.now_s))
+        """How far ahead of its time asyncio takes a timer for due."""
+        return self._virtual.resolution_s
 
     @_clock_resolution.setter
     def _clock_resolution(self, resolution_s: float) -> None:
@@ -197,6 +197,22 @@ def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
 
     timer = loop.call_later(every_s, again)
     return end
+
+
+async def call_until(every_s: float, call: Callable[[], bool]) -> None:
+    """Call back every `every_s` until that returns True: what a task costs that sleeps between, virtual time saves."""
+    over = asyncio.Event()
+
+    def beat() -> bool:
+        if call():
+            over.set()
+        return over.is_set()
+
+    end = call_every(every_s, beat)
+    try:
+        await over.wait()
+    finally:
+        end()
 
 
 def _due_s(beat: _Beat) -> float:

@@ -14,7 +14,7 @@ from drivers.interfaces import AxisName
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol import faults, screens
-from sim_drivers.pozsol.screens import Readout
+from sim_drivers.pozsol.screens import AxisReadout, Readout
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.pozsol.unit import POLL_S, PositionerUnit
 from solar.frames import Angles
@@ -141,6 +141,11 @@ class PositionerCore:
         """Return what the screens are printed from."""
         self.advance(now)
         return self._unit.readout(now, self._links)
+
+    def axis_readout(self, name: AxisName, now: float) -> AxisReadout:
+        """Return what the screens are printed from of one axis; a third of the cost of `readout`."""
+        self.advance(now)
+        return self._unit.axis_readout(name, now)
 
     def inject(self, fault: str, now: float) -> None:
         """Cause one of `FAULTS`; `ValueError` for anything else. Conditions last until `repair`."""

@@ -1,7 +1,7 @@
 """What the simulated positioner prints: six fast slots in turn, the last of them one of 27 slow screens."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from drivers.positioners.pozsol.wire import SEPARATOR, Field
 from sim_drivers.pozsol.motion import Axis
@@ -85,8 +85,7 @@ _PRINTED: dict[int, str] = {
 _SUN_SENSOR = b"$\x800000$\x810000"
 
 
-@dataclass(frozen=True, slots=True)
-class AxisReadout:
+class AxisReadout(NamedTuple):
     """One axis as the unit believes it: degrees, mm, ampere."""
 
     angle_deg: float
@@ -96,8 +95,7 @@ class AxisReadout:
     remain_mm: float
 
 
-@dataclass(frozen=True, slots=True)
-class Readout:
+class Readout(NamedTuple):
     """Everything that changes from screen to screen; `clock_s` is what the unit's own clock counts from 2000-01-01."""
 
     a: AxisReadout

@@ -55,9 +55,14 @@ def status_word(
         (modes.tracking and modes.snow.active, wire.SNOW_BIT),
         (modes.tracking and modes.wind.active, wire.WIND_BIT),
     )
-    bits = {_FAULT_BITS[f"{name}_{fault}"] for name, axis in axes.items() for fault in axis.faults}
-    bits.update(bit for on, bit in marks if on)
-    return sum(1 << bit for bit in bits)
+    word = 0
+    for on, bit in marks:
+        if on:
+            word |= 1 << bit
+    for name, axis in axes.items():
+        for fault in axis.faults:
+            word |= 1 << _FAULT_BITS[f"{name}_{fault}"]
+    return word
 
 
 def _way(axis: Axis, destination_mm: float, now: float) -> int:

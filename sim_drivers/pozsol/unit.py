@@ -10,7 +10,7 @@ from typing import Literal
 from drivers.interfaces import AxisName
 from sim_drivers.pozsol.modes import OwnModes
 from sim_drivers.pozsol.motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S, Axis
-from sim_drivers.pozsol.screens import Readout, axis_readout
+from sim_drivers.pozsol.screens import AxisReadout, Readout, axis_readout
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.pozsol.status import mode_text, status_word
 from solar.frames import Angles
@@ -176,12 +176,16 @@ class PositionerUnit:
     @property
     def standstill(self) -> int | None:
         """A number that stays the same while nothing has moved or changed; None while an axis moves."""
-        standing = all(axis.rests_s == -math.inf for axis in self.axes.values())
-        return self._looks if standing else None
+        a, b = self.axes.values()
+        return self._looks if a.rests_s == b.rests_s == -math.inf else None
+
+    def axis_readout(self, name: AxisName, now: float) -> AxisReadout:
+        """Return what the unit would print of an axis now."""
+        return axis_readout(self.axes[name], self.destination(name, now), now)
 
     def readout(self, now: float, link_counter: int) -> Readout:
         """Return what the unit would print now."""
-        a, b = (axis_readout(axis, self.destination(name, now), now) for name, axis in self.axes.items())
+        a, b = self.axis_readout("a", now), self.axis_readout("b", now)
         return Readout(
             a=a,
             b=b,

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until
 
 
 def test_a_virtual_day_of_timers_passes_at_once_and_in_order():
@@ -113,6 +113,26 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
         assert calls == pytest.approx([1, 2, 3, 4, 5], abs=1e-6)
         await asyncio.sleep(2.0)
         assert len(calls) == 5
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+def test_what_is_called_until_it_is_over_ends_at_that_instant_and_is_called_no_more():
+    async def scenario():
+        loop, calls = asyncio.get_running_loop(), []
+
+        def call():
+            calls.append(loop.time())
+            return len(calls) == 3
+
+        await call_until(0.1, call)
+        assert loop.time() == calls[-1] == pytest.approx(0.3, abs=1e-6)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(1.0):
+                await call_until(0.3, lambda: calls.append(loop.time()) or False)
+        await asyncio.sleep(60.0)
+        assert len(calls) == 3 + 3
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from daemon.base.records import Mode, Scan
-from daemon.base.timeloop import wait_at_most
+from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.faults import FORGED_W_M2
 from daemon.rigs.campaign.plant import Plant
 from daemon.studies.campaign.watch.explained import Counted, Explained
@@ -220,13 +220,19 @@ class TruthWatch:
         """Sample until cancelled."""
         while True:
             self.sample()
-            if any(self.moving.values()) or self.now_s < self._fast_until_s:
-                await asyncio.sleep(SAMPLE_S)
-                continue
+            if not self._rests():
+                await call_until(SAMPLE_S, self._sample_and_rest)
             self._wake.clear()
             due_s = self.plant.unit.next_event(self.now_s)
             wait_s = IDLE_SAMPLE_S if due_s is None else min(max(due_s - self.now_s, SAMPLE_S), IDLE_SAMPLE_S)
             await wait_at_most(self._wake, wait_s)
+
+    def _rests(self) -> bool:
+        return not any(self.moving.values()) and self.now_s >= self._fast_until_s
+
+    def _sample_and_rest(self) -> bool:
+        self.sample()
+        return self._rests()
 
     def sample(self) -> None:
         """Compare truth and promises once."""
@@ -256,7 +262,7 @@ class TruthWatch:
             return
         self._fast_until_s = max(self._fast_until_s, now_s + 0.5)
         motion = self.plant.motion
-        counted = self._counted()[0 if axis == "a" else 1]
+        counted = self._counted_of(axis)
         heading = motion.target is not None
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
         if not self._live(now_s):
@@ -280,12 +286,11 @@ class TruthWatch:
 
     def _counted(self) -> tuple[Counted, Counted]:
         """Return what the unit itself says of the axes A and B."""
-        shown = self.plant.unit.readout(self.now_s)
-        a, b = shown.a, shown.b
-        return (
-            Counted(a.angle_deg, a.position_mm, a.destination_mm),
-            Counted(b.angle_deg, b.position_mm, b.destination_mm),
-        )
+        return self._counted_of("a"), self._counted_of("b")
+
+    def _counted_of(self, axis: AxisName) -> Counted:
+        shown = self.plant.unit.axis_readout(axis, self.now_s)
+        return Counted(shown.angle_deg, shown.position_mm, shown.destination_mm)
 
     # The promises.
 
@@ -333,7 +338,7 @@ class TruthWatch:
 
     def _counts(self, axis: AxisName, at_deg: float) -> bool:
         """Tell whether the unit's count of an axis is the truth, to a hair."""
-        return abs(self._counted()[0 if axis == "a" else 1].angle_deg - at_deg) < COUNTED_DEG
+        return abs(self._counted_of(axis).angle_deg - at_deg) < COUNTED_DEG
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is not what is true."""

@@ -42,12 +42,9 @@ class Scripted:
     def truth(self):
         return Angles(self.at["a"], self.at["b"])
 
-    def readout(self, now_s):
-        def axis(name, count_off=0.0):
-            at = self.at[name]
-            return SimpleNamespace(angle_deg=at + count_off, position_mm=at * 5, destination_mm=self.destination[name])
-
-        return SimpleNamespace(a=axis("a", self.count_off), b=axis("b"))
+    def axis_readout(self, axis, now_s):
+        at, count_off = self.at[axis], self.count_off if axis == "a" else 0.0
+        return SimpleNamespace(angle_deg=at + count_off, position_mm=at * 5, destination_mm=self.destination[axis])
 
     def wait(self, duration_s, a=0.0, b=0.0):
         """Let time pass in samples, the axes turning by so many degrees in all."""
