@@ -8,6 +8,7 @@ import os
 import re
 import stat
 
+import jwt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -47,8 +48,10 @@ def block(name):
 
 
 @given(st.binary(min_size=1, max_size=1000), st.binary(min_size=32, max_size=64))
-def test_what_is_signed_with_a_key_is_verified_with_it(payload, key):
-    assert signing.verify(signing.sign(payload, key), key) == payload
+def test_what_is_signed_with_a_key_is_verified_with_it_and_is_what_a_library_of_others_signs(payload, key):
+    signed = signing.sign(payload, key)
+    assert signing.verify(signed, key) == payload
+    assert signed == jwt.PyJWS().encode(payload, key, algorithm="HS256", headers=signing.HEADER).encode()
 
 
 @given(st.integers(0, len(SIGNED) * 8 - 1))
