@@ -14,6 +14,7 @@ from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
 from daemon.service.health import LATE_UP_TO_S, LoopState
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
+from daemon.tracker.stow import StowStatus
 
 _REFUSALS = (
     "duplicate",
@@ -144,12 +145,28 @@ def _tracker(found: _Families, seen: TrackerState) -> None:
     about = "What the laws have travelled today, A and B added."
     found.gauge("day_travel_degrees", about, travelled_deg, tracker=name)
     found.gauge("day_moves", "Moves of the laws today.", seen.today.moves, tracker=name)
+    for mode, lasted_s in seen.modes.lasted_s.items():
+        about = "Time in each mode on this solar day, or since the start of the service."
+        found.gauge("day_mode_seconds", about, lasted_s, tracker=name, mode=mode.value)
+    for source in seen.wind:
+        _stow_source(found, source, name)
     found.count("decisions", "Decisions of the pointing law.", seen.decisions, tracker=name)
     for outcome in MoveOutcome:
         ended = seen.moves.get(outcome, 0)
         found.count("moves", "Moves, by how they ended.", ended, tracker=name, outcome=outcome.value)
     if seen.load is not None:
         _module(found, seen.load, name)
+
+
+def _stow_source(found: _Families, source: StowStatus, name: str) -> None:
+    of = {"tracker": name, "source": source.name}
+    found.gauge("stow_wanted", "1 while a source wants the tracker stowed.", float(source.why is not None), **of)
+    if math.isfinite(source.age_s):
+        found.gauge("stow_source_age_seconds", "Time since a source of stow was last heard.", source.age_s, **of)
+    if math.isfinite(source.speed_m_s):
+        found.gauge("wind_meters_per_second", "Wind as a source last read it.", source.speed_m_s, **of)
+    if math.isfinite(source.release_in_s):
+        found.gauge("stow_release_seconds", "Calm that a source still misses to release.", source.release_in_s, **of)
 
 
 def _positioner(found: _Families, seen: PositionerState, name: str) -> None:

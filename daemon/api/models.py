@@ -210,7 +210,9 @@ class TrackerPart(Page):
     next_decision: NextPart | None = Field(description="Null in modes that do not decide.")
     tracker: dict[str, Any] | None = Field(description="The positioner, its limits and its name.")
     load: dict[str, Any] | None
-    wind: list[dict[str, Any]] | None
+    wind: list[dict[str, Any]] | None = Field(description="Each source of stow: thresholds, speed, time to release.")
+    wind_m_s: float | None = Field(description="The strongest that a source last read.")
+    stow_release_in_s: float | None = Field(description="Calm that is still missing until no source stows.")
     mqtt: dict[str, Any] | None
 
 

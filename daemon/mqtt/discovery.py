@@ -157,6 +157,8 @@ _TRACKER = {
     "motor_current_a": _motor("a"),
     "motor_current_b": _motor("b"),
     "connected": _binary("Positioner", "value_json.tracker.connected", "connectivity"),
+    "wind": _sensor("Wind", "value_json.wind_m_s", "m/s", "wind_speed"),
+    "stow_release": _sensor("Calm until release", "value_json.stow_release_in_s", "s"),
     "moving": _binary("Moving", "value_json.tracker.moving", "moving"),
     "stowed": _binary("Stowed", "value_json.mode.name == 'stow'"),
     "fault": _binary("Fault", "value_json.mode.name == 'fault'", "problem"),

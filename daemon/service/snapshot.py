@@ -1,5 +1,6 @@
 """Everything there is to see of the service at one instant, as values: what every display and interface renders."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -13,6 +14,7 @@ from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
 from daemon.motion.motion import Motion
 from daemon.service.health import LoopState
+from daemon.service.mode_times import ModesOfDay
 from daemon.service.received import Insolation
 from daemon.service.recent import News, Recent
 from daemon.service.service import Service
@@ -95,6 +97,8 @@ class TrackerState:
         Of the laws' moves.
     received
         What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces.
+    modes
+        How long it has been in each today.
     wind
         How each source of stow stands.
     alarms
@@ -114,6 +118,7 @@ class TrackerState:
     wishes: Wishes
     today: DayUse
     received: Insolation
+    modes: ModesOfDay
     limits: Limits
     positioner: PositionerState
     load: LoadState | None
@@ -121,6 +126,16 @@ class TrackerState:
     alarms: tuple[Alarm, ...]
     decisions: int
     moves: Mapping[str, int]
+
+    @property
+    def wind_m_s(self) -> float:
+        """The strongest wind that a source last read; NaN where none measures any."""
+        return max((source.speed_m_s for source in self.wind if math.isfinite(source.speed_m_s)), default=math.nan)
+
+    @property
+    def stow_release_in_s(self) -> float:
+        """How long all sources must go on being calm before none stows; NaN while none does."""
+        return max((source.release_in_s for source in self.wind if source.why is not None), default=math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +273,7 @@ def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
         received=tracker.received.today,
+        modes=tracker.mode_times.today(),
         limits=tracker.settings.limits.limits(),
         positioner=_positioner(tracker.motion, now_s),
         load=None if tracker.curves is None else _load(tracker.curves),

@@ -35,6 +35,8 @@ _OF_A_TRACKER = (
     "tracker",
     "load",
     "wind",
+    "wind_m_s",
+    "stow_release_in_s",
     "mqtt",
 )
 
@@ -125,6 +127,8 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
             "travelled_deg": tracker.today.travelled_deg,
             "moves": tracker.today.moves,
             "left": {"travel_deg": tracker.today.travel_left_deg, "moves": tracker.today.moves_left},
+            "modes_s": {mode.value: round(lasted_s, 3) for mode, lasted_s in tracker.modes.lasted_s.items()},
+            "modes_since": iso_utc(tracker.modes.since_utc_s),
         },
         "received": _received(tracker.received),
         "irradiances": _irradiances(control),
@@ -140,6 +144,8 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         "tracker": _positioner(tracker.positioner, tracker.name) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
         "wind": [{name: number(value) for name, value in asdict(status).items()} for status in tracker.wind],
+        "wind_m_s": number(tracker.wind_m_s),
+        "stow_release_in_s": number(tracker.stow_release_in_s),
         "mqtt": None if link is None else _mqtt(link),
     }
 

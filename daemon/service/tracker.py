@@ -11,10 +11,11 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.files import StateFolder
 from daemon.base.process import TRACKER
-from daemon.base.records import Event, Pose, Record, Scan, stamped
+from daemon.base.records import Event, ModeChange, Pose, Record, Scan, stamped
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
 from daemon.motion.motion import Motion, Polling
+from daemon.service.mode_times import ModeTimes
 from daemon.service.received import ReceivedToday
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
@@ -137,6 +138,7 @@ class Tracker:
         self.received = ReceivedToday(
             settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc()
         )
+        self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:
             self.curves = IvAcquisition(
@@ -164,10 +166,13 @@ class Tracker:
         return float(getattr(self.control.pointing.law.learned, "albedo", _ALBEDO))
 
     def note(self, record: Record) -> None:
-        """Take in a record of the bus: its own poses, and every scan."""
+        """Take in a record of the bus: its own poses and modes, and every scan."""
         if isinstance(record, Pose):
             if record.tracker == self.name:
                 self.control.note(record)
+        elif isinstance(record, ModeChange):
+            if record.tracker == self.name:
+                self.mode_times.note(record)
         elif self.curves is not None:
             self.curves.note(record)
 

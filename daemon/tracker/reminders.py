@@ -1,4 +1,4 @@
-"""Reminding people of what they asked for: maintenance every day, a hold when the sun is up again."""
+"""Reminding people of what they asked for, and of what does not work for longer than it takes to repair itself."""
 
 import logging
 import math
@@ -6,12 +6,18 @@ from collections.abc import Callable
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.records import Event, Record
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Mode, Record
 from daemon.config.sections import SiteSettings
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
 
 log = logging.getLogger("heliocube.control")
+
+# A unit that restarts, or a cable that is put back, is found again sooner.
+_DOWN_AFTER_S = 60.0
+# A cube that restarts, and a cloud that makes the zenith face dark, are over sooner.
+_WITHOUT_READINGS_S = 900.0
 
 
 class Reminders:
@@ -38,6 +44,7 @@ class Reminders:
         self._day: SunDay | None = None
         self._maintenance: Wish | None = None
         self._due_s = math.inf
+        self._fallback_s: float | None = None
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
         """Remind where it is time; where the clock is in doubt the sun's position is not used."""
@@ -49,6 +56,19 @@ class Reminders:
         elif sun_known and self._outlasted_a_night(wish):
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
             self._alarms.set("hold-forgotten", text)
+
+    def watch(self, outage: Outage, mode: Mode, why: str) -> None:
+        """Raise what lasts: a positioner that does not answer, readings that are not good."""
+        now_s = self._clock.monotonic()
+        down_s = -math.inf if outage.since is None else now_s - outage.since
+        text = f"the positioner has not answered for a minute or more: {outage.reason}"
+        self._alarms.set("positioner-down", text if down_s >= _DOWN_AFTER_S else None)
+        if mode is not Mode.FALLBACK:
+            self._fallback_s = None
+        elif self._fallback_s is None:
+            self._fallback_s = now_s
+        lasts = self._fallback_s is not None and now_s - self._fallback_s >= _WITHOUT_READINGS_S
+        self._alarms.set("no-readings", f"tracking by the ephemeris for a quarter of an hour: {why}" if lasts else None)
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
         now_s, wish = self._clock.monotonic(), wishes.maintenance

@@ -92,6 +92,13 @@ _ALL = (
         "see that nobody is at the axes, then `heliocube auto`",
     ),
     _kind(
+        "positioner-down",
+        Severity.CRITICAL,
+        "for 60 s the positioner has not answered",
+        "the tracker is neither moved nor stowed",
+        "cable, supply, adapter; the service connects by itself within some ten seconds",
+    ),
+    _kind(
         "driver-hung",
         Severity.CRITICAL,
         "of several trackers, the driver of one does not return; only a new process can connect it",
@@ -134,6 +141,13 @@ _ALL = (
         "a digital sensor reports a fault, is silent for the third time, or is another one than configured",
         "its face has no reading, or a doubtful one",
         "do what the alarm's text says; docs/instruments.md explains the flags",
+    ),
+    _kind(
+        "no-readings",
+        Severity.WARNING,
+        "for 15 minutes of daylight the law has had no good readings",
+        "the tracker follows the ephemeris",
+        "look after the cube, its process, the bridge and the network; the mode's reason says which",
     ),
     _kind(
         "clock",

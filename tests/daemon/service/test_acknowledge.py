@@ -73,3 +73,19 @@ def test_what_cannot_be_acknowledged_is_one_sentence(serve, body, status, senten
         assert (reply.status, reply.json) == (status, {"error": sentence})
 
     serve(scenario)
+
+
+def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig):
+    def names(rig):
+        return {alarm.name for alarm in rig.tracker.alarms.active}
+
+    async def scenario(rig):
+        await tracking(rig)
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(40)
+        assert "positioner-down" not in names(rig)
+        await rig.until(lambda: "positioner-down" in names(rig), 60, "the alarm")
+        rig.cables.positioner.link_up = True
+        await rig.until(lambda: "positioner-down" not in names(rig), 120, "its end")
+
+    run_rig(scenario)
