@@ -80,11 +80,13 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             send_beyond=_sender(settings, mqtt),
             kept_in=partial(StateFolder, behind=True),
         )
-        if rig.simulated:
+        if not settings.real:
             fields = {"role": role, "speed": speed}
             log.warning("SIMULATED instruments: no hardware is moved", extra={"fields": fields})
         else:
             log.info("real instruments", extra={"fields": {"role": role}})
+            if rig.simulated:
+                log.warning("SIMULATED by a bench, says instruments.bench: all records are marked so")
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
         with _store(service, role, loop) as store:

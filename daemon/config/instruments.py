@@ -79,6 +79,9 @@ class Instruments(Section):
     kind: Literal["simulated", "real"] = Field(
         "simulated", description="Simulated ones in this process, or real ones at the addresses below."
     )
+    bench: bool = Field(
+        False, description="The addresses are a bench's: all that is shown and recorded is marked as simulated."
+    )
     cube: Annotated[SerializeAsAny[CubeDriverSettings], BeforeValidator(CUBE.settle)] = Field(
         default_factory=CUBE.defaults
     )

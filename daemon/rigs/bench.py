@@ -89,7 +89,11 @@ def _claim(directory: Path) -> Path:
 
 def _served(settings: Settings, directory: Path, ports: BenchPorts, start: datetime, anchor: datetime) -> Settings:
     """Return the settings with what makes a service drive this bench, under the same sun."""
-    instruments = settings.instruments.model_dump() | {"kind": "real", "cube": _cube(settings, directory, ports)}
+    instruments = settings.instruments.model_dump() | {
+        "kind": "real",
+        "bench": True,
+        "cube": _cube(settings, directory, ports),
+    }
     instruments["multiplexer"] |= {"server": f"127.0.0.1:{ports.ni_server}", "digital_port": DIGITAL_PORT}
     instruments["voltmeter"] |= {"resource": f"ASRL{directory / 'voltmeter'}::INSTR", "visa": "py"}
     instruments["positioner"] = _positioner(settings, directory, ports)

@@ -88,7 +88,7 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
         cube=None if role is Role.TRACKER else build_cube(settings, clock),
         trackers=tuple(TrackerInstruments(build_positioner(own, clock), build_load(own)) for _, own in trackers),
         wind_speed_m_s=None,
-        simulated=False,
+        simulated=settings.instruments.bench,
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
     )
 

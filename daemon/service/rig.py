@@ -36,7 +36,7 @@ class Rig:
     wind_speed_m_s
         Latest wind speed [m/s]; None where there is no wind sensor at all.
     simulated
-        True if any of it is a simulation.
+        True if any of it is a simulation, in this process or at a bench: all its records are marked by it.
     sky_text
         One line about the simulated sky for displays, or None.
     clock_synchronised

@@ -179,7 +179,12 @@ class Tracker:
     @property
     def forgets(self) -> str | None:
         """What a restart forgets of a real tracker because no folder is set for it, in a sentence, or None."""
-        return _NOTHING_KEPT if self.folder.directory is None and not self._rig.simulated else None
+        return _NOTHING_KEPT if self.folder.directory is None and not self._harmless else None
+
+    @property
+    def _harmless(self) -> bool:
+        """Whether this process simulates the instruments itself. A file may say by mistake that it is a bench's."""
+        return self._rig.simulated and not self.settings.instruments.bench
 
     def check_folder(self) -> None:
         """Raise an alarm where a restart would forget all that a real tracker has to keep."""
@@ -188,7 +193,7 @@ class Tracker:
     def check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
         accepted = self.settings.safety.without_wind_source == "accepted"
-        if not (self.stow_watch.watched or self._rig.simulated or accepted):
+        if not (self.stow_watch.watched or self._harmless or accepted):
             self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
 
     def work(self) -> Iterator[tuple[str, Awaitable[None]]]:

@@ -166,6 +166,7 @@ def test_on_the_bench_stow_moves_the_axes_and_what_fails_is_said_and_comes_back_
     with browsers.site_on_bench(tmp_path) as (site, bench), browser.new_context() as context:
         page = browsers.Page(context, site.url)
         page.sees(".hero h1", "Tracking")
+        page.sees(".simulated", "SIMULATED")
         page.page.locator("#stow").click()
         page.log_in()
         page.page.get_by_role("button", name="Stow now").click()

@@ -366,7 +366,7 @@ def test_a_role_is_spared_the_sections_that_it_does_not_read():
     assert "limits" not in cube
     assert "cube" in cube
     assert "limits" in tracker
-    assert list(tracker["instruments"]) == ["kind", "positioner"]
+    assert list(tracker["instruments"]) == ["kind", "bench", "positioner"]
 
 
 def test_the_reference_document_is_current():

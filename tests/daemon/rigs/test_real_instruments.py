@@ -41,6 +41,12 @@ def test_a_rig_has_what_its_role_needs_and_no_wind_and_is_not_simulated(load):
         assert (rig.simulated, rig.wind_speed_m_s, rig.sky_text) == (False, None, None)
 
 
+def test_a_rig_at_a_bench_is_marked_as_simulated(load):
+    settings = load(REAL.replace('kind = "real"', 'kind = "real"\nbench = true'))
+    assert settings.real
+    assert build_real_rig(settings, Role.BOTH, SystemClock()).simulated
+
+
 def test_a_role_asks_for_the_addresses_that_it_needs_and_no_others(load):
     settings = load('[instruments]\nkind = "real"\n')
     with pytest.raises(UserError, match=r"instruments.voltmeter.resource is missing"):

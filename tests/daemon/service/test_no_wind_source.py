@@ -20,8 +20,10 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.transports import InMemoryStream
 
 
-def alarms_of(*, simulated=False, sources=(), wind=None, role=Role.TRACKER, **safety):
-    settings = Settings.model_validate({"bridge": {"listen": "127.0.0.1:0"}, "safety": safety})
+def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.TRACKER, **safety):
+    settings = Settings.model_validate(
+        {"bridge": {"listen": "127.0.0.1:0"}, "safety": safety, "instruments": {"bench": bench}}
+    )
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
         clock = LoopClock(loop.time, 1.7e9)
@@ -53,6 +55,10 @@ def test_it_is_said_once_and_shown(caplog):
     (alarm,) = alarms_of()
     assert alarm.text.startswith("no wind source: nothing stows the tracker in a storm")
     assert sum("no wind source" in record.message for record in caplog.records) == 1
+
+
+def test_that_a_file_says_it_is_a_benchs_silences_nothing():
+    assert alarms_of(simulated=True, bench=True)
 
 
 @pytest.mark.parametrize(
