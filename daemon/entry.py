@@ -68,6 +68,6 @@ def _at_once(command: str, given: dict[str, str]) -> None:
         reply = client.command(command, **said)
     except UserError as error:
         sys.stderr.write(f"heliocube: {error}\n")
-        sys.exit(2)
+        sys.exit(error.exit_code)
     sys.stdout.write(f"{reply.text}\n")
     sys.exit(reply.exit_code)

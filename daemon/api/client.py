@@ -12,23 +12,35 @@ from typing import Any
 
 from daemon.api.token import check_token, load_token
 from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
-from daemon.base.errors import UserError
+from daemon.base.errors import ExitCode, UserError
 from daemon.base.files import parse_toml, toml_text
 
 TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 
-NOT_SEEN = 3
-"""What the program ends with when a command's effect was not seen."""
-
 _TIMEOUT_S = 15.0
 _LONGEST_NAME = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
+_UNHEALTHY = b"503"
+# No such thing, or no such value.
+_MISTYPED = (b"400", b"404", b"405", b"413", b"422")
 # A service whose port is flooded may give a connection up for another.
-_REPEATABLE = ("/api/state", "/api/stop", "/api/stow", "/api/maintenance")
+_REPEATABLE = ("/api/state", "/healthz", "/api/stop", "/api/stow", "/api/maintenance")
 _TRIES = 3
 _AGAIN_AFTER_S = 0.1
+
+
+class NoServiceError(UserError):
+    """Nothing answers where the service should be."""
+
+    exit_code = ExitCode.UNREACHABLE
+
+
+class CommandRefusedError(UserError):
+    """The service answers, and does not do it."""
+
+    exit_code = ExitCode.REFUSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +52,14 @@ class Reply:
     text
         What the tracker did, in a sentence.
     exit_code
-        0 where the effect was seen, whole or under way, and `NOT_SEEN` where it was not.
+        `GOOD` where the effect was seen, whole or under way, and `NOT_SEEN` where it was not.
+    page
+        The whole answer.
     """
 
     text: str
-    exit_code: int
+    exit_code: ExitCode
+    page: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +81,10 @@ class Client:
         """Return the service's state; raises `UserError`."""
         return self._request("GET", "/api/state", None)
 
+    def health(self) -> dict[str, Any]:
+        """Return whether the service's work goes on; raises `UserError`."""
+        return self._request("GET", "/healthz", None, also=(_UNHEALTHY,))
+
     def command(self, name: str, **arguments: float | str) -> Reply:
         """Give a command in the name of whoever runs this, and return what came of it; raises `UserError`."""
         if self.token is None:
@@ -74,26 +93,32 @@ class Client:
                 f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
             )
         found = self._request("POST", f"/api/{name}", {"by": whoami(), **arguments})
-        return Reply(str(found.get("text", "")), NOT_SEEN if found.get("state") == "not-seen" else 0)
+        seen = found.get("state") != "not-seen"
+        return Reply(str(found.get("text", "")), ExitCode.GOOD if seen else ExitCode.NOT_SEEN, found)
 
-    def _request(self, method: str, path: str, body: Mapping[str, float | str] | None) -> dict[str, Any]:
+    def _request(
+        self, method: str, path: str, body: Mapping[str, float | str] | None, also: tuple[bytes, ...] = ()
+    ) -> dict[str, Any]:
         try:
             status, content = self._exchange_surely(method, path, b"" if body is None else json.dumps(body).encode())
         except ConnectionRefusedError:
-            raise UserError(
+            raise NoServiceError(
                 f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
             ) from None
         except OSError as error:
-            raise UserError(f"the service at {self.address} does not answer: {error}") from None
+            raise NoServiceError(f"the service at {self.address} does not answer: {error}") from None
         try:
             found = json.loads(content)
         except ValueError:
             found = None
-        if not isinstance(found, dict) or (status != _OK and "error" not in found):
-            raise UserError(f"what answers at {self.address} is not heliocube: see api.listen of its configuration")
-        if status != _OK:
-            raise UserError(str(found["error"]))
-        return found
+        refusal = found.get("error") if isinstance(found, dict) else None
+        if isinstance(found, dict) and (status == _OK or (status in also and refusal is None)):
+            return found
+        if refusal is None:
+            raise NoServiceError(
+                f"what answers at {self.address} is not heliocube: see api.listen of its configuration"
+            )
+        raise (UserError if status in _MISTYPED else CommandRefusedError)(str(refusal))
 
     def _exchange_surely(self, method: str, path: str, body: bytes) -> tuple[bytes, bytes]:
         """Ask again where the connection was cut off without an answer, if what is asked may be asked twice."""

@@ -117,6 +117,9 @@ class ModePart(Page):
     name: str
     why: str
     since: UtcText
+    asked: Literal["maintenance", "stop", "buttons", "stow", "snow", "hold"] | None = Field(
+        description="The wish of a person that makes it so: in the mode hold, whether it is a stop."
+    )
 
 
 class FacePart(Page):

@@ -1,5 +1,27 @@
-"""Errors that a person can put right."""
+"""Errors that a person can put right, and what the program ends with."""
+
+from enum import IntEnum
+from typing import ClassVar
+
+
+class ExitCode(IntEnum):
+    """What the program ends with. 1 is Python's own, for a defect."""
+
+    GOOD = 0
+    """It was done; of a command: its effect was seen, whole or under way. Of a check: all is well."""
+    MISTYPED = 2
+    """The command line, a file or a value is wrong: nothing was asked of the service, or it could not mean anything."""
+    NOT_SEEN = 3
+    """The service took the command, and telemetry did not show its effect in time."""
+    ALARMS = 4
+    """Of a check: the service works, and something is the matter."""
+    UNREACHABLE = 5
+    """Nothing answers there, or something that is not heliocube."""
+    REFUSED = 6
+    """The service answers, and does not do it: the token is not its own, or the tracker may not move like that now."""
 
 
 class UserError(Exception):
-    """Bad input: one sentence with the place and the remedy; the command line ends with exit code 2."""
+    """Bad input: one sentence with the place and the remedy; the command line ends with `exit_code`."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.MISTYPED

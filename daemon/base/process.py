@@ -7,9 +7,12 @@ import signal
 import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
-from typing import TextIO
+from typing import TYPE_CHECKING
 
 from daemon.base.clock import iso_utc
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 # sd-daemon(3): syslog's priorities, in front of each line of standard error.
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
@@ -22,7 +25,7 @@ TRACKER: ContextVar[str] = ContextVar("tracker", default="")
 """Which of several trackers the present task works for: every line that it logs says so."""
 
 
-def configure(stream: TextIO, journal: bool, level: int = logging.INFO) -> None:
+def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.INFO) -> None:
     """Send every record of the process to `stream`, warnings of the interpreter included.
 
     Parameters

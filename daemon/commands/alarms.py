@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.operate import ApiOption, ConfigOption, TokenOption, WhyOption, give
-from daemon.commands.options import TrackerOption
+from daemon.commands.operate import JsonOption, TokenOption, WhyOption, give
+from daemon.commands.options import ApiOption, ConfigOption, TrackerOption
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -48,19 +48,20 @@ def acknowledge(
     token_file: TokenOption = None,
     why: WhyOption = "",
     tracker: TrackerOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Say that you have seen an alarm. Nothing moves by it, and no stop ends."""
     if everything is (name is not None):
         raise UserError("name the alarm, such as 'heliocube alarms ack move-failed', or say --all")
     which = {} if name is None else {"alarm": name}
-    give("acknowledge", config, api, token_file, why, tracker, **which)
+    give("acknowledge", config, api, token_file, why, tracker, as_json=as_json, **which)
 
 
 def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    from daemon.commands.screen import alarm_state
+    from daemon.commands.status.screen import alarm_state
 
     lines = Table.grid(padding=(0, 2))
     lines.add_column(style="dim")

@@ -25,6 +25,7 @@ from daemon.commands.options import (
     RoleChoice,
     TableFormat,
 )
+from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain
 from daemon.commands.studies.simulate import progress_bar, replay, report
 from daemon.studies.inputs import instant, settings_for, site_values
@@ -40,6 +41,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+app.add_typer(status_command.app)
 app.add_typer(operate.app)
 app.add_typer(alarms.app, name="alarms", rich_help_panel=OPERATION)
 app.add_typer(config_commands.app, name="config", rich_help_panel=FILES)
@@ -239,12 +241,12 @@ def _refuse_simulation(options: dict[str, object]) -> None:
 
 
 def main() -> None:
-    """Entry point: a person's mistake is one sentence and exit code 2, never a traceback."""
+    """Entry point: what a person can put right is one sentence and an exit code of its own, never a traceback."""
     try:
         app()
     except UserError as error:
         Console(stderr=True).print(f"heliocube: {error}", markup=False, highlight=False, soft_wrap=True)
-        sys.exit(2)
+        sys.exit(error.exit_code)
 
 
 if __name__ == "__main__":

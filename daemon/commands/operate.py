@@ -1,49 +1,21 @@
-"""`heliocube status`, and the operator's commands to the running service."""
+"""The operator's commands to the running service."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from daemon.commands.options import OPERATION, TrackerOption
+from daemon.commands.options import OPERATION, ApiOption, ConfigOption, TrackerOption
 
 app = typer.Typer()
 
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration, for its section api."),
-]
-ApiOption = Annotated[
-    str | None,
-    typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, without a configuration."),
-]
 TokenOption = Annotated[
     Path | None,
     typer.Option("--token-file", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."),
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="The whole answer, as JSON.")]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"
-
-
-@app.command(rich_help_panel=OPERATION)
-def status(
-    config: ConfigOption = None,
-    api: ApiOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON.")] = False,
-) -> None:
-    """Show what the service does, where the tracker stands and what the cube reads."""
-    import json
-
-    from rich.console import Console
-
-    from daemon.api.client import find_unarmed
-    from daemon.commands.screen import render
-
-    state = find_unarmed(config, api).state()
-    if as_json:
-        typer.echo(json.dumps(state, indent=2))
-    else:
-        Console(highlight=False).print(render(state))
 
 
 def _plain(name: str, meaning: str) -> None:
@@ -56,8 +28,9 @@ def _plain(name: str, meaning: str) -> None:
         token_file: TokenOption = None,
         why: WhyOption = _AN_OPERATOR,
         tracker: TrackerOption = None,
+        as_json: JsonOption = False,
     ) -> None:
-        give(name, config, api, token_file, why, tracker)
+        give(name, config, api, token_file, why, tracker, as_json=as_json)
 
 
 _plain("stow", "Go to the stow position now and stay there until 'auto'.")
@@ -77,9 +50,10 @@ def goto(
     token_file: TokenOption = None,
     why: WhyOption = _AN_OPERATOR,
     tracker: TrackerOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Go to a position inside the limits and stay there until 'auto'."""
-    give("goto", config, api, token_file, why, tracker, a_deg=a_deg, b_deg=b_deg)
+    give("goto", config, api, token_file, why, tracker, as_json=as_json, a_deg=a_deg, b_deg=b_deg)
 
 
 _plain("home", "Clear faults and start a reference run of both axes.")
@@ -94,14 +68,18 @@ def give(
     token_file: Path | None,
     why: str,
     tracker: str | None,
+    *,
+    as_json: bool = False,
     **arguments: float | str,
 ) -> None:
     """Give a command to the service, print what came of it and leave with its exit code."""
+    import json
+
     from daemon.api.client import find
 
     which = {} if tracker is None else {"tracker": tracker}
     if why:
         which["why"] = why
     reply = find(config, api, token_file).command(name, **which, **arguments)
-    typer.echo(reply.text)
+    typer.echo(json.dumps(reply.page, indent=2) if as_json else reply.text)
     raise typer.Exit(reply.exit_code)

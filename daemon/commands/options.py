@@ -1,6 +1,7 @@
 """What several commands share."""
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -28,6 +29,14 @@ PositionerOption = Annotated[
     typer.Option(
         "--positioner", metavar="NAME", help="What turns it, as instruments.positioner.driver; a wrong one lists all."
     ),
+]
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration, for its section api."),
+]
+ApiOption = Annotated[
+    str | None,
+    typer.Option("--api", metavar="ADDRESS:PORT", help="Where the service listens, without a configuration."),
 ]
 TrackerOption = Annotated[
     str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")

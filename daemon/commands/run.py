@@ -25,7 +25,7 @@ from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
 from daemon.bridge.key_file import KeyFileWatch
 from daemon.bridge.signing import generate_key, load_keys
-from daemon.commands.screen import LiveView
+from daemon.commands.status.screen import LiveView, LogAbove
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.mqtt.companion import Mqtt, links
@@ -54,7 +54,11 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     keys = bridge_keys(settings, role)
     calibration = None if role is Role.TRACKER else calibration_in_force(settings.cube)
     journal = "JOURNAL_STREAM" in os.environ
-    process.configure(sys.stderr, journal=journal, level=logging.WARNING if console.is_terminal else logging.INFO)
+    process.configure(
+        LogAbove(console) if console.is_terminal and sys.stderr.isatty() else sys.stderr,
+        journal=journal,
+        level=logging.WARNING if console.is_terminal else logging.INFO,
+    )
     # Real instruments have real time; what the simulation's table says is not for them.
     speed = 1.0 if settings.real else settings.simulation.speed
     with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:

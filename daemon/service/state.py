@@ -8,7 +8,7 @@ from typing import Any
 
 from daemon.base.alarms.alarm import Alarm
 from daemon.base.clock import iso_utc
-from daemon.base.records import FACES, Record
+from daemon.base.records import FACES, Mode, Record
 from daemon.cube.calibration import CubeCalibration
 from daemon.service.received import Insolation
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
@@ -17,10 +17,17 @@ from daemon.store.store import StoreStatus
 from daemon.store.tables import COLUMNS, with_irradiances
 from daemon.tracker.control import ControlState
 from daemon.tracker.pointing import Foresight
-from daemon.tracker.wishes import Wish
+from daemon.tracker.wishes import Wish, Wishes
 from solar.frames import Limits
 
 _NAMES = {kind: name.removesuffix("s") for kind, (name, _) in COLUMNS.items()}
+# The wishes that lead to a mode, the one that goes first in front.
+_ASKED = {
+    Mode.MAINTENANCE: ("maintenance",),
+    Mode.HOLD: ("stop", "buttons", "hold"),
+    Mode.STOW: ("stow",),
+    Mode.SNOW: ("snow",),
+}
 # What belongs to one tracker. A process of one tracker has it at the top too, as scripts and dashboards know it.
 _OF_A_TRACKER = (
     "mode",
@@ -121,7 +128,12 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
     link = seen.links.get(tracker.name)
     since = iso_utc(control.since_utc_s)
     return {
-        "mode": {"name": control.mode.value, "why": control.why, "since": since},
+        "mode": {
+            "name": control.mode.value,
+            "why": control.why,
+            "since": since,
+            "asked": _asked(control.mode, tracker.wishes),
+        },
         "wishes": {name: _wish(wish) for name, wish in tracker.wishes},
         "today": {
             "travelled_deg": tracker.today.travelled_deg,
@@ -218,6 +230,11 @@ def _alarm(alarm: Alarm) -> dict[str, Any]:
         "acknowledged_by": alarm.acknowledged_by or None,
         "cleared_at": None if alarm.cleared_utc_s is None else iso_utc(alarm.cleared_utc_s),
     }
+
+
+def _asked(mode: Mode, wishes: Wishes) -> str | None:
+    """Return which wish of a person makes it this mode, or None: a stop and a hold are one mode."""
+    return next((name for name in _ASKED.get(mode, ()) if getattr(wishes, name) is not None), None)
 
 
 def _wish(wish: Wish | None) -> dict[str, Any] | None:

@@ -96,18 +96,25 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     code, out, err = heliocube("stow", "--config", config)
     assert (code, err) == (0, "")
     assert re.fullmatch(r"(moving to|standing at) A \+0\.0, B 90\.0 deg.*; mode stow: an operator asked\n", out), out
-    code, out, _ = heliocube("stop", HELIOCUBE_CONFIG=str(config))
-    assert code == 0
-    assert re.search(r"standing at A .*; mode hold: stopped by \S+@\S+ since .* UTC: an operator asked; ", out), out
+    code, out, _ = heliocube("stop", "--json", HELIOCUBE_CONFIG=str(config))
+    assert (code, (said := json.loads(out))["state"]) == (0, "done")
+    expected = r"standing at A .*; mode hold: stopped by \S+@\S+ since .* UTC: an operator asked; "
+    assert re.search(expected, said["text"]), said
     code, out, err = heliocube("goto", "-30", "60", "--config", config)
-    assert (code, out) == (2, "")
+    assert (code, out) == (6, "")
     assert re.fullmatch(r"heliocube: no goto: the tracker is stopped by .*; only 'heliocube auto' releases it\n", err)
     out = heliocube("status", "--config", config)[1]
     assert re.search(r"^stop +by \S+@\S+ since .*: an operator asked *$", out, re.MULTILINE), out
     assert re.search(r"^alarm +stow is wanted", out, re.MULTILINE), out
+    assert re.search(r"^mode +hold STOPPED since ", out, re.MULTILINE), out
+    code, out, err = heliocube("status", "--check", "--config", config)
+    assert (code, err) == (4, "")
+    assert out.startswith(
+        "works, but 1 to look at: SIMULATED, hold, STOPPED by a person\nstow-wanted (raised): stow is"
+    ), out
 
     code, out, err = heliocube("stop", *at, HELIOCUBE_TOKEN="x" * 43)
-    assert (code, out, err) == (2, "", "heliocube: the token is not the service's: see api.token_file\n")
+    assert (code, out, err) == (6, "", "heliocube: the token is not the service's: see api.token_file\n")
     code, out, err = heliocube("stop", *at)
     assert (code, out) == (2, "")
     assert err.startswith("heliocube: 'stop' needs the service's token: ")
@@ -118,8 +125,8 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
 
     process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=20) == 0
-    code, out, err = heliocube("status", *at)
-    assert (code, out) == (2, "")
+    code, out, err = heliocube("status", "--check", *at)
+    assert (code, out) == (5, "")
     assert err == (
         f"heliocube: nothing listens at {address}: the service is not running, or its api.listen is another address\n"
     )

@@ -9,7 +9,7 @@ from rich.console import Console
 from daemon.api.metrics import Metrics
 from daemon.api.refusals import ApiRefusals
 from daemon.base.records import Mode
-from daemon.commands.screen import render
+from daemon.commands.status.screen import render
 from daemon.service.recent import Recent
 from daemon.service.snapshot import snapshot
 from daemon.service.state import state_json
@@ -39,7 +39,7 @@ def test_metrics_and_status_tell_of_link_queue_losses_and_safety_inputs(broker, 
             metrics['heliocube_mqtt_connections_total{tracker="tracker"}'],
         ) == (0, 0)
         assert 'heliocube_mqtt_input_age_seconds{input="wind",tracker="tracker"}' not in metrics
-        assert re.search(r"mqtt +not connected since \S+: not connected yet; 0 messages waiting", shown)
+        assert re.search(r"mqtt +not connected since .+: not connected yet; 0 messages waiting", shown)
         assert re.search(r"wind +nothing heard yet on weather", shown)
         async with serving(rig):
             async with observer(broker.port) as lab:

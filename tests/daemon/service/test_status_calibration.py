@@ -7,7 +7,7 @@ from rich.console import Console
 from daemon.base.clock import LoopClock
 from daemon.base.process import Notifier
 from daemon.base.records import Bus
-from daemon.commands.screen import render
+from daemon.commands.status.screen import render
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.recent import Recent

@@ -8,7 +8,7 @@ from dataclasses import replace
 from rich.console import Console
 
 from daemon.base.records import Mode
-from daemon.commands.screen import LiveView, render
+from daemon.commands.status.screen import LiveView, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 
@@ -39,7 +39,16 @@ def shown(run_rig, *, terminal, faults=()):
 
 def test_a_terminal_shows_mode_readings_target_and_pose_and_that_it_is_simulated(run_rig):
     text = shown(run_rig, terminal=True)
-    for expected in ("SIMULATED", "tracking", "zenith", "W/m2", "by mu-prime", "scans accepted", "moved to A"):
+    for expected in (
+        "SIMULATED",
+        "tracking",
+        "zenith",
+        "W/m2",
+        "by mu-prime",
+        "most light comes",
+        "scans accepted",
+        "moved to A",
+    ):
         assert expected in text
 
 
@@ -107,7 +116,10 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         assert lines.index("east") < lines.index("west")
         own = lines[lines.index("west") :]
         assert next(line for line in own if line.startswith("mode")).split()[1] == "hold"
+        assert next(line for line in own if line.startswith("mode")).startswith("mode     hold STOPPED since ")
         assert next(line for line in own if line.startswith("stop")).endswith("repair")
-        assert any(line.startswith("alarm") and "west: stow is wanted" in line for line in lines)
+        alarm = next(number for number, line in enumerate(lines) if line.startswith("alarm"))
+        assert "west: stow is wanted" in lines[alarm]
+        assert any(line.startswith("remedy   ") for line in lines[alarm:])
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])

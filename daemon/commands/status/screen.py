@@ -5,6 +5,7 @@ All of it is made from the JSON of the state alone, wherever that comes from.
 
 import asyncio
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from typing import Any
 
 from rich.console import Console, Group, RenderableType
@@ -12,6 +13,8 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
+
+from daemon.commands.status.times import dated, moment, zone
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -22,6 +25,9 @@ _MODE_STYLES = {
     "snow": "bold cyan",
     "maintenance": "bold yellow",
 }
+# What is more than a hold, though the mode is the same.
+_HELD = {"stop": "STOPPED", "buttons": "BUTTON PRESSED AT THE UNIT"}
+_STOP_STYLE = "bold white on red"
 _NEWS, _LIVE_NEWS = 5, 7
 _BAD = "bold red"
 _REFRESH_S = 0.25
@@ -53,11 +59,32 @@ class LiveView:
         if not self._console.is_terminal:
             while True:
                 await asyncio.sleep(_LINE_EVERY_S * self._speed)
-                self._console.print(_line(self._see()), highlight=False, soft_wrap=True)
-        with Live(_live(self._see()), console=self._console, auto_refresh=False, transient=False) as live:
+                self._console.print(line(self._see()), highlight=False, soft_wrap=True)
+        with Live(live_screen(self._see()), console=self._console, auto_refresh=False, transient=False) as live:
             while True:
                 await asyncio.sleep(_REFRESH_S * self._speed)
-                live.update(_live(self._see()), refresh=True)
+                live.update(live_screen(self._see()), refresh=True)
+
+
+class LogAbove:
+    """A stream for the log that writes above what changes in place, which a line of another stream would tear.
+
+    Parameters
+    ----------
+    console
+        The one that has the screen.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def write(self, text: str) -> int:
+        """Write whole lines."""
+        self._console.print(Text(text), end="", soft_wrap=True)
+        return len(text)
+
+    def flush(self) -> None:
+        """Do nothing: every line is written at once."""
 
 
 def render(state: dict[str, Any]) -> RenderableType:
@@ -65,7 +92,8 @@ def render(state: dict[str, Any]) -> RenderableType:
     return Group(_title(state), *_body(state, _NEWS, bars=False))
 
 
-def _live(state: dict[str, Any]) -> RenderableType:
+def live_screen(state: dict[str, Any]) -> RenderableType:
+    """Return the same in a frame, with bars for the faces, for a screen that changes in place."""
     body = Group(*_body(state, _LIVE_NEWS, bars=True))
     return Panel(body, title=_title(state), subtitle="Ctrl-C ends", expand=True)
 
@@ -77,13 +105,19 @@ def _body(state: dict[str, Any], most_news: int, *, bars: bool) -> Iterator[Rend
     for name, text in _rows(state, bars=bars):
         grid.add_row(name, text)
     yield grid
-    news = [Text(f"{_clock(item['time'])}  {item['text']}", style="dim") for item in state["news"][-most_news:]]
+    # A move is known by its beginning, and comes when it has ended.
+    news = sorted(state["news"], key=itemgetter("time"))[-most_news:]
     if news:
-        yield from (Text(), *news)
+        lines = Table.grid(padding=(0, 2))
+        lines.add_column(style="dim", no_wrap=True)
+        lines.add_column(style="dim")
+        for item in news:
+            lines.add_row(dated(item["time"]), item["text"])
+        yield from (Text(), Text(f"What happened lately ({zone(state['time'])})", style="dim"), lines)
 
 
-def _line(state: dict[str, Any]) -> str:
-    """Return what a log shows every few seconds."""
+def line(state: dict[str, Any]) -> str:
+    """Return what is shown every few seconds where nothing can change in place."""
     parts = [f"{state['time'][:19]}Z"]
     if state["simulated"]:
         parts.append("SIMULATED")
@@ -115,19 +149,22 @@ def _title(state: dict[str, Any]) -> Text:
 
 def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     time, sun_deg = state["time"], state["sun_elevation_deg"]
-    yield "time", Text(f"{time[:10]} {_clock(time)} UTC, sun at {_number(sun_deg, '.1f')} deg")
+    yield "time", Text(f"{moment(time)}, sun at {_number(sun_deg, '.1f')} deg")
     if bars and state["sky"] is not None:
         yield "sky", Text(state["sky"])
     trackers = _trackers(state)
     if "" in trackers:
-        yield _mode(state)
+        yield _mode(state, time)
     for alarm in state["alarms"]:
         style = "" if alarm["state"] == "acknowledged" else _BAD
         yield "alarm", Text(f"{_named(alarm['text'], alarm, state)}  {alarm_state(alarm, time)}", style=style)
+        # A service of an earlier version has none.
+        if alarm.get("remedy"):
+            yield "  remedy", Text(alarm["remedy"].replace("`", "'"))
     for name, own in trackers.items():
         if name:
             yield name, Text()
-            for label, text in (_mode(own), *_tracker_rows(own, time), *_mqtt(own, time)):
+            for label, text in (_mode(own, time), *_tracker_rows(own, time), *_mqtt(own, time)):
                 yield f"  {label}", text
         else:
             yield from _tracker_rows(own, time)
@@ -155,10 +192,18 @@ def _named(text: str, alarm: dict[str, Any], state: dict[str, Any]) -> str:
     return f"{alarm['tracker']}: {text}" if len(_trackers(state)) > 1 and alarm["tracker"] else text
 
 
-def _mode(own: dict[str, Any]) -> tuple[str, Text]:
+def _mode(own: dict[str, Any], time: str) -> tuple[str, Text]:
     mode = own["mode"]
-    style = _MODE_STYLES.get(mode["name"], "bold")
-    return "mode", Text.assemble((mode["name"], style), f" since {_clock(mode['since'])}: {mode['why']}")
+    asked, by_itself = mode.get("asked"), _MODE_STYLES.get(mode["name"], "bold")
+    text = Text.assemble((mode["name"], _STOP_STYLE if asked == "stop" else by_itself))
+    if asked in _HELD:
+        text.append(f" {_HELD[asked]}", style=_STOP_STYLE)
+    text.append(f" {_since(mode['since'], time)}")
+    if asked is None:
+        return "mode", text.append(f": {mode['why']}")
+    # Who asked, and why, has a line of its own; what came after it in the reason has not.
+    more = mode["why"].partition(own["wishes"][asked]["why"])[2]
+    return "mode", text.append(f"{more}; ends with 'heliocube auto'")
 
 
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
@@ -168,6 +213,7 @@ def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     if details := own["tracker"].get("details"):
         yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
+    yield from _received(own, time)
     if own["load"] is not None:
         yield "module", _module(own["load"])
 
@@ -237,8 +283,32 @@ def _target(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
     decision, next_s = state["decision"], state["next_decision_s"]
     if decision is None or next_s is None:
         return
-    where = f"A {_number(decision['target_a_deg'], '+.1f')}, B {_number(decision['target_b_deg'], '.1f')} deg"
-    yield "target", Text(f"{where} by {decision['law']}; next in {next_s:.0f} s")
+    yield "target", Text(f"{_pair(decision)} by {decision['law']}; next in {next_s:.0f} s")
+    yield "  because", Text(_reason(decision))
+    # A service of an earlier version does not say.
+    coming = state.get("next_decision")
+    if coming is not None:
+        does = "would go to" if coming["moves"] else "would stay; aim"
+        yield "  next", Text(f"in the light of now it {does} {_pair(coming)}: {_reason(coming)}")
+
+
+def _pair(decision: dict[str, Any]) -> str:
+    return f"A {_number(decision['target_a_deg'], '+.1f')}, B {_number(decision['target_b_deg'], '.1f')} deg"
+
+
+def _reason(decision: dict[str, Any]) -> str:
+    """Return why in words, without the law's name in front."""
+    why: str = decision["why"]
+    return why.removeprefix(f"{decision['law']}: ")
+
+
+def _received(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
+    light = state.get("received")
+    if light is None or light["gain"] is None:
+        return
+    text = f"{100 * light['gain']:+.1f} % over chronometric: {light['actual_kwh_m2']:.2f} against"
+    since = _since(light["since"], time)
+    yield "received", Text(f"{text} {light['chronometric_kwh_m2']:.2f} kWh/m2 {since}, a model's result from the faces")
 
 
 def _cube(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
@@ -305,12 +375,7 @@ def _mqtt(state: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
 
 
 def _since(time: str, now: str) -> str:
-    day = "" if time[:10] == now[:10] else f"{time[:10]} "
-    return f"since {day}{_clock(time)}"
-
-
-def _clock(time: str) -> str:
-    return time[11:19]
+    return f"since {moment(time, now)}"
 
 
 def _age(age_s: float | None) -> str:
@@ -320,5 +385,8 @@ def _age(age_s: float | None) -> str:
 
 
 def _number(value: float | None, form: str) -> str:
-    # Rounding first and adding 0.0 keeps "-0" off the screen.
-    return "-" if value is None else format(round(value, 2) + 0.0, form)
+    if value is None:
+        return "-"
+    text = format(value, form)
+    # No minus in front of nothing.
+    return format(0.0, form) if float(text) == 0.0 else text

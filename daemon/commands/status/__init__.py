@@ -1,0 +1,1 @@
+"""What a person or a script at a terminal asks the running service."""

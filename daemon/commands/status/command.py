@@ -1,0 +1,58 @@
+"""`heliocube status`: at a glance, on a screen that follows, as JSON, or as an exit code."""
+
+from typing import Annotated
+
+import typer
+
+from daemon.base.errors import ExitCode, UserError
+from daemon.commands.options import OPERATION, ApiOption, ConfigOption
+
+app = typer.Typer()
+
+
+@app.command(rich_help_panel=OPERATION)
+def status(
+    config: ConfigOption = None,
+    api: ApiOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON; with --check its answer.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on showing it, until Ctrl-C.")] = False,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="For scripts: a line, one more for each thing amiss, and an exit code."),
+    ] = False,
+) -> None:
+    """Show what the service does, where the tracker stands and what the cube reads.
+
+    Ends with 0, with 5 where the service cannot be reached, and with 2 for a wrong command line or file; with --check
+    with 4 where it works and something is amiss.
+    """
+    import contextlib
+    import json
+
+    from rich.console import Console
+
+    from daemon.api.client import find_unarmed
+
+    if watch and (check or as_json):
+        raise UserError("--watch is for people: leave it out with --check and --json, and ask again when you need it")
+    client = find_unarmed(config, api)
+    if check:
+        from daemon.commands.status import check as checks
+
+        state, health = client.state(), client.health()
+        lines, code = checks.verdict(state, health)
+        typer.echo(json.dumps(checks.page(state, health), indent=2) if as_json else "\n".join(lines))
+        raise typer.Exit(code)
+    if as_json:
+        typer.echo(json.dumps(client.state(), indent=2))
+        return
+    console = Console(highlight=False)
+    if watch:
+        from daemon.commands.status.watch import watch as go_on
+
+        with contextlib.suppress(KeyboardInterrupt):
+            go_on(client.state, console)
+        raise typer.Exit(ExitCode.GOOD)
+    from daemon.commands.status.screen import render
+
+    console.print(render(client.state()))

@@ -1,0 +1,49 @@
+"""What a script is told, by the state of a running service."""
+
+import asyncio
+
+from daemon.base.errors import ExitCode
+from daemon.base.records import Mode
+from daemon.commands.status.check import page, verdict
+from tests.support.api import serve
+
+__all__ = ["serve"]
+
+
+async def both(call):
+    # A page of the interface may be a second old.
+    await asyncio.sleep(2)
+    return (await call.get("/api/state")).json, (await call.get("/healthz")).json
+
+
+def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serve):
+    async def scenario(rig, call):
+        await rig.until_mode(Mode.TRACKING, 120)
+        assert verdict(*await both(call)) == (["works: SIMULATED, tracking"], ExitCode.GOOD)
+
+        await rig.control.stop("repair", "ana")
+        await rig.until_mode(Mode.HOLD, 20)
+        assert verdict(*await both(call)) == (["works: SIMULATED, hold, STOPPED by a person"], ExitCode.GOOD)
+
+        rig.control.auto()
+        await rig.until_mode(Mode.TRACKING, 60)
+        rig.control.hold("look", "ana")
+        await rig.until_mode(Mode.HOLD, 20)
+        assert verdict(*await both(call)) == (["works: SIMULATED, hold"], ExitCode.GOOD)
+
+        await rig.control.stop("repair", "ana")
+        rig.wind_m_s = 20.0
+        rig.cables.voltmeter.link_up = False
+        await rig.until(lambda: rig.service.trackers[0].alarms.active, 60, "an alarm")
+        await rig.until(lambda: rig.service.acquisition.outage.is_down, 60, "a cube that is down")
+        found = await both(call)
+        lines, code = verdict(*found)
+        assert code == ExitCode.ALARMS
+        assert lines[0] == "works, but 2 to look at: SIMULATED, hold, STOPPED by a person"
+        assert any(line.startswith("cube: voltmeter") for line in lines)
+        (alarm,) = (line for line in lines if line.startswith("stow-wanted (raised): stow is wanted"))
+        assert found[0]["alarms"][0]["remedy"] in alarm
+        assert page(*found)["alarms"] == ["stow-wanted"]
+        assert page(*found)["modes"]["tracker"]["asked"] == "stop"
+
+    serve(scenario)

@@ -1,0 +1,31 @@
+import time
+
+import pytest
+
+from daemon.commands.status.times import dated, moment, zone
+
+EVENING = "2026-07-21T22:30:05.000Z"
+
+
+@pytest.fixture(params=["Europe/Paris", "UTC"])
+def place(request, monkeypatch):
+    monkeypatch.setenv("TZ", request.param)
+    time.tzset()
+    yield request.param
+    monkeypatch.undo()
+    time.tzset()
+
+
+def test_local_time_stands_first_and_utc_beside_it_each_with_its_date_where_needed(place):
+    expected = {
+        "Europe/Paris": (
+            "2026-07-22 00:30:05 (2026-07-21 22:30:05 UTC)",
+            "14:00:00 (12:00:00 UTC)",
+            "2026-07-22 00:30:05",
+            "local time, UTC+02:00",
+        ),
+        "UTC": ("2026-07-21 22:30:05 UTC", "12:00:00 UTC", "2026-07-21 22:30:05", "UTC"),
+    }[place]
+    noon, later = "2026-07-21T12:00:00.000Z", "2026-07-21T12:30:00.000Z"
+    assert (moment(EVENING), moment(noon, later), dated(EVENING), zone(EVENING)) == expected
+    assert moment(noon, "2026-07-23T12:00:00.000Z").startswith("2026-07-21 ")

@@ -1,0 +1,94 @@
+"""A screen that follows the service over its restarts."""
+
+import io
+from datetime import UTC, datetime
+
+import pytest
+from rich.console import Console
+from rich.live import Live
+
+from daemon.base.errors import UserError
+from daemon.base.records import Mode
+from daemon.commands.status.screen import LogAbove, render
+from daemon.commands.status.watch import watch
+from daemon.service.recent import News, Recent
+from daemon.service.state import state_json
+
+
+class SeenEnoughError(Exception):
+    """The person has seen enough."""
+
+
+def seen(state, answers, *, terminal):
+    """Return what is shown while the service gives these answers: True for the state, else why there is none."""
+    left = iter([*answers])
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=80, height=60)
+
+    def see():
+        answer = next(left)
+        if answer is True:
+            return state
+        raise UserError(answer)
+
+    def sleep(_):
+        if not left.__length_hint__():
+            raise SeenEnoughError
+
+    with pytest.raises(SeenEnoughError):
+        watch(see, console, sleep)
+    return console.file.getvalue()
+
+
+@pytest.fixture
+def state(run_rig):
+    found = []
+
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        found.append(state_json(rig.see(Recent())))
+
+    run_rig(scenario)
+    return found[0]
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_service_that_is_gone_is_said_and_seen_again(state, terminal):
+    text = seen(state, [True, "nothing listens", True, True], terminal=terminal)
+    assert text.count("NO CONNECTION: what is shown is old. nothing listens") == 1
+    assert "tracking" in text.rpartition("nothing listens")[2]
+
+
+def test_without_a_service_to_begin_with_there_is_nothing_to_watch(state):
+    with pytest.raises(UserError, match="nothing listens"):
+        watch(lambda: (_ for _ in ()).throw(UserError("nothing listens")), Console(file=io.StringIO()))
+
+
+def test_a_warning_comes_above_the_screen_which_is_taken_away_and_drawn_anew():
+    console = Console(file=io.StringIO(), force_terminal=True, width=40, height=20)
+    with Live("first\nsecond", console=console, auto_refresh=False) as live:
+        live.refresh()
+        begun = console.file.tell()
+        LogAbove(console).write("WARNING [bold]a wire is loose[/bold]\n")
+        drawn = console.file.getvalue()[begun:]
+    taken_away, warning, again = drawn.partition("WARNING [bold]a wire is loose[/bold]\n")
+    assert warning
+    assert taken_away.count("\x1b[2K") == 2, "both lines are erased"
+    assert "first\nsecond" in again
+
+
+def test_news_is_dated_and_in_the_order_of_time_and_fits_the_terminal(run_rig):
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        recent = Recent()
+        for hour, text in [(9, "second"), (8, "first"), (10, "third " * 20)]:
+            recent.news.append(News(datetime(2022, 10, 12, hour, tzinfo=UTC).timestamp(), text))
+        console = Console(file=io.StringIO(), width=80)
+        console.print(render(state_json(rig.see(recent))))
+        lines = console.file.getvalue().splitlines()
+        first = next(number for number, line in enumerate(lines) if "first" in line)
+        assert "second" in lines[first + 1]
+        assert lines[first].startswith("2022-10-12 ")
+        assert lines[first + 3].startswith(" " * 20)
+        assert max(map(len, lines)) <= 80
+
+    run_rig(scenario)
