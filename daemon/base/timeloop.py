@@ -5,12 +5,14 @@ jumps to the next timer. Datagrams on loopback arrive within the send call, so t
 """
 
 import asyncio
+import heapq
 import math
 import selectors
 import time
-from asyncio import AbstractEventLoop, Future
+from asyncio import AbstractEventLoop, Future, TimerHandle
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
+from contextvars import Context, copy_context
 from dataclasses import dataclass
 from math import ceil
 from typing import Any, TypeVarTuple, cast
@@ -20,6 +22,7 @@ Arguments = TypeVarTuple("Arguments")
 _DEADLOCK_AFTER_S = 10.0
 _LOOK_EVERY_ROUNDS = 16
 _RESOLUTION_S = 1e-9
+_TIDY_TIMERS = 100
 
 
 class _DelegatingSelector(selectors.BaseSelector):
@@ -73,25 +76,75 @@ class _Beat:
     call: Callable[[], bool]
 
 
+class _Timer:
+    """What stands for `asyncio.TimerHandle`."""
+
+    __slots__ = ("_args", "_callback", "_context", "_when_s")
+
+    def __init__(self, when_s: float, callback: Callable[..., object], args: tuple[Any, ...], context: Context) -> None:
+        self._when_s = when_s
+        self._callback: Callable[..., object] | None = callback
+        self._args = args
+        self._context = context
+
+    def when(self) -> float:
+        """Return the virtual time at which it is due."""
+        return self._when_s
+
+    def cancel(self) -> None:
+        """Leave it out."""
+        self._callback, self._args = None, ()
+
+    def cancelled(self) -> bool:
+        """Tell whether it is left out."""
+        return self._callback is None
+
+    def run(self, loop: AbstractEventLoop) -> None:
+        """Call back, unless cancelled."""
+        if self._callback is None:
+            return
+        try:
+            self._context.run(self._callback, *self._args)
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # noqa: BLE001 - as asyncio does: what raises is told, and the loop goes on
+            loop.call_exception_handler({"message": f"Exception in timer {self._callback!r}", "exception": error})
+
+
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
         self.beats: list[_Beat] = []
+        # In the order of their time, and of their setting where that is the same.
+        self._timers: list[tuple[float, int, _Timer]] = []
+        self._timers_set = 0
+        self._tidy_at = _TIDY_TIMERS
         self._now_ns = 0
         self.now_s = 0.0
-        self.resolution_s = _RESOLUTION_S
         self.jobs = 0
         self._rounds = 0
+        self.loop: AbstractEventLoop
+
+    def set_timer(self, timer: _Timer) -> None:
+        self._timers_set += 1
+        heapq.heappush(self._timers, (timer.when(), self._timers_set, timer))
+        if len(self._timers) > self._tidy_at:
+            self._timers = [entry for entry in self._timers if not entry[2].cancelled()]
+            heapq.heapify(self._timers)
+            self._tidy_at = 2 * len(self._timers) + _TIDY_TIMERS
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         if timeout == 0:
             # Callbacks are waiting. Sockets are looked at before time moves, and now and then so that none starves.
             self._rounds += 1
+            self._run_timers()
             return self._real.select(0) if self._rounds % _LOOK_EVERY_ROUNDS == 0 else []
         events = self._real.select(0)
         if events:
             return events
-        if self.jobs or (timeout is None and not self.beats):
+        while self._timers and self._timers[0][2].cancelled():
+            heapq.heappop(self._timers)
+        if self.jobs or not (self._timers or self.beats):
             events = self._real.select(_DEADLOCK_AFTER_S)
             if not events:
                 raise RuntimeError(
@@ -99,12 +152,11 @@ class _VirtualSelector(_DelegatingSelector):
                     "the program waits for something that virtual time cannot bring"
                 )
             return events
-        self._jump(timeout)
+        self._jump()
         return events
 
-    def _jump(self, timeout: float | None) -> None:
-        # A timer within twice the time so far is found again exactly: subtracting such floats loses nothing.
-        until_s = math.inf if timeout is None else self.now_s + timeout
+    def _jump(self) -> None:
+        until_s = self._timers[0][0] if self._timers else math.inf
         while self.beats:
             beat = min(self.beats, key=_due_s) if len(self.beats) > 1 else self.beats[0]
             if beat.due_s >= until_s:
@@ -112,18 +164,23 @@ class _VirtualSelector(_DelegatingSelector):
             if beat.due_s > self.now_s:
                 self.skip(beat.due_s - self.now_s)
             beat.due_s = self.now_s + beat.every_s
-            if beat.call() or timeout is None:
+            if beat.call() or not self._timers:
                 return
-        if timeout is not None and until_s > self.now_s:
+        if until_s > self.now_s:
             self.skip(until_s - self.now_s)
+        self._run_timers()
+
+    def _run_timers(self) -> None:
+        # By itself: through the loop's list of what is to be done each would take a second round. Those that are set
+        # meanwhile wait for the next one. Time is rounded to whole nanoseconds, and to what a number can hold.
+        due_s, last = self.now_s + max(_RESOLUTION_S, math.ulp(self.now_s)), self._timers_set
+        while self._timers and self._timers[0][0] < due_s and self._timers[0][1] <= last:
+            heapq.heappop(self._timers)[2].run(self.loop)
 
     def skip(self, duration_s: float) -> None:
         # Counted in whole nanoseconds, so that nothing is lost to rounding in a year.
         self._now_ns += ceil(duration_s * 1e9)
         self.now_s = self._now_ns / 1e9
-        # asyncio adds this to the time. With the machine's own resolution the sum is the time itself from 2^24 s on,
-        # and a timer that is due now never runs.
-        self.resolution_s = max(_RESOLUTION_S, math.ulp(self.now_s))
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
@@ -131,20 +188,36 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
     def __init__(self) -> None:
         self._virtual = _VirtualSelector()
+        self._virtual.loop = self
         super().__init__(self._virtual)
-
-    @property
-    def _clock_resolution(self) -> float:
-        """How far ahead of its time asyncio takes a timer for due."""
-        return self._virtual.resolution_s
-
-    @_clock_resolution.setter
-    def _clock_resolution(self, resolution_s: float) -> None:
-        """Leave the machine's resolution aside, which asyncio sets."""
 
     def time(self) -> float:
         """Virtual seconds since construction."""
         return self._virtual.now_s
+
+    def call_later(
+        self,
+        delay: float,
+        callback: Callable[[*Arguments], object],
+        *args: *Arguments,
+        context: Context | None = None,
+    ) -> TimerHandle:
+        """Call back after so many virtual seconds."""
+        return self.call_at(self._virtual.now_s + delay, callback, *args, context=context)
+
+    def call_at(
+        self,
+        when: float,
+        callback: Callable[[*Arguments], object],
+        *args: *Arguments,
+        context: Context | None = None,
+    ) -> TimerHandle:
+        """Call back at a virtual time, at a third of what a timer of asyncio's costs: a day has half a million."""
+        if self.is_closed():
+            raise RuntimeError("Event loop is closed")
+        timer = _Timer(when, callback, args, context or copy_context())
+        self._virtual.set_timer(timer)
+        return cast("TimerHandle", timer)
 
     def call_every(self, every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
         """Call back again and again, at a tenth of what a timer costs; return what ends that.

@@ -172,8 +172,10 @@ class Watch:
         if self._aim is not None and telemetry.time_monotonic_s > self._settled_s:
             self._aim, self._rest = None, telemetry
             return None
-        aims = self._aim or _positions(rest)
-        ways = zip(_AXES, _positions(telemetry), _positions(rest), aims, strict=True)
+        now, before = _positions(telemetry), _positions(rest)
+        if now == before:
+            return None
+        ways = zip(_AXES, now, before, self._aim or before, strict=True)
         for at, (axis, here, start, aim) in enumerate(ways):
             low, high = min(start, aim) - self._stray, max(start, aim) + self._stray
             if axis not in self._homing and not (low <= here <= high):

@@ -118,6 +118,37 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
         runner.run(scenario())
 
 
+def test_a_timer_that_raises_or_never_ends_holds_up_nothing_else():
+    async def scenario():
+        loop, told, turns = asyncio.get_running_loop(), [], []
+        loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
+
+        def again():
+            turns.append(loop.time())
+            loop.call_later(0.0, again)
+
+        for _ in range(300):
+            loop.call_later(1.0, turns.clear).cancel()
+        late = loop.call_later(0.5, turns.append, 0.5)
+        loop.call_later(0.5, lambda: 1 / 0)
+        loop.call_later(0.5, late.cancel)
+        await asyncio.sleep(0.75)
+        assert [type(error) for error in told] == [ZeroDivisionError]
+        assert turns == [0.5], "those of one instant are called in the order in which they were set"
+        assert late.when() == pytest.approx(0.5)
+        again()
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert 5 < len(turns) < 30
+        loop.stop()
+
+    loop = VirtualTimeLoop()
+    task = loop.create_task(scenario())
+    loop.run_forever()
+    loop.close()
+    task.result()
+
+
 def test_what_is_called_until_it_is_over_ends_at_that_instant_and_is_called_no_more():
     async def scenario():
         loop, calls = asyncio.get_running_loop(), []
