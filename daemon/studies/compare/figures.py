@@ -62,7 +62,7 @@ def bias_figure(flat: Pairs, found: Fit) -> Figure:
     top = 1.05 * float(max(flat.chrono.pmpp_w.max(), flat.cube.pmpp_w.max()))
     cube, chrono = flat.names
     panels = (
-        (before, flat.cube.pmpp_w[some], found.before, "as measured"),
+        (before, flat.cube.pmpp_w[some], found.before, "uncorrected"),
         (after, found.bias.corrected(flat.cube.pmpp_w[some]), found.after, "corrected"),
     )
     for axes, power, how, what in panels:

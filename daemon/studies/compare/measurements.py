@@ -7,6 +7,7 @@ from daemon.store.tables import Column, Format, TableWriter
 
 REQUIRED = ("time", "tracker", "pmpp_w")
 OPTIONAL = ("irradiance_w_m2", "a_deg", "b_deg", "module_temp_degc", "ghi_w_m2", "dhi_w_m2")
+SIMULATED = "simulated"
 
 
 class Measurement(NamedTuple):
@@ -28,6 +29,8 @@ class Measurement(NamedTuple):
         Of the module.
     ghi_w_m2, dhi_w_m2
         Global and diffuse horizontal irradiance.
+    simulated
+        Whether a model or a bench gave it, and no module.
     """
 
     time: float
@@ -39,12 +42,14 @@ class Measurement(NamedTuple):
     module_temp_degc: float
     ghi_w_m2: float
     dhi_w_m2: float
+    simulated: bool = False
 
 
 _COLUMNS = [
     Column("time", "time", "time"),
     Column("tracker", "tracker", "text"),
     *[Column(name, name, "float") for name in ("pmpp_w", *OPTIONAL)],
+    Column(SIMULATED, SIMULATED, "bool"),
 ]
 
 

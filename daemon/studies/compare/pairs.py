@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, Measurement
+from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
 from solar.frames import Array
 
 TOGETHER_WITHIN_S = 5.0
-_COLUMNS = (*REQUIRED, *OPTIONAL)
+_NUMBERS = ("pmpp_w", *OPTIONAL)
+_COLUMNS = (*REQUIRED, *OPTIONAL, SIMULATED)
 _POWER_W = (-5.0, 2000.0)
 
 
@@ -48,6 +49,8 @@ class Pairs:
         The first tracker and the one it is held against.
     diffuse_fraction
         DHI/GHI; NaN for unknown.
+    simulated
+        Whether any of it was simulated.
     """
 
     names: tuple[str, str]
@@ -55,6 +58,7 @@ class Pairs:
     cube: Side
     chrono: Side
     diffuse_fraction: Array
+    simulated: bool = False
 
     def where(self, chosen: NDArray[np.bool_]) -> "Pairs":
         """Return some of the pairs."""
@@ -64,6 +68,7 @@ class Pairs:
             cube=self.cube.where(chosen),
             chrono=self.chrono.where(chosen),
             diffuse_fraction=self.diffuse_fraction[chosen],
+            simulated=self.simulated,
         )
 
 
@@ -116,7 +121,8 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
         both[f"{name}_cube"].fillna(both[f"{name}_chrono"]).to_numpy(float) for name in ("ghi_w_m2", "dhi_w_m2")
     )
     fraction = np.clip(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=ghi > 0.0), 0.0, 1.0)
-    return Pairs(names=names, utc_s=both["time"].to_numpy(float), cube=cube, chrono=chrono, diffuse_fraction=fraction)
+    simulated = bool((both[f"{SIMULATED}_cube"] | both[f"{SIMULATED}_chrono"]).any())
+    return Pairs(names, both["time"].to_numpy(float), cube, chrono, fraction, simulated)
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -132,12 +138,15 @@ def _read(path: Path) -> pd.DataFrame:
     unknown = [str(name) for name in table if name not in _COLUMNS]
     if missing or unknown:
         what = f"lacks the column {missing[0]}" if missing else f"has an unknown column {unknown[0]}"
-        raise UserError(f"{path} {what}; the columns are {', '.join(REQUIRED)}, and where known {', '.join(OPTIONAL)}")
+        raise UserError(
+            f"{path} {what}; the columns are {', '.join(REQUIRED)}, and where known {', '.join(_COLUMNS[3:])}"
+        )
     if table.empty:
         raise UserError(f"{path} holds no measurements: there is nothing below its header")
     found = pd.DataFrame({"time": _times(table["time"], path), "tracker": table["tracker"].astype(str)})
-    for name in _COLUMNS[2:]:
+    for name in _NUMBERS:
         found[name] = _numbers(table[name], path) if name in table else np.nan
+    found[SIMULATED] = _truths(table[SIMULATED], path) if SIMULATED in table else False
     low, high = _POWER_W
     wild = found["pmpp_w"].notna() & ~found["pmpp_w"].between(low, high)
     if wild.any():
@@ -168,6 +177,15 @@ def _numbers(column: "pd.Series[float]", path: Path) -> "pd.Series[float]":
         row = int(np.flatnonzero(wrong)[0])
         raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}', which is no number")
     return numbers
+
+
+def _truths(column: "pd.Series[Any]", path: Path) -> "pd.Series[bool]":
+    words = column.astype(str).str.lower()
+    wrong = ~words.isin(("true", "false"))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}'; write true or false")
+    return words == "true"
 
 
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -48,6 +48,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
     bias = None if found is None else found.bias
     days = np.floor(pairs.utc_s / DAY_S)
     cube, chrono = pairs.names
+    mark = _mark(pairs)
     for day in np.unique(days).tolist():
         part = pairs.where(days == day)
         if part.utc_s.size < 2:
@@ -58,7 +59,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
                 f"power-{date}",
                 f"Pmpp of {cube}{'' if bias is None else ', corrected,'} and {chrono} on {date}"
                 " (the paper's Figures 11 and 13).",
-                figures.power_figure(part, bias, f"Pmpp of {cube} and {chrono}, {date}"),
+                figures.power_figure(part, bias, f"{mark}Pmpp of {cube} and {chrono}, {date}"),
             )
         )
         if np.isfinite(part.cube.b_deg).any() and np.isfinite(part.chrono.b_deg).any():
@@ -66,7 +67,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
                 Shown(
                     f"movement-{date}",
                     f"Movement of both trackers and the sun's path on {date} (the paper's Figure 12).",
-                    figures.movement_figure(part, site, f"Movement of {cube} and {chrono}, {date}"),
+                    figures.movement_figure(part, site, f"{mark}Movement of {cube} and {chrono}, {date}"),
                 )
             )
     return shown
@@ -89,20 +90,25 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
     voltage = np.linspace(0.0, float(maximum_power(Q_PEAK_G4_1_305, light, warmth).voc_v), 101)
     when = iso_utc(float(pairs.utc_s[place]))[:19]
     figure = figures.curve_figure(
-        voltage, np.maximum(curve(Q_PEAK_G4_1_305, light, warmth, voltage), 0.0), f"{pairs.names[0]}, {when}Z"
+        voltage,
+        np.maximum(curve(Q_PEAK_G4_1_305, light, warmth, voltage), 0.0),
+        f"{_mark(pairs)}{pairs.names[0]}, {when}Z",
     )
     caption = (
         f"I(V) and P(V) of {pairs.names[0]}'s module at {light:.0f} W/m2 and {warmth:.0f} degC, by the model of the"
-        f" module and not measured, for the time of its highest power ({side.pmpp_w[place]:.1f} W measured; the paper's"
-        " Figure 3)."
+        " module and not measured, for the time of its highest power"
+        f" ({side.pmpp_w[place]:.1f} W {_source(pairs)}; the paper's Figure 3)."
     )
     return Shown("curve", caption, figure)
 
 
-def measured_curve(kept: KeptCurve, name: str) -> Shown:
-    """Return the figure of an I-V curve that was measured."""
-    figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{name}, {iso_utc(kept.time_utc_s)[:19]}Z")
-    caption = f"I(V) and P(V) of {name}'s module as measured, the curve of its highest power (the paper's Figure 3)."
+def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
+    """Return the figure of an I-V curve that the load has swept."""
+    name, when = pairs.names[0], iso_utc(kept.time_utc_s)[:19]
+    figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{_mark(pairs)}{name}, {when}Z")
+    caption = (
+        f"I(V) and P(V) of {name}'s module as {_source(pairs)}, the curve of its highest power (the paper's Figure 3)."
+    )
     return Shown("curve", caption, figure)
 
 
@@ -163,7 +169,7 @@ def write_report(
         A measured I-V curve of T-Cube's module; without one it is modelled where light and warmth are known.
     """
     rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site))
-    curve_shown = modelled_curve(pairs) if kept is None else measured_curve(kept, pairs.names[0])
+    curve_shown = modelled_curve(pairs) if kept is None else kept_curve_shown(kept, pairs)
     shown = [one for one in (curve_shown,) if one is not None]
     if found is not None and flat is not None:
         shown.append(bias_shown(flat, found))
@@ -179,7 +185,10 @@ def write_report(
         write_csv(rows, out / "gains.csv")
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from None
-    write_page(out / "report.html", f"{pairs.names[0]} and {pairs.names[1]}", notes, tables, shown)
+    if pairs.simulated:
+        notes.insert(0, "SIMULATED: powers here come from a model or a bench and not from modules on a roof.")
+    title = f"{_mark(pairs)}{pairs.names[0]} and {pairs.names[1]}"
+    write_page(out / "report.html", title, notes, tables, shown)
     return rows
 
 
@@ -207,6 +216,14 @@ def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Ta
         path.write_text("\n".join(parts) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _mark(pairs: Pairs) -> str:
+    return "SIMULATED: " if pairs.simulated else ""
+
+
+def _source(pairs: Pairs) -> str:
+    return "simulated" if pairs.simulated else "measured"
 
 
 def _signed(value: float) -> str:

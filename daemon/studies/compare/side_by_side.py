@@ -196,5 +196,5 @@ def _measure(
         lit = light.ghi_w_m2 > 0.0
         for place in np.flatnonzero(lit).tolist():
             for tracker, values in zip(trackers, rows, strict=True):
-                measurements.append(Measurement(float(utc_s[place]), tracker.name, *values[place]))
+                measurements.append(Measurement._make((float(utc_s[place]), tracker.name, *values[place], True)))
     return measurements

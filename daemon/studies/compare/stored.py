@@ -122,7 +122,8 @@ def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) 
             continue
         poses = _table(connection, "poses", _POSES, (run, own), ["time", "a_deg", "b_deg"])
         both = _joined(curves, poses, "backward", _POSE_HOLDS_S)
-        found.append(_joined(both, light, "nearest", _SCAN_WITHIN_S).assign(tracker=name or own or f"run {run}"))
+        whole = _joined(both, light, "nearest", _SCAN_WITHIN_S)
+        found.append(whole.assign(tracker=name or own or f"run {run}", simulated=_simulated(connection, run)))
     if not found:
         raise UserError(
             f"the store {path} holds no I-V curves: they need an electronic load, section load of the configuration"
@@ -157,6 +158,10 @@ def _light(connection: sqlite3.Connection) -> pd.DataFrame:
     utc_s, faces = utc_s[whole], faces[whole]
     zenith = faces[:, FACES.index("zenith")]
     return pd.DataFrame({"time": utc_s, "ghi_w_m2": zenith, "dhi_w_m2": zenith * diffuse_fraction_of_faces(faces)})
+
+
+def _simulated(connection: sqlite3.Connection, run: int) -> bool:
+    return bool(connection.execute("SELECT simulated FROM runs WHERE run = ?", (run,)).fetchone()[0])
 
 
 def _joined(

@@ -90,6 +90,7 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
         assert "<svg" in (tmp_path / f"{name}.svg").read_text()
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 5
+    assert "SIMULATED" not in page
     assert "http" not in page.replace("http-equiv", "")
     assert "2022-10-12" in out
     assert "overcast" in out
@@ -151,6 +152,11 @@ ROW = "2022-10-12T10:00:00Z,{},50"
         ("time,tracker,pmpp_w", [ROW.format("T-Cube")], "no powers of 'T-Chrono', only of 'T-Cube'"),
         ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,fifty"], "row 1: pmpp_w is 'fifty'"),
         ("time,tracker,pmpp_w", ["noon,T-Cube,50"], "row 1: 'noon' is no time"),
+        (
+            "time,tracker,pmpp_w,simulated",
+            ["2022-10-12T10:00:00Z,T-Cube,50,perhaps"],
+            "row 1: simulated is 'perhaps'; write true or false",
+        ),
         ("time,tracker,pmpp_w", ["2022-10-12T10:00:00Z,T-Cube,50000"], "which no module of a tracker gives"),
         (
             "time,tracker,pmpp_w",
@@ -213,6 +219,10 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     cube, chrono = ([row for row in rows if row["tracker"] == name] for name in ("T-Cube", "T-Chrono"))
     assert len(cube) == len(chrono) == 519
     assert [row["time"] for row in cube] == [row["time"] for row in chrono]
+    assert {row["simulated"] for row in rows} == {"true"}
+    code, out, err = compare("report", tmp_path / "powers.csv", "--site", SITE, "--out", tmp_path)
+    assert (code, err) == (0, "")
+    assert "<h1>SIMULATED: " in (tmp_path / "report.html").read_text()
     # The cube's law lies flat under cloud; the other stands at a sun 33 deg high.
     assert float(cube[-1]["b_deg"]) == pytest.approx(90.0, abs=1.5)
     assert float(chrono[-1]["b_deg"]) == pytest.approx(33.0, abs=2.0)
@@ -256,7 +266,9 @@ def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compar
     )
     # The isotropic sky at a tilt of 57 deg gives 22 %, the module's efficiency in brighter light a little more.
     assert float(row["gain_pct"]) == pytest.approx(22.5, abs=1.5)
-    assert "as measured" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<h1>SIMULATED: " in page
+    assert "module as simulated" in page
 
 
 def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, tmp_path):
