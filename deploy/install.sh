@@ -65,6 +65,8 @@ if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
 system_files="
 /etc/systemd/system/heliocube-cube.service
 /etc/systemd/system/heliocube-dashboard.service
+/etc/systemd/system/heliocube-report.service
+/etc/systemd/system/heliocube-report.timer
 /etc/systemd/system/heliocube-tracker.service
 /etc/udev/rules.d/70-heliocube.rules
 /etc/modules-load.d/heliocube.conf
@@ -87,10 +89,10 @@ reload() {
 }
 
 if [ $remove = yes ]; then
-  for role in cube tracker dashboard; do
-    unit=heliocube-$role.service
+  for unit in cube.service tracker.service dashboard.service report.timer; do
+    unit=heliocube-$unit
     [ $live = no ] || [ ! -e "/etc/systemd/system/$unit" ] || systemctl disable --quiet --now "$unit"
-    rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit"
+    rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit" "$root/etc/systemd/system/timers.target.wants/$unit"
   done
   for file in $system_files; do rm -f "$root$file"; done
   rm -rf "$opt"
@@ -194,6 +196,9 @@ for other in cube tracker; do
 done
 # The dashboard is for whoever wants one, on a machine of either role.
 put heliocube-dashboard.service /etc/systemd/system/heliocube-dashboard.service
+# So is the report of every day.
+put heliocube-report.service /etc/systemd/system/heliocube-report.service
+put heliocube-report.timer /etc/systemd/system/heliocube-report.timer
 put heliocube.rules /etc/udev/rules.d/70-heliocube.rules
 put heliocube.modules-load.conf /etc/modules-load.d/heliocube.conf
 put heliocube.sysusers.conf /etc/sysusers.d/heliocube.conf
@@ -240,4 +245,7 @@ done
 [ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
 for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: systemctl restart)"; done
 say "      systemctl enable --now heliocube-dashboard    (if you want the page for browsers; see $etc/dashboard.toml)"
+case " $roles " in
+  *' tracker '*) say "      systemctl enable --now heliocube-report.timer    (if you want yesterday's report every night)" ;;
+esac
 say 'Before the first move: docs/install.md'

@@ -52,17 +52,23 @@ def export(
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     rows = write_tables(
-        _directory(store, config), out, table_format.value, first, last, [one.value for one in kind or []]
+        store_directory("export", store, config),
+        out,
+        table_format.value,
+        first,
+        last,
+        [one.value for one in kind or []],
     )
     counts = ", ".join(f"{count} {name}" for name, count in rows.items())
     typer.echo(f"written to {out}: {counts}")
 
 
-def _directory(store: Path | None, config: Path | None) -> Path:
+def store_directory(command: str, store: Path | None, config: Path | None) -> Path:
+    """Return the folder of the store that is named or configured; raises `UserError`."""
     if store is not None and config is None:
         return store
     if store is not None or config is None:
-        raise UserError("export needs either --store DIR or --config FILE to find the store")
+        raise UserError(f"{command} needs either --store DIR or --config FILE to find the store")
     from daemon.config.file import load_settings
 
     directory = load_settings(config).store.directory

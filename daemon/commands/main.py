@@ -20,14 +20,18 @@ from daemon.commands.options import (
     SCIENCE,
     SERVICE,
     CubeOption,
+    ForceOption,
     LawOption,
     PositionerOption,
+    ReportOption,
     RoleChoice,
     TableFormat,
+    ZoneOption,
 )
 from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain
-from daemon.commands.studies.simulate import progress_bar, replay, report
+from daemon.commands.studies import report as reports
+from daemon.commands.studies.simulate import checked_report, progress_bar, replay, report, tell_pages
 from daemon.studies.inputs import instant, settings_for, site_values
 
 if TYPE_CHECKING:
@@ -52,6 +56,7 @@ app.add_typer(probe.app, name="probe", rich_help_panel=BENCH)
 app.command("bench-ctl", rich_help_panel=BENCH)(tools.control)
 app.command(rich_help_panel=BENCH)(campaign.campaign)
 app.add_typer(export.app)
+app.add_typer(reports.app)
 app.add_typer(store.app, name="store", rich_help_panel=FILES)
 
 
@@ -147,6 +152,9 @@ def simulate(
     cube: CubeOption = None,
     positioner: PositionerOption = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
+    report_to: ReportOption = None,
+    zone: ZoneOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
     from daemon.studies.simulate import simulate as run_simulation
@@ -154,10 +162,17 @@ def simulate(
     settings = _settings(
         config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube, positioner=positioner
     )
+    begin = instant(start, "--start")
+    span = (begin.timestamp(), begin.timestamp() + days * 86400.0)
+    local = checked_report(report_to, zone, settings, span, force=force)
     console = Console(stderr=True)
     with progress_bar(console) as progress:
-        summary = run_simulation(settings, instant(start, "--start"), days, out, table_format.value, progress)
+        summary = run_simulation(settings, begin, days, out, table_format.value, progress)
     report(summary, settings, out, console, Console())
+    if report_to is not None:
+        from daemon.studies.report.studies import report_simulation
+
+        tell_pages(report_simulation(settings, span, out, table_format.value, report_to, local, force=force))
 
 
 app.add_typer(dashboard.app)

@@ -42,6 +42,15 @@ TrackerOption = Annotated[
     str | None, typer.Option("--tracker", metavar="NAME", help="Which tracker, where there are several.")
 ]
 
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", metavar="DIR", help="Folder for the report of it as a page, as of 'report'.")
+]
+ZoneOption = Annotated[
+    str | None,
+    typer.Option("--zone", metavar="ZONE", help="Of local times, such as Europe/Paris; else the machine's."),
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
 
 class RoleChoice(StrEnum):
     """The roles as the command line names them."""

@@ -27,10 +27,12 @@ from tests.system.conftest import ROOT
 DEPLOY = ROOT / "deploy"
 EXAMPLES = DEPLOY / "examples"
 ROLES = ("cube", "tracker")
-UNITS = (*ROLES, "dashboard")
+CONFIGURED = (*ROLES, "dashboard")
+UNITS = (*CONFIGURED, "report")
 STARTS = {
     **{role: f"run --role {role} --config /etc/heliocube/{role}.toml" for role in ROLES},
     "dashboard": "dashboard --config %d/dashboard.toml",
+    "report": "report --config /etc/heliocube/tracker.toml --day yesterday --out /var/lib/heliocube/reports --force",
 }
 pytestmark = pytest.mark.system
 needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -58,6 +60,17 @@ def stand_in(tmp_path, role, change=lambda text: text):
 def test_systemd_understands_every_line_of_the_units(tmp_path, role):
     done = run("systemd-analyze", "verify", stand_in(tmp_path, role))
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_analyze
+def test_systemd_understands_the_timer_and_when_it_runs(tmp_path):
+    timer = tmp_path / "heliocube-report.timer"
+    shutil.copy(DEPLOY / timer.name, timer)
+    stand_in(tmp_path, "report")
+    done = run("systemd-analyze", "verify", timer)
+    assert (done.returncode, done.stderr) == (0, "")
+    when = re.search(r"^OnCalendar=(.*)$", timer.read_text(), re.MULTILINE)[1]
+    assert "03:15:00" in run("systemd-analyze", "calendar", when).stdout
 
 
 @needs_analyze
@@ -129,7 +142,7 @@ def test_the_line_settings_of_the_rules_end_the_echo():
 # The examples
 
 
-@pytest.mark.parametrize("name", ["both", *UNITS])
+@pytest.mark.parametrize("name", ["both", *CONFIGURED])
 def test_the_examples_are_good_configurations(tmp_path, name):
     shutil.copy(EXAMPLES / f"{name}.toml", tmp_path)
     write_key(tmp_path / "bridge.key", generate_key())
@@ -245,7 +258,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert "systemctl enable --now heliocube-tracker" in first.stdout
     program = tree / "opt/heliocube/current/bin/heliocube"
     assert run(program, "--version").stdout.startswith("heliocube ")
-    for role in UNITS:
+    for role in CONFIGURED:
         checked = run(program, "config", "check", tree / f"etc/heliocube/{role}.toml")
         assert checked.returncode == 0, checked.stderr
     key = tree / "etc/heliocube/bridge.key"

@@ -9,9 +9,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from daemon.commands.options import LawOption, TrackerOption
+from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from datetime import tzinfo
+
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
     from daemon.studies.simulate import Summary
@@ -53,6 +56,29 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
+def checked_report(
+    out: Path | None, zone: str | None, settings: "Settings", span: tuple[float, float], *, force: bool
+) -> "tzinfo | None":
+    """Look before the work whether its report can be written; return the zone of its local times.
+
+    Nothing is looked at where none is wanted. Raises `UserError`.
+    """
+    if out is None:
+        return None
+    from daemon.studies.report.studies import span_of
+    from daemon.studies.report.write import check_output, file_name, zone_of
+
+    names = [file_name(span_of(*span).name, name) for name, _ in settings.trackers]
+    check_output(out, names, "--report", force=force)
+    return zone_of(zone)
+
+
+def tell_pages(paths: "Sequence[Path]") -> None:
+    """Say where pages or pictures are."""
+    for path in paths:
+        typer.echo(f"written: {path}")
+
+
 def replay(
     out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")],
     faces: Annotated[
@@ -67,6 +93,9 @@ def replay(
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
     config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
     tracker: TrackerOption = None,
+    report_to: ReportOption = None,
+    zone: ZoneOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
     from rich.console import Console
@@ -93,6 +122,13 @@ def replay(
     else:
         assert store is not None  # noqa: S101 - narrowing; one of the two is there
         rows = rows_of_store(store)
+    # The last reading belongs to it.
+    span = (rows[0].time_utc_s, rows[-1].time_utc_s + 1.0)
+    local = checked_report(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
         run_replay(settings, rows, out, progress)
     typer.echo(f"{len(rows)} rows by {settings.law.driver}: {out}")
+    if report_to is not None:
+        from daemon.studies.report.studies import report_replay
+
+        tell_pages(report_replay(settings, span, rows, out, report_to, local, force=force))

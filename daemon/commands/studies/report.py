@@ -1,0 +1,142 @@
+"""`heliocube report` and `heliocube plot`: a day, a week or a month of one tracker as a page, and its pictures."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from daemon.base.errors import UserError
+from daemon.commands.export import store_directory
+from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
+from daemon.commands.studies.simulate import progress_bar, tell_pages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.settings import Settings
+    from daemon.studies.report.material import Material
+    from daemon.studies.report.span import Wanted
+
+app = typer.Typer()
+
+DayOption = Annotated[
+    str | None,
+    typer.Option("--day", metavar="DAY", help="A day of the site: 2022-10-14, yesterday or today."),
+]
+FromOption = Annotated[
+    str | None, typer.Option("--from", metavar="DAY|UTC", help="First day or instant, with --to instead of --day.")
+]
+ToOption = Annotated[str | None, typer.Option("--to", metavar="DAY|UTC", help="End, itself not included.")]
+StoreOption = Annotated[
+    Path | None, typer.Option("--store", metavar="DIR", help="Folder of the store, without a configuration.")
+]
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", help="Configuration file, for its store, its limits and its budget of motion."),
+]
+
+
+@app.command(rich_help_panel=FILES)
+def report(
+    day: DayOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pages; made if it is not there.")] = Path(),
+    store: StoreOption = None,
+    config: ConfigOption = None,
+    tracker: TrackerOption = None,
+    zone: ZoneOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Write a page about a day, a week or a month: what the tracker did, what it gained, how good the records are.
+
+    One file for each tracker, which needs nothing but itself: it can be opened, sent and printed anywhere.
+    """
+    from daemon.studies.report.span import Wanted
+    from daemon.studies.report.write import check_output, with_settings, write_reports, zone_of
+
+    wanted, local = Wanted(day, start, end), zone_of(zone)
+    directory, settings = store_directory("report", store, config), _settings(config)
+    taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{tracker or '*'}.html")]
+    check_output(out, taken, "--out", force=force)
+    with progress_bar(Console(stderr=True), "reading and drawing") as progress:
+        materials = _materials(directory, wanted, tracker, lambda share: progress(0.8 * share))
+        known = [with_settings(material, settings) for material in materials]
+        paths = write_reports(known, out, local, lambda share: progress(0.8 + 0.2 * share), force=force)
+    tell_pages(paths)
+
+
+@app.command(rich_help_panel=FILES)
+def plot(
+    what: Annotated[
+        list[str], typer.Argument(metavar="PICTURE...", help="light, angles, received, motion or power; one or more.")
+    ],
+    out: Annotated[Path, typer.Option(help="PNG or SVG file; with several pictures their names are added to its own.")],
+    day: DayOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    store: StoreOption = None,
+    tables: Annotated[
+        Path | None, typer.Option("--tables", metavar="DIR", help="Folder of simulate or export, instead of a store.")
+    ] = None,
+    config: ConfigOption = None,
+    site: Annotated[
+        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site of the tables, in degrees north, east and metres.")
+    ] = None,
+    tracker: TrackerOption = None,
+    zone: ZoneOption = None,
+    force: ForceOption = False,
+) -> None:
+    """Draw quick pictures of a day from the store, or from tables of simulate or export."""
+    from daemon.studies.report.plot import check_pictures, draw, material_of_tables, picture_paths
+    from daemon.studies.report.span import Wanted
+    from daemon.studies.report.write import check_output, with_settings, zone_of
+
+    check_pictures(what)
+    local, settings = zone_of(zone), _settings(config)
+    paths = picture_paths(out, what)
+    check_output(out.parent, [path.name for path in paths], "--out", force=force)
+    whole = day is None and start is None and end is None
+    with progress_bar(Console(stderr=True), "reading") as progress:
+        if tables is not None:
+            if store is not None:
+                raise UserError("plot needs either --store or --tables, not both")
+            wanted = None if whole else Wanted(day, start, end)
+            material = material_of_tables(tables, site, settings, wanted, tracker)
+        else:
+            directory = store_directory("plot", store, config)
+            found = _materials(directory, Wanted(day, start, end), tracker, progress)
+            names = ", ".join(each.tracker for each in found)
+            if len(found) > 1:
+                raise UserError(f"that store has several trackers, {names}: choose one with --tracker NAME")
+            material = found[0]
+    draw(with_settings(material, settings), what, paths, local)
+    tell_pages(paths)
+
+
+def _settings(config: Path | None) -> "Settings | None":
+    if config is None:
+        return None
+    from daemon.config.file import load_settings
+
+    return load_settings(config)
+
+
+def _name(directory: Path, wanted: "Wanted") -> str:
+    """Return what the span is called, before anything is read but the place of the site."""
+    from daemon.store.runs import runs_of
+    from daemon.store.schema import FILE_NAME
+
+    runs = runs_of(directory / FILE_NAME)
+    return wanted.span(runs[-1].longitude_deg, time.time()).name if runs else ""
+
+
+def _materials(
+    directory: Path, wanted: "Wanted", tracker: str | None, progress: "Callable[[float], None]"
+) -> "list[Material]":
+    from daemon.studies.report.material import from_store
+
+    return from_store(directory, wanted, tracker, time.time(), progress)

@@ -1,0 +1,67 @@
+"""The runs of the service that a store has records of, and how far these reach."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from daemon.store.schema import columns_of, open_for_reading, unreadable
+from daemon.store.tables import COLUMNS
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRun:
+    """One run of the service, from its start to its end; `run` counts them within a store."""
+
+    run: int
+    started_utc_s: float
+    role: str
+    version: str
+    simulated: bool
+    site: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    tracker: str
+
+
+def runs_of(path: Path) -> list[StoredRun]:
+    """Return the runs of a store, the oldest first; raises `StoreError`."""
+    with closing(open_for_reading(path)) as connection:
+        try:
+            tracker = "tracker" if "tracker" in columns_of(connection, "runs") else "''"
+            rows = connection.execute(
+                "SELECT run, started, role, version, simulated, site, latitude_deg, longitude_deg, altitude_m,"  # noqa: S608 - our own names
+                f" {tracker} FROM runs ORDER BY started, run"
+            ).fetchall()
+        except sqlite3.Error as error:
+            raise unreadable(path, error) from None
+    return [
+        StoredRun(
+            run=run,
+            started_utc_s=started,
+            role=role,
+            version=version,
+            simulated=bool(simulated),
+            site=site,
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            altitude_m=altitude,
+            tracker=name,
+        )
+        for run, started, role, version, simulated, site, latitude, longitude, altitude, name in rows
+    ]
+
+
+def reach_of(path: Path) -> tuple[float, float] | None:
+    """Return the times [s UTC] of a store's first and last record, None without one; raises `StoreError`."""
+    ends: list[float] = []
+    with closing(open_for_reading(path)) as connection:
+        try:
+            for name, _ in COLUMNS.values():
+                if columns_of(connection, name):
+                    first, last = connection.execute(f"SELECT MIN(time), MAX(time) FROM {name}").fetchone()  # noqa: S608 - as above
+                    ends += [at for at in (first, last) if at is not None]
+        except sqlite3.Error as error:
+            raise unreadable(path, error) from None
+    return (min(ends), max(ends)) if ends else None

@@ -1,0 +1,134 @@
+"""How good the records are, in the terms of IEC 61724-1: available, valid, flagged and missing data, and the gaps."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.base.records import FACES, Quality
+from daemon.studies.report.material import Material
+from daemon.studies.report.yields import sun_up
+from solar.frames import Array
+
+_LEAST_GAP_S = 60.0
+_LEAST_GAP_SCANS = 3.0
+_USUAL_INTERVAL_S = 5.0
+# Of an interval: the first scan and the last are not to the instant.
+_JITTER = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """Scans of one kind of time, all or daylight.
+
+    Attributes
+    ----------
+    expected
+        One every interval, from the begin of the reporting period to its end.
+    recorded, valid
+        Those that are there, and those of which all four readings are good.
+    """
+
+    expected: int
+    recorded: int
+    valid: int
+
+    @property
+    def available_pct(self) -> float:
+        """Data availability: recorded of expected [%]; NaN where none is expected."""
+        return _share(self.recorded, self.expected)
+
+    @property
+    def valid_pct(self) -> float:
+        """Valid of expected [%]; NaN where none is expected."""
+        return _share(self.valid, self.expected)
+
+    @property
+    def flagged(self) -> int:
+        """Recorded, but with a reading that is not good."""
+        return self.recorded - self.valid
+
+    @property
+    def missing(self) -> int:
+        """Expected, but not there."""
+        return max(self.expected - self.recorded, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A stretch without scans [s UTC]."""
+
+    start_utc_s: float
+    end_utc_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Availability:
+    """The state of the records of a span.
+
+    Attributes
+    ----------
+    interval_s
+        From one scan to the next, as a rule.
+    period, daylight
+        The counts of the whole period, and of its daylight.
+    faces
+        By face, in daylight: how many readings had each quality.
+    gaps
+        Longer than a minute and three intervals.
+    """
+
+    interval_s: float
+    period: Count
+    daylight: Count
+    faces: dict[str, dict[str, int]]
+    gaps: tuple[Gap, ...]
+
+
+def availability_of(material: Material) -> Availability:
+    """Return how good the records of a span are."""
+    span, scans = material.span, material.tables["scans"]
+    utc_s = material.times_of("scans")
+    interval_s = float(np.median(np.diff(utc_s))) if utc_s.size > 2 else _USUAL_INTERVAL_S
+    valid: NDArray[np.bool_] = np.isfinite(material.faces()).min(axis=1, initial=True)
+    missing = _missing_times(utc_s, span.start_utc_s, span.end_utc_s, interval_s)
+    up, missing_up = sun_up(material, utc_s) > 0.0, sun_up(material, missing) > 0.0
+    return Availability(
+        interval_s=interval_s,
+        period=_count(utc_s.size, missing.size, valid),
+        daylight=_count(int(up.sum()), int(missing_up.sum()), valid[up]),
+        faces={
+            face: {quality: int((scans[f"{face}_quality"][up] == quality).sum()) for quality in Quality}
+            for face in FACES
+            if f"{face}_quality" in scans
+        },
+        gaps=_gaps(utc_s, span.start_utc_s, span.end_utc_s, interval_s),
+    )
+
+
+def _count(recorded: int, missing: int, valid: NDArray[np.bool_]) -> Count:
+    return Count(recorded + missing, recorded, int(valid.sum()))
+
+
+def _missing_times(utc_s: Array, start_s: float, end_s: float, interval_s: float) -> Array:
+    """Return when the scans would have been that are not there."""
+    if not utc_s.size:
+        return np.arange(start_s, end_s, interval_s)
+    before = int(max((utc_s[0] - start_s) / interval_s - _JITTER, 0.0))
+    behind = max(math.ceil((end_s - utc_s[-1]) / interval_s - _JITTER) - 1, 0)
+    counts = np.maximum(np.round(np.diff(utc_s) / interval_s).astype(int) - 1, 0)
+    places = np.flatnonzero(counts).tolist()
+    parts = [utc_s[place] + interval_s * np.arange(1, counts[place] + 1) for place in places]
+    first, last = start_s + interval_s * np.arange(before), utc_s[-1] + interval_s * np.arange(1, behind + 1)
+    return np.concatenate([first, *parts, last])
+
+
+def _gaps(utc_s: Array, start_s: float, end_s: float, interval_s: float) -> tuple[Gap, ...]:
+    edges = np.concatenate([[start_s], utc_s, [end_s]])
+    long = np.flatnonzero(np.diff(edges) > max(_LEAST_GAP_S, _LEAST_GAP_SCANS * interval_s))
+    return tuple(Gap(float(edges[place]), float(edges[place + 1])) for place in long.tolist())
+
+
+def _share(part: int, whole: int) -> float:
+    return 100.0 * part / whole if whole else np.nan

@@ -1,0 +1,253 @@
+"""What a report is made of: the records of one tracker in a span of time, from a store or from tables."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+
+from daemon.base.errors import UserError
+from daemon.base.records import FACES, Quality
+from daemon.store.export import KINDS, export
+from daemon.store.runs import StoredRun, reach_of, runs_of
+from daemon.store.schema import FILE_NAME
+from daemon.studies.report.span import ReportSpan, Wanted, times
+from solar.ephemeris import Site
+from solar.frames import Array, Limits
+
+# What no figure is made of would fill the memory in a month.
+_LEFT_OUT = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
+# The last record belongs to the span.
+_LAST_S = 1.0
+_WORDS_AGAIN = {"mode", "law", "tracker", *(f"{face}_quality" for face in FACES)}
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """The records of one tracker.
+
+    Attributes
+    ----------
+    span
+        Which time.
+    site, site_name, limits
+        Where, and of its angles.
+    tracker
+        Its name.
+    simulated
+        Whether any of it is: then the page says so everywhere.
+    source
+        Where the records come from, in words.
+    runs
+        Of the service, as far as the records know them.
+    tables
+        By kind, a frame with a UTC index and the columns of docs/data.md; empty without a record.
+    budget_deg, budget_moves
+        Of a day, as far as they are known.
+    """
+
+    span: ReportSpan
+    site: Site
+    site_name: str
+    limits: Limits
+    tracker: str
+    simulated: bool
+    source: str
+    runs: tuple[StoredRun, ...]
+    tables: dict[str, pd.DataFrame]
+    budget_deg: float | None = None
+    budget_moves: int | None = None
+
+    def times_of(self, kind: str) -> Array:
+        """Return the UTC [s] of a kind's rows."""
+        return seconds(self.tables[kind])
+
+    def column(self, kind: str, name: str) -> Array:
+        """Return a column of numbers, NaN throughout where the table does not have it."""
+        table = self.tables[kind]
+        if name not in table:
+            return np.full(len(table), np.nan)
+        return table[name].to_numpy(dtype=np.float64, na_value=np.nan)
+
+    def faces(self) -> Array:
+        """Return the scans' good readings [W/m2], shape (n, 4), NaN where one is not good."""
+        scans = self.tables["scans"]
+        columns = [
+            np.where(scans[f"{face}_quality"] == Quality.OK, self.column("scans", f"{face}_w_m2"), np.nan)
+            for face in FACES
+            if f"{face}_quality" in scans
+        ]
+        return np.stack(columns, axis=-1) if columns else np.empty((0, len(FACES)))
+
+
+def seconds(table: pd.DataFrame) -> Array:
+    """Return the UTC [s] of a table's index."""
+    if not len(table):
+        return np.empty(0)
+    since = pd.DatetimeIndex(table.index) - pd.Timestamp(0, tz="UTC")
+    return np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
+
+
+def from_store(
+    directory: Path, wanted: Wanted, tracker: str | None, now_utc_s: float, progress: Callable[[float], None]
+) -> list[Material]:
+    """Return the material of every tracker of a store, or of the one that is named.
+
+    Parameters
+    ----------
+    directory
+        Folder of the store.
+    wanted
+        Which time.
+    tracker
+        Whose; None is everybody's.
+    now_utc_s
+        What has not happened yet is not missing.
+    progress
+        Called with the share that is read, 0..1.
+
+    Raises
+    ------
+    UserError
+        There is no store, no such tracker, or nothing in that time.
+    """
+    path = directory / FILE_NAME
+    runs = runs_of(path)
+    if not runs:
+        raise UserError(f"the store {path} holds nothing yet")
+    newest = runs[-1]
+    span = wanted.span(newest.longitude_deg, now_utc_s)
+    tables = _read_days(directory, span, progress)
+    if not any(len(table) for table in tables.values()):
+        raise UserError(nothing_in(span, str(path), reach_of(path)))
+    with_records = {int(run) for table in tables.values() if "run" in table for run in table["run"].unique()}
+    there = [run for run in runs if run.run in with_records]
+    last = there[-1]
+    site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
+    found = of_tables(tables, span, site, last.site, f"the store {path}", runs=tuple(there))
+    chosen = [material for material in found if tracker in (None, material.tracker)]
+    if not chosen:
+        names = ", ".join(material.tracker for material in found)
+        raise UserError(f"--tracker {ascii(tracker)[:40]}: that store has {names} in that time")
+    return chosen
+
+
+def of_tables(
+    tables: dict[str, pd.DataFrame],
+    span: ReportSpan,
+    site: Site,
+    site_name: str,
+    source: str,
+    *,
+    runs: tuple[StoredRun, ...] = (),
+) -> list[Material]:
+    """Return the material of every tracker in tables; `UserError` for tables without a record in the span."""
+    inside = within(tables, span)
+    if not any(len(table) for table in inside.values()):
+        raise UserError(nothing_in(span, source, None))
+    return [
+        Material(
+            span=span,
+            site=site,
+            site_name=site_name,
+            limits=Limits(),
+            tracker=name,
+            simulated=any(run.simulated for run in runs) or _simulated(inside),
+            source=source,
+            runs=runs,
+            tables={kind: _of_tracker(table, name) for kind, table in inside.items()},
+        )
+        for name in _trackers(inside.values()) or ["tracker"]
+    ]
+
+
+def reach_of_tables(tables: dict[str, pd.DataFrame], source: str) -> ReportSpan:
+    """Return the span from the first record of tables to the last; raises `UserError` without one."""
+    filled = [table.index for table in tables.values() if len(table)]
+    if not filled:
+        raise UserError(f"{source} hold no record")
+    first, last = min(index.min() for index in filled), max(index.max() for index in filled)
+    name = f"{first:%Y%m%dT%H%MZ}_{last:%Y%m%dT%H%MZ}"
+    return ReportSpan(first.timestamp(), last.timestamp() + _LAST_S, name)
+
+
+def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
+    """Return the tables of a folder that ``heliocube simulate`` or ``export`` wrote; raises `UserError`."""
+    found: dict[str, pd.DataFrame] = {}
+    for kind in KINDS:
+        path = directory / f"{kind}.{table_format}"
+        if not path.exists():
+            found[kind] = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
+            continue
+        if table_format == "parquet":
+            table = pd.read_parquet(path)
+        else:
+            table = pd.read_csv(path, index_col="time", keep_default_na=True)
+            table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
+        found[kind] = _slim(table)
+    return found
+
+
+def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.DataFrame]:
+    """Return the rows of a span."""
+    ends = (pd.Timestamp(at, unit="s", tz="UTC") for at in (span.start_utc_s, span.end_utc_s))
+    first, last = ends
+    return {kind: table[(table.index >= first) & (table.index < last)] for kind, table in tables.items()}
+
+
+def nothing_in(span: ReportSpan, source: str, reach: tuple[float, float] | None) -> str:
+    """Return the sentence for a span without a record."""
+    first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M} UTC" for at in (span.start_utc_s, span.end_utc_s))
+    have = ""
+    if reach is not None:
+        have = "; it has records from {:%Y-%m-%d} to {:%Y-%m-%d}".format(*(times(at, None)[0] for at in reach))
+    return f"{source} has no record from {first} to {last}{have}"
+
+
+def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], None]) -> dict[str, pd.DataFrame]:
+    """Read day by day, so that of a month only what is needed is held."""
+    parts: dict[str, list[pd.DataFrame]] = {kind: [] for kind in KINDS}
+    days = span.days()
+    for number, day in enumerate(days):
+        with TemporaryDirectory(prefix="heliocube-") as folder:
+            first, last = (times(at, None)[0] for at in (day.start_utc_s, day.end_utc_s))
+            export(directory, Path(folder), "parquet", first, last, ())
+            for kind, table in from_tables(Path(folder), "parquet").items():
+                parts[kind].append(table)
+        progress((number + 1) / len(days))
+    return {kind: _together(tables) for kind, tables in parts.items()}
+
+
+def _together(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    filled = [table for table in tables if len(table)]
+    if len(filled) <= 1:
+        return filled[0] if filled else tables[0]
+    # Days may know different words: as text they go together, and once together they are few again.
+    return _slim(pd.concat([_as_text(table) for table in filled]))
+
+
+def _as_text(table: pd.DataFrame) -> pd.DataFrame:
+    return table.astype({name: "object" for name in table.columns if name in _WORDS_AGAIN})
+
+
+def _slim(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table without what no figure is made of, its ever-same words held once."""
+    kept = table.drop(columns=[name for name in table.columns if name in _LEFT_OUT])
+    return kept.astype({name: "category" for name in kept.columns if name in _WORDS_AGAIN})
+
+
+def _trackers(tables: Iterable[pd.DataFrame]) -> list[str]:
+    return sorted({str(name) for table in tables if "tracker" in table for name in table["tracker"].unique() if name})
+
+
+def _of_tracker(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return one tracker's rows; what is of none, such as a scan, is everybody's."""
+    if "tracker" not in table or not len(table):
+        return table
+    return table[table["tracker"].astype("object").fillna("").isin(["", name])]
+
+
+def _simulated(tables: dict[str, pd.DataFrame]) -> bool:
+    return any("simulated" in table and bool(table["simulated"].any()) for table in tables.values())

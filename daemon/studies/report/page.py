@@ -1,0 +1,329 @@
+"""The report as one page that needs nothing but itself."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import tzinfo
+from importlib.metadata import version
+from importlib.resources import files
+
+from matplotlib.figure import Figure
+
+from daemon.base.records import FACES, Quality
+from daemon.studies.report import pictures
+from daemon.studies.report.availability import Availability, availability_of
+from daemon.studies.report.html import Node, Part, element, page, picture, table
+from daemon.studies.report.material import Material
+from daemon.studies.report.motion import TOLERANCE_DEG, RecordedMotion, motion_of
+from daemon.studies.report.pictures import Drawing
+from daemon.studies.report.told import AlarmSpan, Note, alarms_of, notes_of
+from daemon.studies.report.words import NO_FIGURE, clock, length, number, summary
+from daemon.studies.report.yields import RecordedLight, Yield, light_of, module_kwh, yield_of
+from solar.ephemeris import DAY_S
+
+_COLOURS = {
+    pictures.INK: "var(--ink)",
+    pictures.FAINT: "var(--grid)",
+    pictures.MARK: "var(--mark)",
+    pictures.NIGHT: "var(--night)",
+}
+_MOST_LINES = 300
+# A picture of every reading says something up to here; beyond, the days stand side by side.
+_MOST_DAYS_IN_LINES = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Everything that a report says of its material."""
+
+    material: Material
+    light: RecordedLight
+    gained: Yield
+    by_day: tuple[Yield, ...]
+    motion: RecordedMotion
+    quality: Availability
+    alarms: list[AlarmSpan]
+    notes: list[Note]
+    zone: tzinfo | None
+
+    @property
+    def long(self) -> bool:
+        """Whether the span is more than one day."""
+        return len(self.by_day) > 1
+
+
+def findings_of(material: Material, zone: tzinfo | None) -> Findings:
+    """Compute what the report says; `zone` is that of the local times, None for this machine's."""
+    light = light_of(material)
+    span = material.span
+    return Findings(
+        material=material,
+        light=light,
+        gained=yield_of(material, light, span.start_utc_s, span.end_utc_s),
+        by_day=tuple(yield_of(material, light, day.start_utc_s, day.end_utc_s) for day in span.days()),
+        motion=motion_of(material),
+        quality=availability_of(material),
+        alarms=alarms_of(material),
+        notes=notes_of(material),
+        zone=zone,
+    )
+
+
+def page_of(found: Findings) -> str:
+    """Return the page's text."""
+    material = found.material
+    title = f"{material.site_name}, {material.tracker}: {material.span.title}"
+    style = files("daemon.studies.report").joinpath("style.css").read_text(encoding="utf-8")
+    mark = "SIMULATED " if material.simulated else ""
+    sections = (_pictures(found), _energy(found), _days(found), _modes(found), _moves(found), _quality(found))
+    told = (_outages(found), _runs(found), _events(found))
+    body = [*_head(found, title), *(part for section in (*sections, *told) for part in section), _foot(found)]
+    stamp = [element("div", "SIMULATED", class_="stamp", aria_hidden="true")] if material.simulated else []
+    return page(mark + title, style, *stamp, element("main", *body))
+
+
+def _head(found: Findings, title: str) -> Iterator[Part]:
+    material, gained, motion, quality = found.material, found.gained, found.motion, found.quality
+    if material.simulated:
+        yield element("p", "SIMULATED: no hardware is behind these figures.", class_="simulated", role="note")
+    yield element("h1", title)
+    ends = (material.span.start_utc_s, material.span.end_utc_s)
+    (first, first_local), (last, last_local) = (clock(at, found.zone, day=True) for at in ends)
+    yield element("p", f"{first} to {last} UTC; {first_local} to {last_local} local time.", class_="soft")
+    yield element(
+        "p", " ".join(summary(material, found.light, gained, motion, quality, found.alarms)), class_="summary"
+    )
+    shown = (
+        ("In the tracker's plane", f"{number(gained.actual_kwh_m2, 2)} kWh/m²"),
+        ("Over chronometric", f"{number(gained.gain_pct, 1, sign=True)} %"),
+        ("Of the best possible", f"{number(gained.of_bound_pct)} %"),
+        ("Valid scans, daylight", f"{number(quality.daylight.valid_pct)} %"),
+        ("Tracker availability", f"{number(motion.available_pct)} %"),
+        ("Moves", f"{motion.moves}"),
+    )
+    yield element("dl", *(element("div", element("dt", n), element("dd", v)) for n, v in shown), class_="figures")
+
+
+def _pictures(found: Findings) -> Iterator[Part]:
+    material = found.material
+    yield element("h2", "Pictures")
+    if found.long:
+        names = [clock(day.start_utc_s + DAY_S / 2.0, None, day=True)[0][:10] for day in material.span.days()]
+        drawn = pictures.days_picture(names, found.by_day, material.simulated)
+        yield _captioned(drawn, "days", "Day by day: what the planes received, and the gain over chronometric tracking")
+    drawing = Drawing(material, found.light, found.motion, found.zone)
+    if material.span.duration_s > _MOST_DAYS_IN_LINES * DAY_S:
+        names_shown = ["motion"]
+    else:
+        names_shown = [name for name in pictures.PICTURES if name != "power" or len(material.tables["curves"])]
+    for name in names_shown:
+        series = pictures.PICTURES[name]
+        yield _captioned(series.draw(drawing), name, series.about[0].upper() + series.about[1:])
+
+
+def _captioned(drawn: Figure, name: str, about: str) -> Node:
+    shown = picture(drawn, name, about, _COLOURS)
+    shown.append(element("figcaption", f"{about}."))
+    return shown
+
+
+def _energy(found: Findings) -> Iterator[Part]:
+    gained, light = found.gained, found.light
+    yield element("h2", "Energy")
+    rows = [
+        ("Tracker, as it stood", number(gained.actual_kwh_m2, 3), number(gained.gain_pct, 2, sign=True)),
+        ("Chronometric, within the limits", number(gained.chronometric_kwh_m2, 3), number(0.0, 2)),
+        (
+            "Best pose at every instant: the bound",
+            number(gained.best_kwh_m2, 3),
+            number(gained.bound_pct, 2, sign=True),
+        ),
+    ]
+    yield table(("Plane", "kWh/m²", "over chronometric %"), rows, "Estimated insolation of three planes")
+    albedo = (
+        f"the albedo is the law's own estimate, {light.albedo:.2f} on average"
+        if light.albedo_estimated
+        else f"the albedo is taken to be {light.albedo:.2f}, for no law estimated it"
+    )
+    yield element(
+        "p",
+        "These are results of a model: at each scan the beam, the diffuse light and the brightness of the horizon that"
+        f" explain the four faces best are put on three planes (docs/report.md); {albedo}. They stand for"
+        f" {length(gained.known_s)} of {length(gained.daylight_s)} of daylight"
+        f" ({number(gained.known_pct)} %); nothing is added for the rest. Chronometric and best poses move at once and"
+        " always, which no tracker can.",
+        class_="soft",
+    )
+    faces = [(name, number(value, 3)) for name, value in zip(FACES, gained.faces_kwh_m2, strict=False)]
+    yield table(("Face", "kWh/m²"), faces, "Measured on the faces of the cube, good readings in daylight")
+    energy, known_s = module_kwh(found.material, found.material.span.start_utc_s, found.material.span.end_utc_s)
+    if known_s:
+        yield element(
+            "p",
+            f"Module: {number(1000.0 * energy, 0)} Wh at its maximum power point, by I-V curves that stand for"
+            f" {length(known_s)}.",
+        )
+
+
+def _days(found: Findings) -> Iterator[Part]:
+    if not found.long:
+        return
+    rows = [
+        (
+            clock(day.start_utc_s + DAY_S / 2.0, None, day=True)[0][:10],
+            number(each.actual_kwh_m2, 2),
+            number(each.gain_pct, 2, sign=True),
+            number(each.bound_pct, 2, sign=True),
+            number(each.known_pct),
+            f"{moves}",
+            number(travel, 0),
+        )
+        for day, each, (moves, travel) in zip(
+            found.material.span.days(), found.by_day, found.motion.by_day, strict=True
+        )
+    ]
+    head = ("Day", "kWh/m²", "over chronometric %", "bound %", "daylight known %", "moves", "travel deg")
+    yield element("h2", "Day by day")
+    yield table(head, rows, "Days of the site, from solar midnight to solar midnight")
+
+
+def _modes(found: Findings) -> Iterator[Part]:
+    motion, total = found.motion, found.material.span.duration_s / 3600.0
+    yield element("h2", "Modes")
+    rows = [(mode, number(hours), number(100.0 * hours / total)) for mode, hours in motion.hours().items()]
+    yield table(("Mode", "hours", "share %"), rows, "Time in each mode")
+    special = [one for one in motion.stretches if one.mode not in ("night", "tracking", "starting")]
+    if special:
+        listed = [
+            (one.mode, *_when(one.start_utc_s, found), length(one.duration_s), one.why or NO_FIGURE)
+            for one in special[:_MOST_LINES]
+        ]
+        yield table(("Mode", "UTC", "local", "for", "why"), listed, "When it neither tracked nor slept")
+
+
+def _moves(found: Findings) -> Iterator[Part]:
+    material, motion = found.material, found.motion
+    yield element("h2", "Moves and wear")
+    outcomes = ", ".join(f"{count} {name}" for name, count in motion.outcomes.items()) or "none"
+    rows = [
+        ("Moves", f"{motion.moves}", outcomes),
+        ("Travel of A", f"{number(motion.travel_a_deg)} deg", ""),
+        ("Travel of B", f"{number(motion.travel_b_deg)} deg", ""),
+    ]
+    if material.budget_deg is not None:
+        worst = max((travel for _, travel in motion.by_day), default=0.0)
+        share = number(100.0 * worst / material.budget_deg)
+        rows.append(("Most in a day", f"{number(worst)} deg", f"{share} % of the {material.budget_deg:g} deg of a day"))
+    if material.budget_moves is not None:
+        most = max((moves for moves, _ in motion.by_day), default=0)
+        rows.append(("Most moves in a day", f"{most}", f"of {material.budget_moves} that a law may order"))
+    rows += [
+        ("Deviation at rest, mean", f"{number(motion.deviation_deg, 2)} deg", "greater of A and B, in daylight"),
+        ("Deviation at rest, 95 %", f"{number(motion.deviation_p95_deg, 2)} deg", "are nearer to the set point"),
+        (
+            "Tracker availability",
+            f"{number(motion.available_pct)} %",
+            f"of daylight within {TOLERANCE_DEG:g} deg of the set point; stow and what persons ordered left out",
+        ),
+    ]
+    yield table(("What", "how much", "of that"), rows, "Moves, travel and how near the tracker stood to its set point")
+
+
+def _quality(found: Findings) -> Iterator[Part]:
+    quality = found.quality
+    yield element("h2", "Data quality and availability")
+    rows = [
+        (
+            name,
+            f"{count.expected}",
+            f"{number(count.available_pct, 2)} %",
+            f"{number(count.valid_pct, 2)} %",
+            f"{count.flagged}",
+            f"{count.missing}",
+        )
+        for name, count in (("Reporting period", quality.period), ("Daylight", quality.daylight))
+    ]
+    yield table(
+        ("Time", "scans expected", "data availability", "valid", "flagged", "missing"),
+        rows,
+        f"Scans of all four faces, in the terms of IEC 61724-1; one is expected every {quality.interval_s:.3g} s",
+    )
+    reasons = [reason for reason in Quality if any(counts[reason] for counts in quality.faces.values())]
+    if quality.faces:
+        by_face = [(face, *(f"{counts[reason]}" for reason in reasons)) for face, counts in quality.faces.items()]
+        yield table(("Face", *reasons), by_face, "Readings in daylight by quality; all but ok are flagged and not used")
+    if quality.gaps:
+        gaps = [
+            (*_when(gap.start_utc_s, found), length(gap.end_utc_s - gap.start_utc_s))
+            for gap in quality.gaps[:_MOST_LINES]
+        ]
+        yield table(("UTC", "local", "for"), gaps, _of_many("Gaps without scans", len(quality.gaps)))
+
+
+def _outages(found: Findings) -> Iterator[Part]:
+    yield element("h2", "Outages and alarms")
+    if not found.alarms:
+        yield element("p", "No alarm was raised.")
+        return
+    rows = [
+        (*_when(alarm.start_utc_s, found), _lasted(alarm, found), alarm.text, alarm.acknowledged or NO_FIGURE)
+        for alarm in found.alarms[:_MOST_LINES]
+    ]
+    yield table(
+        ("UTC", "local", "for", "alarm", "acknowledged by"),
+        rows,
+        _of_many("Alarms, as they were raised", len(found.alarms)),
+    )
+
+
+def _lasted(alarm: AlarmSpan, found: Findings) -> str:
+    if alarm.start_utc_s is None:
+        return "on since before"
+    if alarm.end_utc_s is None:
+        return f"{length(found.material.span.end_utc_s - alarm.start_utc_s)}, still on"
+    return length(alarm.end_utc_s - alarm.start_utc_s)
+
+
+def _runs(found: Findings) -> Iterator[Part]:
+    material = found.material
+    if not material.runs:
+        return
+    yield element("h2", "Runs of the service")
+    rows = [
+        (
+            f"{run.run}",
+            *_when(run.started_utc_s, found, day=True),
+            run.version,
+            run.role,
+            "SIMULATED" if run.simulated else "real",
+        )
+        for run in material.runs
+    ]
+    yield table(
+        ("Run", "started UTC", "local", "version", "role", "instruments"), rows, "Runs with records of this time"
+    )
+    yield element(
+        "p", "The records hold when the service was started, but not what its configuration said.", class_="soft"
+    )
+
+
+def _events(found: Findings) -> Iterator[Part]:
+    if not found.notes:
+        return
+    yield element("h2", "Events")
+    rows = [(*_when(note.utc_s, found), note.subject, note.text) for note in found.notes[:_MOST_LINES]]
+    yield table(("UTC", "local", "about", "what"), rows, _of_many("What the service told", len(found.notes)))
+
+
+def _foot(found: Findings) -> Node:
+    site = found.material.site
+    where = f"{site.latitude_deg:.4f}, {site.longitude_deg:.4f}, {site.altitude_m:g} m"
+    text = f"From {found.material.source}; site {where}; heliocube {version('heliocube')}."
+    return element("footer", element("p", text, class_="soft"))
+
+
+def _when(utc_s: float | None, found: Findings, day: bool = False) -> tuple[str, str]:
+    return clock(utc_s, found.zone, day=day or found.long)
+
+
+def _of_many(what: str, count: int) -> str:
+    return what if count <= _MOST_LINES else f"{what}: the first {_MOST_LINES} of {count}"

@@ -1,0 +1,305 @@
+"""The pictures of a report and of `heliocube plot`: one way to draw each series, units on every axis."""
+
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, tzinfo
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, DayLocator, HourLocator, num2date
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from daemon.base.records import FACES
+from daemon.studies.report.material import Material
+from daemon.studies.report.motion import NOT_RECORDED, RecordedMotion
+from daemon.studies.report.yields import RecordedLight, Yield
+from solar.ephemeris import DAY_S, sun_direction
+from solar.frames import Array, angles_within
+
+INK, FAINT, MARK, NIGHT = "#15191d", "#b9c0c7", "#a03c00", "#3b4a63"
+"""Of text and lines, of grids, of SIMULATED and of the night; the page puts its own in their place."""
+
+# Okabe & Ito's colours, which the colour-blind can tell apart; each with a line of its own, which is left in grey.
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#7a828a",
+)  # fmt: skip
+_FACE_STYLES = dict(zip(FACES, ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (INK, ":")), strict=True))
+_MODE_STYLES = {
+    "tracking": (GREEN, ""),
+    "fallback": (ORANGE, "//"),
+    "night": (NIGHT, ""),
+    "hold": (PURPLE, "xx"),
+    "stow": (BLUE, "\\\\"),
+    "snow": (SKY, ".."),
+    "fault": (RED, "++"),
+    "maintenance": (GREY, "--"),
+    "starting": ("#d9dde1", ""),
+}
+_WIDTH_IN = 9.0
+_MOST_POINTS = 3000
+_RC: Any = {
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 1.0,
+    "font.family": "sans-serif",
+    "font.size": 10.0,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.5,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "lines.linewidth": 1.2,
+    "hatch.linewidth": 0.6,
+    "legend.frameon": False,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+}
+
+
+class Series(NamedTuple):
+    """A picture by the name that the command line gives it: what it shows, and how it is drawn."""
+
+    about: str
+    draw: Callable[["Drawing"], Figure]
+
+
+class Drawing(NamedTuple):
+    """What pictures are drawn of."""
+
+    material: Material
+    light: RecordedLight
+    motion: RecordedMotion
+    zone: tzinfo | None
+
+
+def light_picture(drawing: Drawing) -> Figure:
+    """Draw the irradiance on the four faces and the diffuse fraction."""
+    with rc_context(_RC):
+        figure, (upper, lower) = _panels(2, 4.2, (2.4, 1.0))
+        light = drawing.light
+        for face, values in zip(FACES, light.faces.T, strict=True):
+            colour, line = _FACE_STYLES[face]
+            upper.plot(*_thinned(light.utc_s, values), color=colour, linestyle=line, label=face)
+        upper.set_ylabel("irradiance [W/m²]")
+        fraction = np.where(light.sun[:, 2] > 0.0, light.diffuse_fraction, np.nan)
+        lower.plot(*_thinned(light.utc_s, fraction), color=GREY)
+        lower.set(ylabel="diffuse\nfraction [-]", ylim=(0.0, 1.05))
+        _legend(upper, 4)
+        return _finished(figure, lower, drawing)
+
+
+def angles_picture(drawing: Drawing) -> Figure:
+    """Draw A and B, where they were sent and where they stood, against the sun's own angles."""
+    with rc_context(_RC):
+        figure, panels = _panels(2, 4.6, (1.0, 1.0))
+        material = drawing.material
+        sun = _sun_angles(drawing)
+        for axes, angle, path in zip(panels, ("a", "b"), sun[1:], strict=True):
+            axes.plot(_dates(sun[0]), path, color=ORANGE, linestyle="--", label="sun, within the limits")
+            moves = material.times_of("moves")
+            if moves.size:
+                targets = material.column("moves", f"target_{angle}_deg")
+                ends = np.append(moves, material.span.end_utc_s)
+                axes.step(
+                    _dates(ends), np.append(targets, targets[-1]), where="post", color=SKY, linewidth=3.0, label="set",
+                )  # fmt: skip
+            poses = material.column("poses", f"{angle}_deg")
+            axes.plot(*_thinned(material.times_of("poses"), poses), color=INK, label="actual")
+            axes.margins(y=0.08)
+        panels[0].set_ylabel("A [deg]\neast − , west +")
+        panels[1].set_ylabel("B [deg]\n90 is flat")
+        _legend(panels[0], 3)
+        return _finished(figure, panels[-1], drawing)
+
+
+def received_picture(drawing: Drawing) -> Figure:
+    """Draw what the three planes received, and what the tracker gained over chronometric tracking by then."""
+    with rc_context(_RC):
+        figure, (upper, lower) = _panels(2, 4.2, (2.0, 1.0))
+        light = drawing.light
+        actual, chronometric, best = light.received
+        upper.plot(*_thinned(light.utc_s, best), color=GREY, linewidth=2.6, alpha=0.6, label="best pose")
+        upper.plot(*_thinned(light.utc_s, chronometric), color=ORANGE, linestyle="--", label="chronometric")
+        upper.plot(*_thinned(light.utc_s, actual), color=BLUE, label="actual")
+        upper.set_ylabel("estimated irradiance\nin the plane [W/m²]")
+        steps = np.append(np.minimum(np.diff(light.utc_s), 60.0), 0.0) / 3600.0
+        for plane, style in ((best, {"color": GREY, "linewidth": 2.6, "alpha": 0.6}), (actual, {"color": BLUE})):
+            gained = np.cumsum(np.nan_to_num(plane - chronometric) * steps)
+            lower.plot(*_thinned(light.utc_s, gained), **style)
+        lower.set_ylabel("gained over\nchronometric\n[Wh/m²]")
+        lower.axhline(0.0, color=INK, linewidth=0.8)
+        _legend(upper, 3)
+        return _finished(figure, lower, drawing)
+
+
+def motion_picture(drawing: Drawing) -> Figure:
+    """Draw the strip of modes with a tick for each move, and the travel added up."""
+    with rc_context(_RC):
+        figure, (strip, travel) = _panels(2, 3.0, (1.0, 1.8))
+        material, motion = drawing.material, drawing.motion
+        shown: list[str] = []
+        for stretch in motion.stretches:
+            if stretch.mode == NOT_RECORDED or stretch.duration_s < material.span.duration_s / 2000.0:
+                continue
+            colour, hatch = _MODE_STYLES.get(stretch.mode, (FAINT, "oo"))
+            first, last = _dates(np.array([stretch.start_utc_s, stretch.end_utc_s]))
+            label = "" if stretch.mode in shown else stretch.mode
+            shown.append(stretch.mode)
+            strip.axvspan(
+                first, last, 0.0, 0.7, facecolor=colour, hatch=hatch, edgecolor="#ffffff", linewidth=0, label=label
+            )
+        moves = material.times_of("moves")
+        strip.eventplot(_dates(moves), lineoffsets=0.87, linelengths=0.2, linewidths=0.8, colors=INK)
+        strip.set(yticks=[0.35, 0.87], yticklabels=["mode", "moves"], ylim=(0.0, 1.0))
+        strip.grid(visible=False)
+        strip.spines["left"].set_visible(False)
+        strip.tick_params(left=False)
+        both = np.zeros(moves.shape)
+        for angle, line, colour in (("a", "-", BLUE), ("b", "--", RED)):
+            way = np.abs(material.column("moves", f"end_{angle}_deg") - material.column("moves", f"from_{angle}_deg"))
+            both = np.cumsum(np.nan_to_num(way))
+            at = np.concatenate([[material.span.start_utc_s], moves, [material.span.end_utc_s]])
+            total = np.concatenate([[0.0], both, both[-1:] if both.size else [0.0]])
+            travel.step(_dates(at), total, where="post", color=colour, linestyle=line, label=angle.upper())
+        travel.set(ylabel="travel [deg]")
+        travel.set_ylim(bottom=0.0)
+        travel.legend(loc="upper left")
+        _legend(strip, 5)
+        return _finished(figure, travel, drawing)
+
+
+def power_picture(drawing: Drawing) -> Figure:
+    """Draw the maximum power of the module by its I-V curves."""
+    with rc_context(_RC):
+        figure, (axes,) = _panels(1, 2.4, (1.0,))
+        material = drawing.material
+        good = material.tables["curves"]["quality"] == "ok"
+        power = np.where(good, material.column("curves", "pmpp_w"), np.nan)
+        axes.plot(*_thinned(material.times_of("curves"), power), color=BLUE)
+        axes.set_ylabel("maximum power\nof the module [W]")
+        axes.set_ylim(bottom=0.0)
+        return _finished(figure, axes, drawing)
+
+
+def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool) -> Figure:
+    """Draw a bar a day: what the planes received, and the gain over chronometric tracking."""
+    with rc_context(_RC):
+        figure, (upper, lower) = _panels(2, 4.2, (1.4, 1.0))
+        places = np.arange(len(names))
+        planes = (
+            ("chronometric", [day.chronometric_kwh_m2 for day in yields], ORANGE, "//"),
+            ("actual", [day.actual_kwh_m2 for day in yields], BLUE, ""),
+            ("best pose", [day.best_kwh_m2 for day in yields], GREY, ".."),
+        )
+        for number, (label, values, colour, hatch) in enumerate(planes):
+            upper.bar(
+                places + 0.27 * (number - 1), values, 0.26, color=colour, hatch=hatch, edgecolor="#ffffff", label=label
+            )
+        upper.set_ylabel("estimated insolation\nin the plane [kWh/m²]")
+        gains = [(day.gain_pct, BLUE, "o") for day in yields]
+        lower.plot(places, [day.bound_pct for day in yields], color=GREY, linestyle="none", marker="_", markersize=14)
+        lower.plot(places, [gain for gain, _, _ in gains], color=BLUE, linestyle="none", marker="o")
+        lower.axhline(0.0, color=INK, linewidth=0.8)
+        lower.set_ylabel("gain [%]\n● actual\n— best")
+        step = -(-len(names) // 16)
+        lower.set_xticks(places[::step], [name[5:] for name in names[::step]])
+        lower.set_xlabel("day of the site, from solar midnight (month-day)")
+        _legend(upper, 3)
+        return _marked(figure, simulated)
+
+
+PICTURES = {
+    "light": Series("irradiance of the faces and diffuse fraction", light_picture),
+    "angles": Series("A and B, set and actual, and the sun's path", angles_picture),
+    "received": Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
+    "motion": Series("modes, moves and travel", motion_picture),
+    "power": Series("maximum power of the module by its I-V curves", power_picture),
+}
+"""By the name that the command line gives it."""
+
+
+def _panels(count: int, height_in: float, ratios: Sequence[float]) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
+    figure.patch.set_alpha(0.0)
+    found = figure.subplots(count, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+    for axes in found:
+        axes.patch.set_alpha(0.0)
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+    return figure, list(found)
+
+
+def _legend(axes: Axes, columns: int) -> None:
+    """Put the legend above the panel, where no data can be."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=2.6)
+
+
+def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
+    """Give the axis of time its ticks, in UTC and by the local clock."""
+    span = drawing.material.span
+    first, last = _dates(np.array([span.start_utc_s, span.end_utc_s]))
+    lowest.set_xlim(first, last)
+    if span.duration_s <= 1.5 * DAY_S:
+        lowest.xaxis.set_major_locator(HourLocator(byhour=range(0, 24, 3)))  # type: ignore[no-untyped-call]  # matplotlib has no type there
+    elif span.duration_s <= 20 * DAY_S:
+        lowest.xaxis.set_major_locator(DayLocator())  # type: ignore[no-untyped-call]  # as above
+    else:
+        lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
+    lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
+    here = datetime.fromtimestamp((span.start_utc_s + span.end_utc_s) / 2.0, UTC).astimezone(drawing.zone)
+    lowest.set_xlabel("UTC" if not here.utcoffset() else f"UTC; below it local time, {here:%Z}")
+    figure.align_ylabels()
+    return _marked(figure, drawing.material.simulated)
+
+
+def _clock(drawing: Drawing) -> Callable[[float, int], str]:
+    """Return how a tick is written."""
+    long = drawing.material.span.duration_s > 1.5 * DAY_S
+
+    def text(place: float, _number: int) -> str:
+        there = num2date(place)  # type: ignore[no-untyped-call]  # as above
+        here = there.astimezone(drawing.zone)
+        form = "%d %b" if long and not (there.hour or there.minute) else "%H:%M"
+        return f"{there:{form}}" if not here.utcoffset() or long else f"{there:{form}}\n{here:{form}}"
+
+    return text
+
+
+def _marked(figure: Figure, simulated: bool) -> Figure:
+    if simulated:
+        figure.text(0.995, 0.995, "SIMULATED", ha="right", va="top", color=MARK, weight="bold", size=11.0)
+    return figure
+
+
+def _dates(utc_s: Array) -> NDArray[np.datetime64]:
+    return (utc_s * 1e3).astype("datetime64[ms]")
+
+
+def _thinned(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
+    """Return a line of at most some thousand points: of each stretch its least and its greatest value, gaps kept."""
+    if utc_s.size <= _MOST_POINTS:
+        return _dates(utc_s), values
+    block = -(-2 * utc_s.size // _MOST_POINTS)
+    whole = utc_s.size // block * block
+    blocks = values[:whole].reshape(-1, block)
+    filled = np.where(np.isfinite(blocks), blocks, np.inf), np.where(np.isfinite(blocks), blocks, -np.inf)
+    places = np.stack([filled[0].argmin(axis=1), filled[1].argmax(axis=1)], axis=1)
+    places = np.sort(places, axis=1) + block * np.arange(len(blocks))[:, None]
+    chosen = np.unique(np.concatenate([places.ravel(), np.arange(whole, utc_s.size)]))
+    return _dates(utc_s[chosen]), values[chosen]
+
+
+def _sun_angles(drawing: Drawing) -> tuple[Array, Array, Array]:
+    """Return instants, and A and B of a tracker that points at the sun within its limits; NaN while it is down."""
+    span = drawing.material.span
+    utc_s = np.arange(span.start_utc_s, span.end_utc_s, max(300.0, span.duration_s / 2000.0))
+    sun = sun_direction(utc_s, *drawing.material.site)
+    up = sun[:, 2] > 0.0
+    a_deg, b_deg = angles_within(sun, drawing.material.limits)
+    return utc_s, np.where(up, a_deg, np.nan), np.where(up, b_deg, np.nan)

@@ -1,0 +1,80 @@
+"""Quick pictures: the report's own, one by one, as files."""
+
+import math
+from collections.abc import Sequence
+from datetime import tzinfo
+from pathlib import Path
+
+from matplotlib import rc_context
+
+from daemon.base.errors import UserError
+from daemon.config.settings import Settings
+from daemon.studies.inputs import parse_site
+from daemon.studies.report.material import Material, from_tables, nothing_in, of_tables, reach_of_tables
+from daemon.studies.report.motion import motion_of
+from daemon.studies.report.pictures import PICTURES, Drawing
+from daemon.studies.report.span import Wanted
+from daemon.studies.report.yields import light_of
+from solar.ephemeris import Site
+
+_ENDINGS = (".png", ".svg")
+_DPI = 150
+
+
+def check_pictures(names: Sequence[str]) -> None:
+    """Raise `UserError` for a picture that does not exist."""
+    for name in names:
+        if name not in PICTURES:
+            raise UserError(f"there is no picture {ascii(name)[:40]}; choose from {', '.join(PICTURES)}")
+
+
+def picture_paths(out: Path, names: Sequence[str]) -> list[Path]:
+    """Return the file of each picture: `out` itself for one, its name with the picture's for several."""
+    if out.suffix.lower() not in _ENDINGS:
+        raise UserError(f"--out: {out} must end in .png or .svg")
+    return [out if len(names) == 1 else out.with_name(f"{out.stem}-{name}{out.suffix}") for name in names]
+
+
+def material_of_tables(
+    directory: Path, site: str | None, settings: Settings | None, wanted: Wanted | None, tracker: str | None
+) -> Material:
+    """Return the material of a folder of tables, all of it or a span.
+
+    Raises
+    ------
+    UserError
+        There are no tables or several trackers, or the site is not said.
+    """
+    if site is None and settings is None:
+        raise UserError("tables do not say where the site is: add --site LAT,LON[,ALT] or --config FILE")
+    table_format = next((one for one in ("parquet", "csv") if (directory / f"scans.{one}").exists()), None)
+    if table_format is None:
+        raise UserError(f"--tables: {directory} has neither scans.csv nor scans.parquet, as simulate and export write")
+    if settings is None or site is not None:
+        name, place = str(site), Site(*parse_site(str(site)))
+    else:
+        name, place = settings.site.name, settings.site.place()
+    tables, source = from_tables(directory, table_format), f"the tables in {directory}"
+    span = reach_of_tables(tables, source) if wanted is None else wanted.span(place.longitude_deg, math.inf)
+    found = of_tables(tables, span, place, name, source)
+    if tracker is None and len(found) == 1:
+        return found[0]
+    names = [material.tracker for material in found]
+    if tracker not in names:
+        raise UserError(f"those tables have the trackers {', '.join(names)}: choose one with --tracker NAME")
+    return found[names.index(tracker)]
+
+
+def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
+    """Draw pictures to files; raises `UserError` for one that has nothing to show, and for a file."""
+    if "power" in names and not len(material.tables["curves"]):
+        raise UserError(nothing_in(material.span, "power: " + material.source, None) + " of I-V curves")
+    drawing = Drawing(material, light_of(material), motion_of(material), zone)
+    for name, path in zip(names, paths, strict=True):
+        figure = PICTURES[name].draw(drawing)
+        try:
+            with rc_context({"svg.hashsalt": "heliocube", "svg.fonttype": "none"}):
+                metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}
+                figure.savefig(path, dpi=_DPI, facecolor="white", metadata=metadata)
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -1,0 +1,119 @@
+"""Which time a report is about: days of the site, from one solar midnight to the next, or instants."""
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta, tzinfo
+
+from daemon.base.errors import UserError
+from daemon.studies.inputs import instant
+from solar.ephemeris import DAY_S
+
+MOST_DAYS = 62
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}\Z")
+_WORDS = {"today": 0, "yesterday": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSpan:
+    """A stretch of time [s UTC], the end not included; `name` is what its file is called."""
+
+    start_utc_s: float
+    end_utc_s: float
+    name: str
+
+    @property
+    def title(self) -> str:
+        """What it is called for people: its day, its days, or both instants."""
+        if "T" not in self.name:
+            return self.name.replace("_", " to ")
+        first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M}" for at in (self.start_utc_s, self.end_utc_s))
+        return f"{first} to {last} UTC"
+
+    @property
+    def duration_s(self) -> float:
+        """How long it is."""
+        return self.end_utc_s - self.start_utc_s
+
+    def days(self) -> list["ReportSpan"]:
+        """Return its days, the last one shorter if it is no whole number of them."""
+        return [
+            ReportSpan(at, min(at + DAY_S, self.end_utc_s), "")
+            for at in (self.start_utc_s + number * DAY_S for number in range(-int(-self.duration_s // DAY_S)))
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What was asked for, before it is known where the site is: a day or two ends, as on the command line."""
+
+    day: str | None = None
+    start: str | None = None
+    end: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise `UserError` for what cannot be meant."""
+        if (self.day is None) is (self.start is None and self.end is None):
+            raise UserError("name either --day DAY, or --from and --to")
+        if self.day is None and (self.start is None or self.end is None):
+            raise UserError("--from and --to belong together: name both")
+        if self.day is not None and self.day not in _WORDS:
+            _date(self.day, "--day")
+        for text, option in ((self.start, "--from"), (self.end, "--to")):
+            if text is not None:
+                instant(text, option)
+
+    def span(self, longitude_deg: float, now_utc_s: float) -> ReportSpan:
+        """Return the span at a site [degrees east]; raises `UserError` for one that is empty, too long or to come."""
+        if self.day is not None:
+            found = _day(self.day, longitude_deg, now_utc_s)
+        else:
+            start, end = self.start or "", self.end or ""
+            first, last = (_bound(text, option, longitude_deg) for text, option in ((start, "--from"), (end, "--to")))
+            if not (first < last):
+                raise UserError(f"--from {start} is not before --to {end}: exchange them")
+            found = ReportSpan(first, last, f"{_file_part(start)}_{_file_part(end)}")
+        if found.duration_s > MOST_DAYS * DAY_S:
+            raise UserError(f"that is {found.duration_s / DAY_S:.0f} days and a report has {MOST_DAYS} at most")
+        if not (found.start_utc_s < now_utc_s):
+            raise UserError(f"{found.name} has not begun: name a day that has")
+        return ReportSpan(found.start_utc_s, min(found.end_utc_s, now_utc_s), found.name)
+
+
+def solar_midnight_s(day: date, longitude_deg: float) -> float:
+    """Return the UTC [s] at which the mean sun is lowest as `day` begins there."""
+    return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp() - longitude_deg * DAY_S / 360.0
+
+
+def times(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
+    """Return the instant in UTC and as the clocks of a zone say it, None being this machine's."""
+    there = datetime.fromtimestamp(utc_s, UTC)
+    return there, there.astimezone(zone)
+
+
+def _day(text: str, longitude_deg: float, now_utc_s: float) -> ReportSpan:
+    if text in _WORDS:
+        now = datetime.fromtimestamp(now_utc_s + longitude_deg * DAY_S / 360.0, UTC)
+        day = now.date() - timedelta(days=_WORDS[text])
+    else:
+        day = _date(text, "--day")
+    start = solar_midnight_s(day, longitude_deg)
+    return ReportSpan(start, start + DAY_S, day.isoformat())
+
+
+def _date(text: str, option: str) -> date:
+    try:
+        if _DATE.match(text):
+            return date.fromisoformat(text)
+    except ValueError:
+        pass
+    raise UserError(f"{option}: '{text}' is no day; write 2022-10-14, yesterday or today")
+
+
+def _bound(text: str, option: str, longitude_deg: float) -> float:
+    if _DATE.match(text):
+        return solar_midnight_s(_date(text, option), longitude_deg)
+    return instant(text, option).timestamp()
+
+
+def _file_part(text: str) -> str:
+    return text if _DATE.match(text) else f"{instant(text, '--from'):%Y%m%dT%H%MZ}"

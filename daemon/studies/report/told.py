@@ -1,0 +1,91 @@
+"""What the service said in words: alarms with their times, and everything else that was worth telling."""
+
+import re
+from dataclasses import dataclass, replace
+
+from daemon.studies.report.material import Material
+
+_ALARM = "alarm"
+_CHANGE = re.compile(r"(raised|cleared) ([\w-]+): (.*)\Z", re.DOTALL)
+_ACKNOWLEDGED = re.compile(r"acknowledged ([\w-]+) by (.*)\Z", re.DOTALL)
+# As older services wrote them: the text itself, and its end.
+_OVER = "over: "
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSpan:
+    """An alarm from its raising to its clearing [s UTC].
+
+    Attributes
+    ----------
+    name, text
+        Its kind, empty in older records, and what was wrong.
+    start_utc_s, end_utc_s
+        None for one that was on before the span, and for one that is on at its end.
+    acknowledged
+        By whom, with the reason if there was one; empty for nobody.
+    """
+
+    name: str
+    text: str
+    start_utc_s: float | None
+    end_utc_s: float | None
+    acknowledged: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One event: when [s UTC], who said it, and what."""
+
+    utc_s: float
+    subject: str
+    text: str
+
+
+def alarms_of(material: Material) -> list[AlarmSpan]:
+    """Return the alarms of a span, the first raised first."""
+    latest: dict[str, AlarmSpan] = {}
+    over: list[AlarmSpan] = []
+    for note in _notes(material):
+        if note.subject != _ALARM:
+            continue
+        acknowledged = _ACKNOWLEDGED.match(note.text)
+        if acknowledged is not None:
+            name, by = acknowledged.groups()
+            if name in latest:
+                latest[name] = replace(latest[name], acknowledged=by)
+            continue
+        what, name, text = _change(note.text)
+        before = latest.get(name or text)
+        if what == "raised":
+            if before is not None and before.end_utc_s is not None:
+                over.append(before)
+            if before is None or before.end_utc_s is not None:
+                latest[name or text] = AlarmSpan(name, text, note.utc_s, None)
+        elif before is None:
+            latest[name or text] = AlarmSpan(name, text, None, note.utc_s)
+        else:
+            latest[name or text] = replace(before, end_utc_s=note.utc_s)
+    return sorted([*over, *latest.values()], key=lambda alarm: alarm.start_utc_s or 0.0)
+
+
+def notes_of(material: Material) -> list[Note]:
+    """Return the events that are no alarms, in their order."""
+    return [note for note in _notes(material) if note.subject != _ALARM]
+
+
+def _change(said: str) -> tuple[str, str, str]:
+    """Return what happened to an alarm, its name and its text."""
+    found = _CHANGE.match(said)
+    if found is not None:
+        what, name, text = found.groups()
+        return what, name, text
+    return ("cleared", "", said.removeprefix(_OVER)) if said.startswith(_OVER) else ("raised", "", said)
+
+
+def _notes(material: Material) -> list[Note]:
+    events = material.tables["events"]
+    if not len(events):
+        return []
+    columns = (material.times_of("events").tolist(), events["subject"], events["text"])
+    return [Note(at, str(subject), str(text)) for at, subject, text in zip(*columns, strict=True)]

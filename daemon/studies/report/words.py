@@ -1,0 +1,96 @@
+"""A report's sentences, and figures as people read them."""
+
+import math
+from datetime import tzinfo
+
+from daemon.studies.report.availability import Availability
+from daemon.studies.report.material import Material
+from daemon.studies.report.motion import RecordedMotion
+from daemon.studies.report.span import times
+from daemon.studies.report.told import AlarmSpan
+from daemon.studies.report.yields import RecordedLight, Yield
+from solar.ephemeris import DAY_S
+
+NO_FIGURE = "–"
+
+
+def number(value: float, digits: int = 1, sign: bool = False) -> str:
+    """Return a figure with its decimals and no minus before a zero; a dash for what is no number."""
+    if not math.isfinite(value):
+        return NO_FIGURE
+    text = f"{value:{'+' if sign else ''}.{digits}f}"
+    return f"{abs(float(text)):.{digits}f}" if float(text) == 0.0 else text.replace("-", "−")
+
+
+def length(duration_s: float) -> str:
+    """Return a duration in the units that fit it."""
+    if duration_s < 100.0:
+        return f"{duration_s:.0f} s"
+    minutes = round(duration_s / 60.0)
+    if minutes < 100:
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes:02d} min"
+    return f"{duration_s / DAY_S:.1f} days"
+
+
+def clock(utc_s: float | None, zone: tzinfo | None, day: bool = False) -> tuple[str, str]:
+    """Return an instant [s] in UTC and as the local clock has it, with its day if wanted; dashes for None."""
+    if utc_s is None:
+        return NO_FIGURE, NO_FIGURE
+    form = "%Y-%m-%d %H:%M:%S" if day else "%H:%M:%S"
+    utc, local = times(utc_s, zone)
+    return f"{utc:{form}}", f"{local:{form}}"
+
+
+def summary(
+    material: Material,
+    light: RecordedLight,
+    gained: Yield,
+    motion: RecordedMotion,
+    quality: Availability,
+    alarms: list[AlarmSpan],
+) -> list[str]:
+    """Return the three sentences: the sky, the gain, and how well it all went."""
+    return [_sky(material, light, gained), _gain(gained), _working(motion, quality, alarms)]
+
+
+def _sky(material: Material, light: RecordedLight, gained: Yield) -> str:
+    hours: dict[str, float] = {}
+    for period in light.periods():
+        hours[period.kind] = hours.get(period.kind, 0.0) + (period.end_utc_s - period.start_utc_s) / 3600.0
+    kinds = ", ".join(
+        f"{number(hours[kind])} h {kind}" for kind in ("clear", "variable", "overcast") if hours.get(kind)
+    )
+    seen = f": {kinds}" if kinds else ""
+    level = gained.faces_kwh_m2[3] if gained.faces_kwh_m2 else math.nan
+    return (
+        f"{material.site_name} had {number(gained.daylight_s / 3600.0)} h of daylight{seen};"
+        f" the zenith face measured {number(level, 2)} kWh/m²."
+    )
+
+
+def _gain(gained: Yield) -> str:
+    if not gained.known_s:
+        return "What the tracker's plane received cannot be told: there are no good readings in daylight."
+    than = "more" if gained.gain_pct >= 0.0 else "less"
+    return (
+        f"By the light that the cube shows, the tracker's plane received {number(gained.actual_kwh_m2, 2)} kWh/m²,"
+        f" {number(abs(gained.gain_pct))} % {than} than one that follows the sun by the clock,"
+        f" where the best possible pointing would have gained {number(gained.bound_pct)} %."
+    )
+
+
+def _working(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSpan]) -> str:
+    moves = f"{motion.moves} moves over {number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
+    valid = number(quality.daylight.valid_pct if quality.daylight.expected else quality.period.valid_pct)
+    where = "in daylight" if quality.daylight.expected else "of the period"
+    stows = sum(stretch.mode == "stow" for stretch in motion.stretches)
+    faults = sum(stretch.mode == "fault" for stretch in motion.stretches)
+    what = f"{_count(len(alarms), 'alarm')}, {_count(stows, 'stow')} and {_count(faults, 'fault')}"
+    return f"It made {moves}, {valid} % of the expected scans {where} were valid, and there were {what}."
+
+
+def _count(count: int, what: str) -> str:
+    return f"no {what}s" if not count else f"{count} {what}{'s' if count > 1 else ''}"

@@ -1,0 +1,95 @@
+"""Where reports go: looked at before the work, and nothing overwritten unasked."""
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import tzinfo
+from pathlib import Path
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from daemon.base.errors import UserError
+from daemon.config.settings import Settings
+from daemon.studies.report.material import Material
+from daemon.studies.report.page import findings_of, page_of
+
+ENDING = ".html"
+
+
+def zone_of(name: str | None) -> tzinfo | None:
+    """Return the time zone of that name, None for this machine's; raises `UserError`."""
+    if name is None:
+        return None
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise UserError(f"--zone: there is no time zone {ascii(name)[:60]}; write one such as Europe/Paris") from None
+
+
+def check_output(out: Path, names: Sequence[str], option: str, *, force: bool) -> None:
+    """Raise `UserError` for a folder that cannot take files, and for one of these names that is there already.
+
+    Makes the folder if it is missing. To be called before the work whose results go there.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{option}: {out} cannot be a folder: {error.strerror}") from None
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise UserError(f"{option}: {out} cannot be written to: name another folder, or its owner gives leave")
+    taken = [name for name in names if (out / name).exists()]
+    if taken and not force:
+        raise UserError(f"{out / taken[0]} is there already: --force overwrites it, or name another {option}")
+
+
+def file_name(span_name: str, tracker: str) -> str:
+    """Return what the report of a tracker is called, whatever the tracker is called."""
+    return f"{span_name}-{re.sub(r'[^A-Za-z0-9_.-]', '_', tracker) or 'tracker'}{ENDING}"
+
+
+def with_settings(material: Material, settings: Settings | None) -> Material:
+    """Return the material with the limits and the budget that the configuration of its tracker sets."""
+    if settings is None:
+        return material
+    # The records of a tracker without a name of its own bear that of its role.
+    own = dict(settings.trackers).get(material.tracker, settings if not settings.tracker else None)
+    if own is None:
+        return material
+    return replace(
+        material,
+        limits=own.limits.limits(),
+        budget_deg=own.motion.travel_per_day_deg,
+        budget_moves=own.motion.moves_per_day,
+    )
+
+
+def write_reports(
+    materials: Sequence[Material], out: Path, zone: tzinfo | None, progress: Callable[[float], None], *, force: bool
+) -> list[Path]:
+    """Write the page of each tracker to the folder `out` and return their paths.
+
+    Raises
+    ------
+    UserError
+        A page is there already and not to be overwritten, or cannot be written.
+    """
+    names = [file_name(material.span.name, material.tracker) for material in materials]
+    check_output(out, names, "--out", force=force)
+    paths = []
+    for number, (material, name) in enumerate(zip(materials, names, strict=True)):
+        paths.append(write_text(out / name, page_of(findings_of(material, zone))))
+        progress((number + 1) / len(names))
+    return paths
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a file whole or not at all; raises `UserError`."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise UserError(f"{path} cannot be written: {error.strerror}") from None
+    finally:
+        part.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,264 @@
+"""`heliocube report` and `heliocube plot`, as the command line has them."""
+
+import csv
+import re
+import sys
+from html.parser import HTMLParser
+
+import pytest
+
+from daemon.commands.main import main
+from tests.support.stored_day import FLAGGED, GAP, STRANGER, T0, faces_of, instants, stored_days
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return stored_days(tmp_path_factory.mktemp("store"))
+
+
+def call(patch, *arguments):
+    patch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Run the command line: returns its exit code, what it said, and what it complained of."""
+
+    def run(*arguments):
+        code = call(monkeypatch, *arguments)
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def the_page(store, tmp_path_factory):
+    """The page of the day, written once."""
+    out = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        day = ("--store", store, "--day", "2022-10-14", "--zone", "Europe/Paris")
+        assert call(patch, "report", *day, "--out", out) == 0
+    return (out / "2022-10-14-roof.html").read_text(encoding="utf-8")
+
+
+class Rows(HTMLParser):
+    """The rows of all tables, by their first cell."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self._cells, self._inside = [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, _attributes):
+        if tag == "tr":
+            self._cells = []
+        self._inside = tag in ("td", "th")
+        if self._inside:
+            self._cells.append("")
+
+    def handle_endtag(self, tag):
+        if tag == "tr":
+            self.rows.append(self._cells)
+        self._inside = False
+
+    def handle_data(self, data):
+        if self._inside:
+            self._cells[-1] += data
+
+
+def row(page, first):
+    found = [cells for cells in Rows(page).rows if cells[0] == first]
+    assert found, f"no row {first}"
+    return found[0]
+
+
+def figure(text):
+    return float(re.match(r"[+−]?[\d.]+", text)[0].replace("−", "-"))
+
+
+def exported(heliocube, store, out, kind):
+    code, _, _ = heliocube("export", "--store", store, "--out", out, "--kind", kind)
+    assert code == 0
+    return list(csv.DictReader((out / f"{kind}.csv").read_text().splitlines()))
+
+
+def test_the_figures_of_the_page_are_those_of_the_export(heliocube, store, the_page, tmp_path):
+    scans = exported(heliocube, store, tmp_path / "scans", "scans")
+    moves = exported(heliocube, store, tmp_path / "moves", "moves")
+    # A scan a minute; the gap of half an hour counts for one minute and no more.
+    zenith = sum(float(scan["zenith_w_m2"]) for scan in scans) * 60.0 / 3.6e6
+    assert figure(row(the_page, "zenith")[1]) == pytest.approx(zenith, abs=0.0006)
+    good = [scan for scan in scans if scan["east_quality"] == "ok"]
+    east = sum(float(scan["east_w_m2"]) for scan in good) * 60.0 / 3.6e6
+    assert figure(row(the_page, "east")[1]) == pytest.approx(east, abs=0.0006)
+    assert row(the_page, "Moves")[1:] == [str(len(moves)), "1 arrived"]
+    travel = sum(abs(float(move["end_b_deg"]) - float(move["from_b_deg"])) for move in moves)
+    assert row(the_page, "Travel of B")[1] == f"{travel:.1f} deg"
+    missing = (GAP[1] - GAP[0]) / 60.0
+    flagged = (FLAGGED[1] - FLAGGED[0]) / 60.0
+    assert row(the_page, "Reporting period")[1:] == [
+        "1440",
+        f"{100 * len(scans) / 1440:.2f} %",
+        f"{100 * len(good) / 1440:.2f} %",
+        f"{flagged:.0f}",
+        f"{missing:.0f}",
+    ]
+
+
+def test_energy_is_that_of_the_planes_under_the_sky_that_made_the_readings(the_page):
+    # Until noon the tracker lies flat and receives what the zenith face reads.
+    utc_s = instants(1)
+    zenith = faces_of(utc_s)[:, 3]
+    flat = zenith[utc_s < T0 + 43200].sum() * 60.0 / 3.6e6
+    actual = figure(row(the_page, "Tracker, as it stood")[1])
+    chronometric = figure(row(the_page, "Chronometric, within the limits")[1])
+    best = figure(row(the_page, "Best pose at every instant: the bound")[1])
+    assert flat < actual < chronometric <= best
+    gain = figure(row(the_page, "Tracker, as it stood")[2])
+    assert gain == pytest.approx(100.0 * (actual / chronometric - 1.0), abs=0.03)
+
+
+def test_modes_gaps_and_alarms_stand_with_their_times_in_utc_and_local(the_page):
+    rows = Rows(the_page).rows
+    assert ["stow", "13:00:00", "15:00:00", "60 min", "wind 17.2 m/s"] in rows
+    assert figure(row(the_page, "tracking")[1]) == pytest.approx(9.5)
+    assert ["14:59:00", "16:59:00", "31 min"] in rows
+    cube = "the cube is silent: look at its PC"
+    assert ["09:00:00", "11:00:00", "60 min", cube, STRANGER] in rows
+    assert ["16:00:00", "18:00:00", "8 h 00 min, still on", "the day's moves are used up", "–"] in rows
+
+
+def test_what_strangers_wrote_is_text(the_page):
+    assert "<script" not in the_page
+    assert "&lt;script&gt;alert('x')&lt;/script&gt;" in the_page
+    assert "Greenwich &amp; Sons" in the_page
+
+
+def test_simulated_stands_on_the_page_and_on_every_picture(the_page, heliocube, tmp_path):
+    assert "<title>SIMULATED " in the_page
+    assert "SIMULATED: no hardware is behind these figures." in the_page
+    pictures = re.findall(r"<svg .*?</svg>", the_page, re.DOTALL)
+    assert len(pictures) == 4
+    assert all("SIMULATED" in picture for picture in pictures)
+    real = stored_days(tmp_path / "store", simulated=False)
+    assert heliocube("report", "--store", real, "--day", "2022-10-14", "--out", tmp_path)[0] == 0
+    assert "SIMULATED" not in (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
+
+
+def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
+    page = tmp_path / "2022-10-14-roof.html"
+    page.write_text("mine")
+    code, _, said = heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path)
+    assert (code, page.read_text()) == (2, "mine")
+    assert said == f"heliocube: {page} is there already: --force overwrites it, or name another --out\n"
+    assert heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path, "--force")[0] == 0
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert [path.name for path in tmp_path.iterdir()] == [page.name]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "name either --day DAY, or --from and --to"),
+        (("--day", "2022-10-14", "--to", "2022-10-15"), "name either --day DAY, or --from and --to"),
+        (("--from", "2022-10-14"), "--from and --to belong together"),
+        (("--day", "14 October"), "--day: '14 October' is no day; write 2022-10-14, yesterday or today"),
+        (("--day", "2022-13-14"), "--day: '2022-13-14' is no day"),
+        (("--from", "2022-10-14", "--to", "noon"), "--to: 'noon' is no date or time"),
+        (("--from", "2022-10-15", "--to", "2022-10-14"), "--from 2022-10-15 is not before --to 2022-10-14"),
+        (("--from", "2021-10-15", "--to", "2022-10-14"), "that is 364 days and a report has 62 at most"),
+        (("--day", "2922-10-14"), "2922-10-14 has not begun"),
+        (("--day", "2022-10-12"), "no record from 2022-10-12 00:00 UTC to 2022-10-13 00:00 UTC; it has records from"),
+        (("--day", "2022-10-14", "--tracker", "cellar"), "--tracker 'cellar': that store has roof in that time"),
+        (("--day", "2022-10-14", "--zone", "Moon/Base"), "there is no time zone 'Moon/Base'"),
+        (("--day", "2022-10-14", "--out", "/dev/null/x"), "--out: /dev/null/x cannot be a folder"),
+    ],
+)
+def test_a_mistake_is_one_sentence(heliocube, store, tmp_path, arguments, message):
+    code, out, said = heliocube("report", "--store", store, "--out", tmp_path, *arguments)
+    assert (code, out) == (2, "")
+    assert message in said
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_several_days_are_one_page_and_several_trackers_several(heliocube, tmp_path):
+    directory = stored_days(tmp_path / "store", days=2, trackers=("east", "west"))
+    span = ("--from", "2022-10-14", "--to", "2022-10-16")
+    assert heliocube("report", "--store", directory, *span, "--out", tmp_path / "out")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "2022-10-14_2022-10-16-east.html",
+        "2022-10-14_2022-10-16-west.html",
+    ]
+    page = (tmp_path / "out" / "2022-10-14_2022-10-16-east.html").read_text(encoding="utf-8")
+    first, second = row(page, "2022-10-14"), row(page, "2022-10-15")
+    assert first[5:] == second[5:] == ["1", "50"]
+    whole = figure(row(page, "Tracker, as it stood")[1])
+    assert figure(first[1]) + figure(second[1]) == pytest.approx(whole, abs=0.011)
+
+
+def test_the_configuration_gives_limits_and_budget(heliocube, store, tmp_path):
+    config = tmp_path / "heliocube.toml"
+    config.write_text(
+        f'[store]\ndirectory = "{store}"\n[motion]\ntravel_per_day_deg = 500.0\n[limits]\nb_min_deg = 89.0\n'
+    )
+    assert heliocube("report", "--config", config, "--day", "2022-10-14", "--out", tmp_path)[0] == 0
+    page = (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
+    assert row(page, "Most in a day")[1:] == ["50.0 deg", "10.0 % of the 500 deg of a day"]
+    # Where it may not tilt, the best is little better than flat.
+    assert figure(row(page, "Best pose at every instant: the bound")[2]) < 60.0
+
+
+def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
+    day = ("--store", store, "--day", "2022-10-14")
+    assert heliocube("plot", "light", "motion", *day, "--out", tmp_path / "day.png")[0] == 0
+    for name in ("day-light.png", "day-motion.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert heliocube("export", "--store", store, "--out", tmp_path / "tables")[0] == 0
+    tables = ("--tables", tmp_path / "tables", "--site", "48.7,0,156")
+    assert heliocube("plot", "angles", *tables, "--out", tmp_path / "angles.svg")[0] == 0
+    assert "SIMULATED" in (tmp_path / "angles.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("moon", "--out", "x.png"), "there is no picture 'moon'; choose from light, angles, received, motion, power"),
+        (("light", "--out", "x.gif"), "must end in .png or .svg"),
+        (("power", "--out", "x.png"), "power: the store"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    code, _, said = heliocube("plot", *arguments, "--store", store, "--day", "2022-10-14")
+    assert (code, said.count("\n")) == (2, 1)
+    assert message in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
+    start = ("--start", "2022-06-21T11:00Z", "--days", "0.02")
+    out = tmp_path / "tables"
+    assert heliocube("simulate", *start, "--out", out, "--report", tmp_path / "pages")[0] == 0
+    simulated = (tmp_path / "pages" / "20220621T1100Z_20220621T1128Z-tracker.html").read_text(encoding="utf-8")
+    faces = tmp_path / "faces.csv"
+    with (out / "scans.csv").open(newline="") as file:
+        scans = list(csv.DictReader(file))
+    names = ("east", "south", "west", "zenith")
+    lines = [",".join([scan["time"], *(scan[f"{name}_w_m2"] for name in names)]) for scan in scans]
+    faces.write_text("\n".join(["time,east,south,west,zenith", *lines]))
+    site = ("--site", "48.717607,2.209002,156")
+    assert heliocube("replay", faces, *site, "--out", tmp_path / "p.csv", "--report", tmp_path / "again")[0] == 0
+    (again,) = (tmp_path / "again").iterdir()
+    replayed = again.read_text(encoding="utf-8")
+    assert figure(row(replayed, "zenith")[1]) == pytest.approx(figure(row(simulated, "zenith")[1]), abs=0.002)
+    assert "SIMULATED" in simulated
+    assert "SIMULATED" in replayed
+    before = again.stat().st_mtime_ns
+    assert heliocube("replay", faces, *site, "--out", tmp_path / "q.csv", "--report", tmp_path / "again")[0] == 2
+    assert again.stat().st_mtime_ns == before
+    assert not (tmp_path / "q.csv").exists(), "it was refused before the work"
