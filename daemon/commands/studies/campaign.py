@@ -27,12 +27,12 @@ def campaign(
         Path | None, typer.Option(metavar="FILE", help="Throw every fault alone instead, and write this page of it.")
     ] = None,
     keep: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Reduce each failure and write it here as seed-N.json.")
-    ] = None,
+        Path, typer.Option(metavar="DIR", help="Where each failure is written, reduced, as seed-N.json.")
+    ] = Path("campaign-failures"),
 ) -> None:
     """Attack the simulated rig with faults and commands from seeds, and hold every promise against the truth.
 
-    The same seed and hours give the same run. Exit code 1: a promise was broken.
+    The same seed and hours give the same run. A failure is reduced to what it takes. Exit code 1: a promise was broken.
     """
     from daemon.commands.studies.simulate import progress_bar
     from daemon.studies.campaign.attack import Attack, chosen_schedules
@@ -52,8 +52,8 @@ def campaign(
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
     attack = Attack(schedules, jobs, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
-        broken = attack.run(progress)
-    raise typer.Exit(1 if broken else 0)
+        code = attack.run(progress)
+    raise typer.Exit(code)
 
 
 def _words(text: str | None) -> tuple[str, ...]:

@@ -13,6 +13,8 @@ from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import CampaignOutcome
 from daemon.studies.campaign.schedule import Schedule
 
+_BROKEN, _INTERRUPTED = 1, 130
+
 
 def chosen_schedules(
     seeds: int, first: int, hours: float, only: Collection[str], without: Collection[str], file: Path | None
@@ -59,13 +61,13 @@ class Attack:
     say
         Called with what people are to read.
     keep
-        Where reduced failures are written, or None.
+        Where reduced failures are written; made with the first one.
     show
         Whether each schedule and its log are printed.
     """
 
     def __init__(
-        self, schedules: list[Schedule], jobs: int, say: Callable[[str], None], keep: Path | None, *, show: bool
+        self, schedules: list[Schedule], jobs: int, say: Callable[[str], None], keep: Path, *, show: bool
     ) -> None:
         self._schedules = schedules
         self._jobs = jobs
@@ -73,8 +75,11 @@ class Attack:
         self._keep = keep
         self._show = show
 
-    def run(self, progress: Callable[[float], None]) -> bool:
-        """Carry them out and return whether a promise was broken; `progress` takes the share done, 0..1."""
+    def run(self, progress: Callable[[float], None]) -> int:
+        """Carry them out, reduce what fails, and return an exit code; `progress` takes the share done, 0..1.
+
+        1: a promise was broken. 130: none was, and Ctrl-C has ended it before all were carried out.
+        """
         done = 0
 
         def note(schedule: Schedule, outcome: CampaignOutcome) -> None:
@@ -86,12 +91,23 @@ class Attack:
         summary = run_many(self._schedules, self._jobs, note, with_log=self._show)
         for line in summary.lines():
             self._say(line)
-        if summary.done < len(self._schedules):
-            self._say(f"ended before {len(self._schedules) - summary.done} more")
-        elif self._keep is not None:
-            for schedule, outcome in sorted(summary.failed, key=_seed):
+        left = len(self._schedules) - summary.done
+        if left:
+            self._say(f"ended before {left} more")
+        else:
+            self._reduce_all(sorted(summary.failed, key=_seed))
+        if summary.failed:
+            return _BROKEN
+        return _INTERRUPTED if left else 0
+
+    def _reduce_all(self, failed: list[tuple[Schedule, CampaignOutcome]]) -> None:
+        for at, (schedule, outcome) in enumerate(failed):
+            try:
                 self._reduce(schedule, outcome)
-        return bool(summary.failed)
+            except KeyboardInterrupt:
+                seeds = ", ".join(str(later.seed) for later, _ in failed[at:])
+                self._say(f"ended before these seeds were reduced: {seeds}")
+                return
 
     def _tell(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         if self._show:
@@ -104,7 +120,6 @@ class Attack:
             self._say(f"again: heliocube campaign --from {schedule.seed} --seeds 1 --hours {schedule.hours:g} --show")
 
     def _reduce(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
-        assert self._keep is not None  # noqa: S101 - narrowing; looked at before
         first = outcome.violations[0]
         reduced = reduce(schedule, {first.promise}, first.at_s)
         path = self._keep / f"seed-{schedule.seed}.json"

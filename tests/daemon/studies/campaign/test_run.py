@@ -2,12 +2,14 @@
 
 import json
 import logging
+import signal
 from dataclasses import replace
 
 import pytest
 
 from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
+from daemon.studies.campaign.attack import Attack, chosen_schedules
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.reduce import reduce
@@ -104,3 +106,28 @@ def test_a_failure_is_reduced_to_the_events_that_it_takes_in_fewer_runs_than_the
     assert reduced.hours < 6
     assert (reduced.begin - schedule.begin).total_seconds() == events[150].at_s - reduced.events[0].at_s
     assert logging.getLogger("heliocube").handlers == []
+
+
+def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, monkeypatch):
+    # What a service says is too much then as soon as a person has said anything.
+    monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
+    said, keep = [], tmp_path / "failures"
+    given = tuple(Happening(100.0 + 50 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
+    schedule = replace(draw(7, 0.1), events=given)
+    assert Attack([schedule], 1, said.append, keep, show=False).run(lambda _share: None) == 1
+    (alone,) = chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json")
+    assert run_schedule(alone).promises == {"log"}
+    assert len(alone.events) == 1
+    assert alone.text() in said
+    assert any(f"heliocube campaign --schedule {keep / 'seed-7.json'}" in line for line in said)
+
+
+def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
+    said = []
+    schedules = [draw(seed, 0.02) for seed in (1, 2, 3)]
+    attack = Attack(schedules, 1, said.append, tmp_path / "failures", show=False)
+    code = attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT))
+    assert code == 130
+    assert said[0].startswith("2 schedules, 0.04 h")
+    assert said[-1] == "ended before 1 more"
+    assert not (tmp_path / "failures").exists()
