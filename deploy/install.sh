@@ -5,7 +5,8 @@ umask 022
 
 usage() {
   cat <<'TEXT'
-usage: install.sh [--role cube|tracker|both] [--from WHEEL|CHECKOUT] [--python PROGRAM] [--root DIR]
+usage: install.sh [--role cube|tracker|both] [--from WHEEL|CHECKOUT] [--python PROGRAM] [--notify]
+                  [--root DIR]
        install.sh --remove [--root DIR]
 
 Puts the program into a Python environment under /opt/heliocube, its units and device rules under /etc, and, where there
@@ -14,6 +15,7 @@ is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves
   --role ROLE       what this machine does (default: both, as two units)
   --from PATH       a heliocube wheel, or a checkout (default: the checkout that this script is in)
   --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
+  --notify          with what sends alarms to people; kept at an upgrade where /etc/heliocube/notify.people is
   --root DIR        install into the tree DIR instead of this machine
   --remove          take everything away but /etc/heliocube, /var/lib/heliocube and the user that owns them
 TEXT
@@ -26,11 +28,12 @@ fail() {
 
 say() { printf '%s\n' "$1"; }
 
-role=both from='' python=python3 root='' remove=no
+role=both from='' python=python3 root='' remove=no lock=runtime
 while [ $# -gt 0 ]; do
   case $1 in
     -h | --help) usage; exit 0 ;;
     --remove) remove=yes; shift; continue ;;
+    --notify) lock=notify; shift; continue ;;
     --role | --from | --python | --root) [ $# -ge 2 ] || fail "$1 needs a value; see --help" ;;
     *) fail "'$1' is no option; see --help" ;;
   esac
@@ -58,6 +61,7 @@ fi
 here=$(cd "$(dirname "$0")" && pwd)
 opt=$root/opt/heliocube
 etc=$root/etc/heliocube
+[ ! -e "$etc/notify.people" ] || lock=notify
 live=no
 if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
 
@@ -67,6 +71,7 @@ system_files="
 /etc/systemd/system/heliocube-dashboard.service
 /etc/systemd/system/heliocube-report.service
 /etc/systemd/system/heliocube-report.timer
+/etc/systemd/system/heliocube-notify.service
 /etc/systemd/system/heliocube-tracker.service
 /etc/udev/rules.d/70-heliocube.rules
 /etc/modules-load.d/heliocube.conf
@@ -89,7 +94,7 @@ reload() {
 }
 
 if [ $remove = yes ]; then
-  for unit in cube.service tracker.service dashboard.service report.timer; do
+  for unit in cube.service tracker.service dashboard.service notify.service report.timer; do
     unit=heliocube-$unit
     [ $live = no ] || [ ! -e "/etc/systemd/system/$unit" ] || systemctl disable --quiet --now "$unit"
     rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit" "$root/etc/systemd/system/timers.target.wants/$unit"
@@ -127,7 +132,7 @@ done
 fingerprint() {
   {
     "$python" --version
-    cat "$here/lock/runtime.txt" "$here/lock/build.txt"
+    cat "$here/lock/$lock.txt" "$here/lock/build.txt"
     if [ -f "$from" ]; then
       cat "$from"
     else
@@ -149,7 +154,7 @@ if [ ! -e "$release/.complete" ]; then
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
   pip="$release/bin/python -m pip --disable-pip-version-check --quiet install"
-  $pip --only-binary :all: --require-hashes -r "$here/lock/runtime.txt" ||
+  $pip --only-binary :all: --require-hashes -r "$here/lock/$lock.txt" ||
     fail 'pip could not install what heliocube needs, see above; nothing has been changed'
   wheel=$from
   if [ -d "$from" ]; then
@@ -194,8 +199,9 @@ for other in cube tracker; do
     *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from before and stays" ;;
   esac
 done
-# The dashboard is for whoever wants one, on a machine of either role.
+# These two are for whoever wants them, on a machine of either role.
 put heliocube-dashboard.service /etc/systemd/system/heliocube-dashboard.service
+put heliocube-notify.service /etc/systemd/system/heliocube-notify.service
 # So is the report of every day.
 put heliocube-report.service /etc/systemd/system/heliocube-report.service
 put heliocube-report.timer /etc/systemd/system/heliocube-report.timer
@@ -212,7 +218,7 @@ systemd-sysusers ${root:+--root="$root"} heliocube.conf
 
 umask 027
 mkdir -p "$etc"
-for role in $roles dashboard; do
+for role in $roles dashboard notify; do
   [ -e "$etc/$role.toml" ] || install -m 0640 "$here/examples/$role.toml" "$etc/$role.toml"
 done
 # The trackers' machines have the key of the cube's.
@@ -248,4 +254,6 @@ say "      systemctl enable --now heliocube-dashboard    (if you want the page f
 case " $roles " in
   *' tracker '*) say "      systemctl enable --now heliocube-report.timer    (if you want yesterday's report every night)" ;;
 esac
+[ $lock = runtime ] ||
+  say "      write $etc/notify.people, mode 0600, then systemctl enable --now heliocube-notify    (docs/alarms.md)"
 say 'Before the first move: docs/install.md'

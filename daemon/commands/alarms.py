@@ -1,5 +1,7 @@
-"""`heliocube alarms`: what is the matter, what to do about it, and that somebody has seen it."""
+"""`heliocube alarms`: what is the matter, what to do, and that somebody has seen it; `notify` tells people."""
 
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -77,3 +79,40 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     for label, text in rows.items():
         lines.add_row(label, text)
     return lines
+
+
+def notify(
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="For its sections notify and api."),
+    ] = None,
+    api: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS:PORT", help="A service's local interface, instead. May be repeated."),
+    ] = None,
+    test: Annotated[bool, typer.Option("--test", help="Send everybody one message, and say what came of it.")] = False,
+) -> None:
+    """Tell people of alarms, by e-mail, ntfy, chat or telephone, until Ctrl-C or SIGTERM."""
+    import asyncio
+    import logging
+    import os
+
+    from daemon.base import process
+    from daemon.base.clock import SystemClock
+    from daemon.config.links import NotifySettings, section_of_guest
+    from daemon.notify import courier
+    from daemon.notify.recipients import recipients_of
+
+    settings = section_of_guest(config, "notify", NotifySettings)
+    if api:
+        settings = settings.model_copy(update={"services": tuple(api)})
+    file = settings.people_file
+    recipients = recipients_of(file if file is None or config is None else config.parent / file.expanduser())
+    process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
+    logging.getLogger("httpx").setLevel(logging.WARNING)
+    if test:
+        raise typer.Exit(0 if asyncio.run(courier.test(settings, recipients, typer.echo)) else 1)
+    services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
+    typer.echo(f"telling {people} of alarms of {services}")
+    manager = process.Notifier(os.environ, os.getpid())
+    asyncio.run(courier.serve(settings, recipients, SystemClock(), manager))

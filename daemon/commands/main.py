@@ -176,6 +176,7 @@ def simulate(
 
 
 app.add_typer(dashboard.app)
+app.command(rich_help_panel=SERVICE)(alarms.notify)
 app.command(rich_help_panel=SERVICE)(replay)
 app.command(rich_help_panel=SCIENCE)(gain.gain)
 app.command(rich_help_panel=SCIENCE)(energy.energy)

@@ -89,6 +89,8 @@ _FORMS = {
     "level": 'one level of a topic in quotes, such as "roof"',
     "json-path": 'names with full stops between, in quotes, such as "wind.speed", or ""',
     "host": 'a name or an address in quotes, such as "broker.lab" or "192.168.1.5"',
+    "clock-time": 'hours and minutes of the day in quotes, such as "22:00"',
+    "web": 'an address of the web in quotes, such as "https://tracker.lab/"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }
 

@@ -2,14 +2,17 @@
 
 import ipaddress
 import re
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
-from daemon.config.section import Duration, FilePath, Section
+from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
 from drivers.settings import text_of
 
+_CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
+_WEB = re.compile(r"https?://[^\s/]\S*")
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -41,6 +44,18 @@ def _interface(text: str) -> str:
     return text
 
 
+def _clock_time(text: str) -> str:
+    if not _CLOCK_TIME.fullmatch(text):
+        raise ValueError("not a time of the day")
+    return text
+
+
+def _web(text: str) -> str:
+    if not _WEB.fullmatch(text):
+        raise ValueError("not an address of the web")
+    return text
+
+
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
         raise ValueError("not a host")
@@ -56,6 +71,8 @@ Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
 Topic = Annotated[str, text_of("topic")]
 TopicLevel = Annotated[str, text_of("level")]
 JsonPath = Annotated[str, text_of("json-path")]
+ClockTime = Annotated[str, AfterValidator(_clock_time), text_of("clock-time")]
+WebAddress = Annotated[str, AfterValidator(_web), text_of("web")]
 HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
 
 
@@ -157,6 +174,55 @@ class DashboardSettings(Section):
     )
 
 
+class NotifySettings(Section):
+    """Alarms to people, from a process of its own: `heliocube notify`."""
+
+    people_file: FilePath | None = Field(
+        None,
+        examples=["notify.people"],
+        description="File with whom to tell, mode 0600 or 0640, for it holds passwords: an address of apprise a line,"
+        " such as ntfy://ntfy.lab/roof or mailto://user:password@lab.example.",
+    )
+    services: tuple[SendAddress, ...] = Field(
+        (),
+        strict=False,
+        description="Local interfaces of the services whose alarms it sends. Empty: the one that [api] of this file"
+        " names.",
+    )
+    dashboard: WebAddress | None = Field(
+        None, examples=["https://tracker.lab/"], description="What a message links to, as its readers reach it."
+    )
+    at_least: Literal["notice", "warning", "critical"] = Field(
+        "warning", description="The least severity that is sent."
+    )
+    quiet_from: ClockTime | None = Field(
+        None, examples=["22:00"], description="From this local time on only critical alarms are sent; others wait."
+    )
+    quiet_until: ClockTime | None = Field(
+        None, examples=["06:30"], description="At this local time what waited is sent, in one message."
+    )
+    most_per_hour: int = Field(
+        20, ge=1, le=1000, description="Messages an hour to each address; more are gathered into one."
+    )
+    poll_every_s: Duration = Field(10.0, ge=1, description="How often the services are asked [s].")
+    silent_after_s: Duration = Field(
+        120.0, ge=10, description="A service that has not answered for this long is a critical message [s]."
+    )
+    heartbeat: WebAddress | None = Field(
+        None,
+        examples=["https://hc.example/ping/1234"],
+        description="Is asked (GET) again and again while this process works; who waits there for it calls when it"
+        " stops.",
+    )
+    heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
+
+    @model_validator(mode="after")
+    def _quiet_hours_have_both_ends(self) -> Self:
+        if (self.quiet_from is None) is not (self.quiet_until is None):
+            raise ValueError("quiet_from and quiet_until go together: set both, or neither")
+        return self
+
+
 class SunspecSettings(Section):
     """The trackers as a SunSpec device on Modbus TCP, for a control room. Modbus knows neither password nor cipher."""
 
@@ -255,3 +321,24 @@ class MqttSettings(Section):
     discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
     wind: WindInput = WindInput()
     safe: SafeInput = SafeInput()
+
+
+Guest = TypeVar("Guest", DashboardSettings, NotifySettings)
+
+
+def section_of_guest(path: Path | None, name: str, kind: type[Guest]) -> Guest:
+    """Return the section of a process that knows services by HTTP, its services filled in from [api] if it names none.
+
+    Of the file nothing else is read: a mistake elsewhere in it is the service's.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or one of the two sections is wrong.
+    """
+    raw = read_tables(path)
+    found = one_section(path, raw, name, kind)
+    if found.services:
+        return found
+    listen = DEFAULT_LISTEN if "api" not in raw else one_section(path, raw, "api", ApiSettings).listen
+    return found.model_copy(update={"services": (str(parse_address(listen).reachable),)})

@@ -1,9 +1,12 @@
 """What the tables of the configuration file have in common."""
 
+import tomllib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from daemon.base.errors import UserError
 
 
 def _no_empty_path(value: object) -> object:
@@ -21,3 +24,26 @@ class Section(BaseModel):
     """A table of the file: frozen, closed to keys it does not know, and with no guessing of types."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True)
+
+
+Kind = TypeVar("Kind", bound=Section)
+
+
+def read_tables(path: Path | None) -> dict[str, Any]:
+    """Return what a file holds, nothing of None; raises `UserError`."""
+    if path is None:
+        return {}
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UserError(f"{path} is not TOML: {error}; see 'heliocube config check {path}'") from None
+
+
+def one_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Kind]) -> Kind:
+    """Return one section of a file, whatever else is wrong in it; raises `UserError`."""
+    try:
+        return kind.model_validate(raw.get(name, {}))
+    except ValidationError:
+        raise UserError(f"the [{name}] of {path} is wrong; see 'heliocube config check {path}'") from None

@@ -13,6 +13,7 @@ from daemon.config.links import (
     BridgeSettings,
     DashboardSettings,
     MqttSettings,
+    NotifySettings,
     StoreSettings,
     SunspecSettings,
 )
@@ -216,6 +217,7 @@ class Sections(Section):
     store: StoreSettings = StoreSettings()
     api: ApiSettings = ApiSettings()
     dashboard: DashboardSettings = DashboardSettings()
+    notify: NotifySettings = NotifySettings()
     sunspec: SunspecSettings = SunspecSettings()
     mqtt: MqttSettings = MqttSettings()
     simulation: SimulationSettings = SimulationSettings()

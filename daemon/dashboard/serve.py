@@ -5,26 +5,20 @@ import contextlib
 import logging
 import os
 import socket
-import tomllib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from threading import Thread
-from typing import Any, TypeVar
 
 import httpx
 import uvicorn
-from pydantic import ValidationError
 
-from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
+from daemon.base.addresses import Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
-from daemon.config.links import ApiSettings, DashboardSettings
-from daemon.config.section import Section
+from daemon.config.links import DashboardSettings, section_of_guest
 from daemon.dashboard.app import Dashboard
 from daemon.dashboard.upstream import Fleet
-
-_Kind = TypeVar("_Kind", bound=Section)
 
 _GRACE_S = 1
 _CONNECTIONS = 256
@@ -39,21 +33,8 @@ class _Server(uvicorn.Server):
 
 
 def settings_of_file(path: Path | None) -> DashboardSettings:
-    """Return the section [dashboard] of a file, its services filled in from [api] where it names none.
-
-    Of the file nothing else is read: a mistake elsewhere in it is the service's.
-
-    Raises
-    ------
-    UserError
-        The file cannot be read, or one of the two sections is wrong.
-    """
-    raw = {} if path is None else _read(path)
-    found = _section(path, raw, "dashboard", DashboardSettings)
-    if found.services:
-        return found
-    listen = DEFAULT_LISTEN if "api" not in raw else _section(path, raw, "api", ApiSettings).listen
-    return found.model_copy(update={"services": (str(parse_address(listen).reachable),)})
+    """Return the section [dashboard] of a file; raises `UserError`."""
+    return section_of_guest(path, "dashboard", DashboardSettings)
 
 
 def bind(listen: str) -> socket.socket:
@@ -170,19 +151,3 @@ async def _watchdog(notifier: Notifier) -> None:
     while notifier.watchdog_interval_s is not None:
         notifier.watchdog()
         await asyncio.sleep(notifier.watchdog_interval_s)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise UserError(f"{path} is not TOML: {error}; see 'heliocube config check {path}'") from None
-
-
-def _section(path: Path | None, raw: dict[str, Any], name: str, kind: type[_Kind]) -> _Kind:
-    try:
-        return kind.model_validate(raw.get(name, {}))
-    except ValidationError:
-        raise UserError(f"the [{name}] of {path} is wrong; see 'heliocube config check {path}'") from None

@@ -27,12 +27,13 @@ from tests.system.conftest import ROOT
 DEPLOY = ROOT / "deploy"
 EXAMPLES = DEPLOY / "examples"
 ROLES = ("cube", "tracker")
-CONFIGURED = (*ROLES, "dashboard")
+CONFIGURED = (*ROLES, "dashboard", "notify")
 UNITS = (*CONFIGURED, "report")
 STARTS = {
     **{role: f"run --role {role} --config /etc/heliocube/{role}.toml" for role in ROLES},
     "dashboard": "dashboard --config %d/dashboard.toml",
     "report": "report --config /etc/heliocube/tracker.toml --day yesterday --out /var/lib/heliocube/reports --force",
+    "notify": "notify --config %d/notify.toml",
 }
 pytestmark = pytest.mark.system
 needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -284,6 +285,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
         "etc/heliocube/bridge.key",
         "etc/heliocube/cube.toml",
         "etc/heliocube/dashboard.toml",
+        "etc/heliocube/notify.toml",
         "etc/heliocube/tracker.toml",
         "var/lib/heliocube/records.sqlite",
     }
@@ -298,7 +300,7 @@ def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
     for line in calls:
         assert ("--require-hashes" in line and "--only-binary :all:" in line) != ("--no-index" in line), line
         assert (" wheel " in line) == ("--no-build-isolation" in line), line
-    for name in ("runtime", "build"):
+    for name in ("runtime", "notify", "build"):
         lock = (DEPLOY / "lock" / f"{name}.txt").read_text()
         pinned = re.split(r"\n(?=\S)", lock.strip())
         assert all(re.match(r"[\w.-]+(\[\w,]+\])?==\S+", one) and "--hash=sha256:" in one for one in pinned)

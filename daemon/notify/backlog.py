@@ -1,0 +1,81 @@
+"""When a notice is sent: at once, after the quiet hours, or gathered with others where there are too many."""
+
+from datetime import time
+
+from daemon.base.recurrence import RateLimit
+from daemon.notify.notices import Notice, gathered
+
+_AGAIN_S = (30.0, 60.0, 300.0, 900.0)
+_MOST_WAITING = 200
+
+
+class QuietHours:
+    """A span of the local day; it may go over midnight.
+
+    Parameters
+    ----------
+    begin, end
+        Hours and minutes such as ``22:00``; None for no quiet hours.
+    """
+
+    def __init__(self, begin: str | None, end: str | None) -> None:
+        self._span = None if begin is None or end is None else (time.fromisoformat(begin), time.fromisoformat(end))
+
+    def holds(self, local: time) -> bool:
+        """Whether it is quiet at this local time."""
+        if self._span is None:
+            return False
+        begin, end = self._span
+        return begin <= local < end if begin <= end else local >= begin or local < end
+
+
+class Backlog:
+    """What one recipient is still to be told. What cannot be sent is tried again; nothing is told twice.
+
+    Parameters
+    ----------
+    quiet
+        When only urgent notices are sent.
+    most_per_hour
+        Notices; more are gathered into one as soon as there may be another.
+    """
+
+    def __init__(self, quiet: QuietHours, most_per_hour: int) -> None:
+        self._quiet = quiet
+        self._limit = RateLimit(most_per_hour / 3600.0, most_per_hour)
+        self._waiting: list[Notice] = []
+        self._failures = 0
+        self._not_before_s = 0.0
+
+    def put(self, notice: Notice) -> None:
+        """Take a notice; of too many the oldest goes that is not urgent."""
+        self._waiting.append(notice)
+        if len(self._waiting) > _MOST_WAITING:
+            self._waiting.remove(next((old for old in self._waiting if not old.urgent), self._waiting[0]))
+
+    def due(self, now_s: float, local: time) -> tuple[Notice, list[Notice]] | None:
+        """Return what is to be sent now and the notices that it stands for, or None.
+
+        Parameters
+        ----------
+        now_s, local
+            Monotonic time, and the local time of the day.
+        """
+        if now_s < self._not_before_s:
+            return None
+        chosen = [notice for notice in self._waiting if notice.urgent or not self._quiet.holds(local)]
+        if not chosen or not self._limit.admit(now_s):
+            return None
+        return gathered(chosen), chosen
+
+    def sent(self, notices: list[Notice]) -> None:
+        """Take off what was sent."""
+        self._failures = 0
+        self._waiting = [notice for notice in self._waiting if all(notice is not each for each in notices)]
+
+    def failed(self, now_s: float) -> float:
+        """Note that it could not be sent, and return the pause [s] until the next try."""
+        pause_s = _AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)]
+        self._failures += 1
+        self._not_before_s = now_s + pause_s
+        return pause_s

@@ -1,0 +1,180 @@
+"""Asking services for their alarms and telling people, until the end."""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable, Sequence
+from datetime import datetime, time
+
+import httpx
+
+from daemon.base.addresses import Address, parse_address
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.process import Notifier, on_signals
+from daemon.base.reconnect import Outage
+from daemon.config.links import NotifySettings
+from daemon.notify.backlog import Backlog, QuietHours
+from daemon.notify.notices import Notice, ServiceWatch
+from daemon.notify.recipients import Recipient
+
+log = logging.getLogger("heliocube.notify")
+
+_ANSWER_WITHIN_S = 10.0
+
+
+async def test(settings: NotifySettings, recipients: Sequence[Recipient], report: Callable[[str], None]) -> bool:
+    """Send everybody one notice, and the heartbeat; report each in a line, and return whether all was taken."""
+    text = "This is a test by 'heliocube notify --test'; nothing is the matter."
+    notice = Notice("heliocube: a test", text, "warning")
+    taken = []
+    for recipient in recipients:
+        taken.append(await recipient.tell(notice))
+        report(f"{recipient.name}: {'taken' if taken[-1] else 'not taken; see the lines above'}")
+    if settings.heartbeat is not None:
+        trouble = await beat(settings.heartbeat)
+        taken.append(trouble is None)
+        report(f"heartbeat: {trouble or 'taken'}")
+    return all(taken)
+
+
+async def serve(settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier) -> None:
+    """Tell people of alarms until SIGINT or SIGTERM; raises `UserError` for a service's address that is none."""
+    try:
+        services = [parse_address(text) for text in settings.services]
+    except ValueError as error:
+        raise UserError(f"--api: {error}") from None
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+
+    def end_from_outside() -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended already
+            loop.call_soon_threadsafe(end.set)
+
+    # Proxies of the environment are for the world outside.
+    async with httpx.AsyncClient(trust_env=False) as client:
+        courier = Courier(settings, services, recipients, clock, client, manager.watchdog)
+        with on_signals(end_from_outside):
+            task = asyncio.create_task(courier.run())
+            manager.ready()
+            await asyncio.wait((task, asyncio.create_task(end.wait())), return_when=asyncio.FIRST_COMPLETED)
+            manager.stopping()
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+
+class Courier:
+    """Tells people of alarms; each has a queue of their own, so that one way that fails keeps no other waiting.
+
+    Parameters
+    ----------
+    settings
+        Of the section [notify].
+    services
+        Addresses of their local interfaces.
+    people
+        Whom to tell.
+    clock
+        For intervals, and for the local time of the quiet hours.
+    client
+        Asks the services.
+    alive
+        Called after each round.
+    """
+
+    def __init__(
+        self,
+        settings: NotifySettings,
+        services: Sequence[Address],
+        people: Sequence[Recipient],
+        clock: Clock,
+        client: httpx.AsyncClient,
+        alive: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._client = client
+        self._alive = alive
+        now_s = clock.monotonic()
+        self._watches = {
+            service: ServiceWatch(str(service), settings.silent_after_s, settings.at_least, settings.dashboard, now_s)
+            for service in services
+        }
+        quiet = QuietHours(settings.quiet_from, settings.quiet_until)
+        self._backlogs = [(recipient, Backlog(quiet, settings.most_per_hour)) for recipient in people]
+        self._outages = {recipient.name: Outage(log, f"the way to {recipient.name}") for recipient in people}
+        self._heart = Outage(log, "the heartbeat")
+        self._beat_s = -settings.heartbeat_every_s
+
+    async def run(self) -> None:
+        """Ask and tell until cancelled."""
+        while True:
+            await self.step()
+            self._alive()
+            await asyncio.sleep(self._settings.poll_every_s)
+
+    async def step(self) -> None:
+        """Ask every service once, and tell what there is to tell."""
+        found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
+        for notice in (notice for notices in found for notice in notices):
+            log.info("%s", notice.title)
+            for _, backlog in self._backlogs:
+                backlog.put(notice)
+        await asyncio.gather(*(self._tell(recipient, backlog) for recipient, backlog in self._backlogs), self._beat())
+
+    async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
+        try:
+            reply = await self._client.get(f"http://{service.reachable}/api/state", timeout=_ANSWER_WITHIN_S)
+            reply.raise_for_status()
+            return watch.answered(reply.json(), self._clock.monotonic())
+        except httpx.HTTPError as error:
+            return watch.failed(_reason(error), self._clock.monotonic())
+        except (ValueError, KeyError, TypeError):
+            return watch.failed("what answers there is not heliocube", self._clock.monotonic())
+
+    async def _tell(self, recipient: Recipient, backlog: Backlog) -> None:
+        due = backlog.due(self._clock.monotonic(), self._local())
+        if due is None:
+            return
+        notice, stands_for = due
+        outage = self._outages[recipient.name]
+        if await recipient.tell(notice):
+            backlog.sent(stands_for)
+            outage.up(self._clock.monotonic())
+        else:
+            pause_s = backlog.failed(self._clock.monotonic())
+            outage.down(self._clock.monotonic(), f"a message was not taken; again in {pause_s:g} s")
+
+    async def _beat(self) -> None:
+        settings, now_s = self._settings, self._clock.monotonic()
+        if settings.heartbeat is None or now_s - self._beat_s < settings.heartbeat_every_s:
+            return
+        self._beat_s = now_s
+        trouble = await beat(settings.heartbeat)
+        if trouble is None:
+            self._heart.up(now_s)
+        else:
+            self._heart.down(now_s, trouble)
+
+    def _local(self) -> time:
+        return datetime.fromtimestamp(self._clock.utc()).astimezone().time()
+
+
+async def beat(address: str) -> str | None:
+    """Ask the address of the heartbeat once, and return what is wrong with it, or None."""
+    try:
+        async with httpx.AsyncClient(timeout=_ANSWER_WITHIN_S, follow_redirects=True) as client:
+            (await client.get(address)).raise_for_status()
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        return _reason(error)
+    return None
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, httpx.HTTPStatusError):
+        return f"it answers with {error.response.status_code}"
+    if isinstance(error, httpx.ConnectError):
+        return "nothing listens there"
+    if isinstance(error, httpx.TimeoutException):
+        return "it does not answer in time"
+    return "the connection broke off"

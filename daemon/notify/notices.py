@@ -1,0 +1,140 @@
+"""What there is to tell: the changes of alarms from one look at a service to the next, in words."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+SEVERITIES = ("notice", "warning", "critical")
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """One thing to tell.
+
+    Attributes
+    ----------
+    title, body
+        A line, and some more.
+    severity
+        One of `SEVERITIES`.
+    good
+        Whether it is the end of something.
+    """
+
+    title: str
+    body: str
+    severity: str
+    good: bool = False
+
+    @property
+    def urgent(self) -> bool:
+        """Whether it is told in quiet hours too."""
+        return self.severity == "critical"
+
+
+class ServiceWatch:
+    """Compares a service with how it was, and returns what to tell.
+
+    The first look tells what is on and acknowledged by nobody: what was told before a restart is told once more, rather
+    than never.
+
+    Parameters
+    ----------
+    address
+        Of the service, as people know it.
+    silent_after_s
+        After which time without an answer that is told.
+    at_least
+        The least severity that is told.
+    link
+        Where to look, or None.
+    now_s
+        Monotonic time: silence counts from here.
+    """
+
+    def __init__(self, address: str, silent_after_s: float, at_least: str, link: str | None, now_s: float) -> None:
+        self._address = address
+        self._silent_after_s = silent_after_s
+        self._at_least = SEVERITIES.index(at_least)
+        self._link = link
+        self._heard_s = now_s
+        self._name = address
+        self._silent = False
+        self._known: dict[tuple[str, str], dict[str, Any]] = {}
+
+    def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
+        """Take in the JSON of /api/state."""
+        self._heard_s = now_s
+        site = state["site"]["name"]
+        self._name = f"{site}{' SIMULATED' if state['simulated'] else ''}"
+        notices = [self._back()] if self._silent else []
+        self._silent = False
+        shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
+        notices += self._changes(shown)
+        self._known = shown
+        return notices
+
+    def failed(self, why: str, now_s: float) -> list[Notice]:
+        """Take in that it did not answer."""
+        silent_s = now_s - self._heard_s
+        if self._silent or not silent_s >= self._silent_after_s:
+            return []
+        self._silent = True
+        body = f"The service at {self._address} has not answered for {math.floor(silent_s)} s: {why}."
+        remedy = "Remedy: look at its machine, its network and 'systemctl status heliocube-tracker'."
+        return [self._notice("does not answer", "critical", (body, remedy))]
+
+    def _back(self) -> Notice:
+        return self._notice("answers again", "critical", (f"The service at {self._address} answers.",), good=True)
+
+    def _changes(self, shown: Mapping[tuple[str, str], dict[str, Any]]) -> Iterator[Notice]:
+        for key, alarm in shown.items():
+            if self._matters(alarm):
+                yield from self._change(alarm, self._known.get(key))
+        for key, alarm in self._known.items():
+            if key not in shown and self._matters(alarm) and alarm["state"] != "cleared":
+                yield self._over(alarm)
+
+    def _change(self, alarm: Mapping[str, Any], before: Mapping[str, Any] | None) -> Iterator[Notice]:
+        if alarm["state"] == "cleared":
+            if before is not None and before["state"] != "cleared":
+                yield self._over(alarm)
+            return
+        known = before is not None and before["state"] != "cleared" and before["raised_at"] == alarm["raised_at"]
+        if not known and alarm["state"] == "raised":
+            yield self._raised(alarm)
+
+    def _matters(self, alarm: Mapping[str, Any]) -> bool:
+        return SEVERITIES.index(alarm["severity"]) >= self._at_least
+
+    def _raised(self, alarm: Mapping[str, Any]) -> Notice:
+        raised = f"Since {alarm['raised_at'][:19].replace('T', ' ')} UTC."
+        lines = (f"{alarm['text']}.", f"Effect: {alarm['effect']}.", f"Remedy: {alarm['remedy']}.", raised)
+        return self._notice(f"{_of(alarm)}{alarm['name']}", alarm["severity"], lines)
+
+    def _over(self, alarm: Mapping[str, Any]) -> Notice:
+        lines = [f"Was: {alarm['text']}."]
+        if alarm["latched"] and not alarm["acknowledged_at"]:
+            lines.append(f"It stays on show until somebody has looked: 'heliocube alarms ack {alarm['name']}'.")
+        return self._notice(f"over: {_of(alarm)}{alarm['name']}", alarm["severity"], lines, good=True)
+
+    def _notice(self, what: str, severity: str, lines: Iterable[str], *, good: bool = False) -> Notice:
+        urgency = "" if good else f"{severity.upper()} "
+        whole = [*lines, *([] if self._link is None else [self._link])]
+        return Notice(f"heliocube {self._name}: {urgency}{what}", "\n".join(whole).replace("`", "'"), severity, good)
+
+
+def _of(alarm: Mapping[str, Any]) -> str:
+    return f"{alarm['tracker']} " if alarm["tracker"] not in (None, "tracker") else ""
+
+
+def gathered(notices: list[Notice]) -> Notice:
+    """Return several notices as one: the worst severity, a line each."""
+    if len(notices) == 1:
+        return notices[0]
+    worst = max(notices, key=lambda notice: SEVERITIES.index(notice.severity))
+    lines = [notice.title.removeprefix("heliocube ") for notice in notices]
+    last = [line for line in notices[-1].body.splitlines()[-1:] if line.startswith("http")]
+    good = all(notice.good for notice in notices)
+    return Notice(f"heliocube: {len(notices)} changes of alarms", "\n".join([*lines, *last]), worst.severity, good)

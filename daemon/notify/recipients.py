@@ -1,0 +1,89 @@
+"""Whom to tell, and by which way: addresses of apprise, a line each, in a file that only its readers can open."""
+
+import asyncio
+from pathlib import Path
+from types import ModuleType
+from typing import Protocol
+
+from daemon.base.errors import UserError
+from daemon.base.files import read_secret
+from daemon.notify.notices import Notice
+
+_LONGEST_FILE = 65536
+_EXAMPLE = "such as ntfy://ntfy.lab/roof"
+
+
+class Recipient(Protocol):
+    """Whoever can be told something."""
+
+    name: str
+
+    async def tell(self, notice: Notice) -> bool:
+        """Send a notice, and return whether the way took it."""
+
+
+class AppriseRecipient:
+    """One address of apprise.
+
+    Parameters
+    ----------
+    address
+        As its documentation writes it.
+
+    Attributes
+    ----------
+    name
+        The address without its secrets, for the log.
+    """
+
+    def __init__(self, address: str) -> None:
+        apprise = _apprise()
+        service = apprise.Apprise.instantiate(address)
+        if service is None:
+            raise ValueError("apprise knows no such address")
+        self._kinds = apprise.NotifyType
+        self._service = service
+        self.name = str(service.url(privacy=True)).partition("?")[0]
+
+    async def tell(self, notice: Notice) -> bool:
+        """Send a notice; whatever the way has against it is a False.
+
+        In a thread of the loop's: apprise's own for such calls outlive every loop.
+        """
+        kind = self._kinds.FAILURE if notice.urgent else self._kinds.WARNING
+        if notice.good:
+            kind = self._kinds.SUCCESS
+        return bool(
+            await asyncio.to_thread(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
+        )
+
+
+def recipients_of(path: Path | None) -> list[AppriseRecipient]:
+    """Return whom a file names; raises `UserError` with the line that is wrong, and never with what is secret in it."""
+    if path is None:
+        raise UserError(f"notify.people_file is not set: name a file with an address of apprise a line, {_EXAMPLE}")
+    called = f"notify.people_file {path}"
+    missing = f"{called} does not exist: write an address of apprise a line, {_EXAMPLE}, and run chmod 600 {path}"
+    content = read_secret(path, _LONGEST_FILE, called, missing, UserError, group_may_read=True)
+    found = []
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        try:
+            found.append(AppriseRecipient(text))
+        except (ValueError, TypeError):
+            raise UserError(f"{called}, line {number}: no address that apprise knows; write one {_EXAMPLE}") from None
+    if not found:
+        raise UserError(f"{called} names nobody: write an address of apprise a line, {_EXAMPLE}")
+    return found
+
+
+def _apprise() -> ModuleType:
+    try:
+        import apprise  # noqa: PLC0415 - an extra, which the service does without
+    except ImportError:
+        raise UserError(
+            "apprise is not installed: pip install --require-hashes -r deploy/lock/notify.txt, or heliocube[notify]"
+        ) from None
+    return apprise
