@@ -16,6 +16,7 @@ from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
+from daemon.motion.motion import SIMULATED
 from daemon.rigs.simulated import SimulatedPair
 from daemon.service.rig import Role
 from daemon.service.service import Service
@@ -149,7 +150,8 @@ async def _run_both(
         bus.subscribe(lambda record: keep(tracker.name, record))
         # A scan's session comes from here: two simulations in one store must not take each other's for their own.
         random = Random(f"{settings.simulation.seed} {start_utc_s} {which}")  # noqa: S311 - nothing secret depends on it
-        return Service(own, role, pair.rigs[which], clock, random, bus, None, Notifier({}, 0))
+        instruments, unseen = pair.rigs[which], Notifier({}, 0)
+        return Service(own, role, instruments, clock, random, bus, None, unseen, polling=SIMULATED)
 
     async def count_down() -> None:
         elapsed_s = 0.0
