@@ -3,14 +3,17 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 ARGS   ?=
-# As many as two cores carry: what the tests wait for is real and needs its share of them.
+# One for each of two cores for the tests that compute; those that pass real time mostly wait, and come after them, by
+# themselves, so that what they wait for has its share of the machine.
 WORKERS ?= 2
+WAITING ?= 5
 
-.PHONY: run test lint format clean help
+.PHONY: run test test-quick lint format clean help
 
 help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
+	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
 	@echo "make lint                       ruff, ruff format --check, mypy, import-linter"
 	@echo "make format                     ruff's fixes and formatting"
 	@echo "make clean                      remove the virtual environment and caches"
@@ -30,7 +33,14 @@ run: $(BIN)/.runtime
 	@$(BIN)/heliocube run --dashboard $(ARGS)
 
 test: $(BIN)/.dev
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
+	@run() { echo "$(BIN)/python -m pytest $$*"; $(BIN)/python -m pytest "$$@" $(ARGS); } ; \
+	run --live without -n $(WORKERS) --dist worksteal; first=$$?; [ $$first -ne 2 ] || exit 2; \
+	run --live only -n $(WAITING) --dist worksteal; second=$$?; \
+	if [ $$first -eq 5 ]; then exit $$second; elif [ $$second -eq 5 ]; then exit $$first; fi; \
+	[ $$first -ne 0 ] && exit $$first || exit $$second
+
+test-quick: $(BIN)/.dev
+	$(BIN)/python -m pytest --quick -n $(WORKERS) --dist worksteal $(ARGS)
 
 lint: $(BIN)/.dev
 	$(BIN)/ruff check .

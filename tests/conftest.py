@@ -40,17 +40,48 @@ _TIER_OF_FIXTURE = {
     "voltmeter_host": "protocol",
     "play": "protocol",
     "start_rotctld": "protocol",
+    # A unit that runs at its own pace on a port, not the one in lock step.
+    "start_firmware": "live",
 }
 _TIER_OF_FOLDER = {"campaign": "campaign", "system": "system"}
+_LIVE = {"broker", "protocol", "system"}
+_TAKES_LONG = {"rig", "campaign", "firmware", "shared_data"}
 
 
-def pytest_collection_modifyitems(items):
-    """Mark each test with its tier, by what it asks for and where it lies."""
+def pytest_addoption(parser):
+    parser.addoption(
+        "--live",
+        choices=("with", "only", "without"),
+        default="with",
+        help="tests that pass real time: with the others (default), only those, or all others",
+    )
+    parser.addoption("--quick", action="store_true", help="only tests of one part, without a rig, live or slow ones")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Mark each test with its tier, by what it asks for and where it lies, and keep those that are asked for."""
     for item in items:
         tiers = {_TIER_OF_FIXTURE.get(name) for name in item.fixturenames}
         tiers |= {_TIER_OF_FOLDER.get(part) for part in item.path.parts}
         for tier in tiers - {None}:
             item.add_marker(tier)
+        marks = {mark.name for mark in item.iter_markers()}
+        if marks & _LIVE and "computes" not in marks:
+            item.add_marker("live")
+    left_out = [item for item in items if not _is_asked_for(config, item)]
+    if left_out:
+        gone = set(left_out)
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in gone]
+
+
+def _is_asked_for(config, item):
+    marks = {mark.name for mark in item.iter_markers()}
+    live = "live" in marks
+    if config.getoption("--quick") and (live or marks & {*_TAKES_LONG, "slow"}):
+        return False
+    return {"with": True, "only": live, "without": not live}[config.getoption("--live")]
 
 
 def pytest_report_header():

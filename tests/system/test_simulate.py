@@ -16,12 +16,21 @@ from daemon.studies.simulate import simulate
 from solar.ephemeris import sun_direction
 from solar.frames import direction_from_azimuth, normal_from_angles, separation_deg
 
+pytestmark = pytest.mark.computes
+
 LYNGBY = {"name": "Lyngby", "latitude_deg": 55.79064, "longitude_deg": 12.52505, "altitude_m": 50.0}
 
 
-def day(out, start, weather, law, site=None, days=1.0, seed=1, table_format="csv"):
+def day(out, start, weather, law, site=None, days=1.0, seed=1, table_format="csv", scan_every_s=10):
+    """Simulate; half as many scans as the service takes by itself take half as long."""
     settings = Settings.model_validate(
-        {"simulation": {"weather": weather, "seed": seed}, "law": {"name": law}, "site": site or {}}
+        {
+            "simulation": {"weather": weather, "seed": seed},
+            "cube": {"scan_every_s": scan_every_s},
+            "safety": {"scan_stale_s": 20.0},
+            "law": {"name": law},
+            "site": site or {},
+        }
     )
     return simulate(settings, datetime.fromisoformat(start), days, out, table_format, lambda _share: None)
 
@@ -57,7 +66,7 @@ def plain_means(scans, decisions):
 @pytest.mark.parametrize("date", ["2016-06-05", "2016-03-15"])
 def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, date):
     weather = measured / "dtu_lyngby_2016" / f"{date[:7]}.csv.gz"
-    day(tmp_path, date, weather, "mu-prime", LYNGBY)
+    day(tmp_path, f"{date}T06:00", weather, "mu-prime", LYNGBY, days=0.5)
     decisions = [row for row in rows(tmp_path / "decisions.csv") if row["mode"] == "tracking"]
     assert len(decisions) > 100
     settled = 0
@@ -92,7 +101,7 @@ def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tm
 
 def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05", weather, "sun-vector", LYNGBY)
+    day(tmp_path, "2016-06-05T04:30", weather, "sun-vector", LYNGBY, days=0.6)
     high = [row for row in rows(tmp_path / "decisions.csv") if float(row["sun_elevation_deg"]) > 15]
     assert len(high) > 140
     for row in high:
@@ -103,7 +112,7 @@ def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path)
 
 def test_on_the_measured_clear_day_chronometric_faces_the_sun_within_the_limits(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05", weather, "chronometric", LYNGBY)
+    day(tmp_path, "2016-06-05T04:30", weather, "chronometric", LYNGBY, days=0.6)
     reached = 0
     for row in rows(tmp_path / "decisions.csv"):
         sun = sun_direction(utc_s(row), 55.79064, 12.52505, 50.0)
@@ -115,7 +124,7 @@ def test_on_the_measured_clear_day_chronometric_faces_the_sun_within_the_limits(
 
 
 def test_on_the_built_in_overcast_day_the_tracker_lies_nearly_flat(tmp_path):
-    day(tmp_path, "2022-10-14", "overcast", "mu-prime")
+    day(tmp_path, "2022-10-14T06:30", "overcast", "mu-prime", days=0.45)
     tilts = [
         separation_deg(normal_from_angles(*values(row, "target_a_deg", "target_b_deg")), [0, 0, 1])
         for row in rows(tmp_path / "decisions.csv")
@@ -126,7 +135,7 @@ def test_on_the_built_in_overcast_day_the_tracker_lies_nearly_flat(tmp_path):
 
 
 def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu_prime(tmp_path):
-    summary = day(tmp_path, "2022-06-21", "clear", "mu-prime")
+    summary = day(tmp_path, "2022-06-21T05:00", "clear", "mu-prime", days=0.55)
     for row in rows(tmp_path / "decisions.csv"):
         sun_elevation = float(row["sun_elevation_deg"])
         if sun_elevation < 20 or not 90 < float(row["sun_azimuth_deg"]) < 270:
@@ -149,7 +158,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(tmp_path):
 
 
 def test_parquet_tables_open_in_pandas(tmp_path):
-    day(tmp_path, "2022-10-12T10:00", "clear", "flat", days=0.02, table_format="parquet")
+    day(tmp_path, "2022-10-12T10:00", "clear", "flat", days=0.02, table_format="parquet", scan_every_s=5)
     scans = pd.read_parquet(tmp_path / "scans.parquet")
     assert len(scans) == pytest.approx(0.02 * 17280, abs=2)
     assert str(scans.index.tz) == "UTC"

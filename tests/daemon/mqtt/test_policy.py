@@ -163,12 +163,12 @@ def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
     assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
 
 
-def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_broker(caplog):
+def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(caplog):
     caplog.set_level(logging.INFO, "heliocube.mqtt")
     bound = bound_socket()
     port = bound.getsockname()[1]
     bound.close()
-    # Fewer scans make a day short.
+    # Fewer scans make hours short.
     settings = settings_for(port, cube={"scan_every_s": 30}, safety={"scan_stale_s": 90})
 
     def decisions(enabled):
@@ -178,7 +178,7 @@ def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_bro
                 rig = BrokerRig(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
                 serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
-                await asyncio.sleep(86400)
+                await asyncio.sleep(4 * 3600)
                 stop.set()
                 await serving
                 return [record.time_monotonic_s for record in rig.of(Decision)]
@@ -186,7 +186,7 @@ def test_control_decides_in_the_same_rhythm_through_a_day_with_and_without_a_bro
             return runner.run(scenario())
 
     without, with_a_dead_one = decisions(enabled=False), decisions(enabled=True)
-    assert len(without) >= 80
+    assert len(without) >= 40
     assert with_a_dead_one == pytest.approx(without, abs=0.1)
     assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 20
 

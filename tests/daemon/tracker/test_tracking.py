@@ -85,7 +85,7 @@ def test_a_scan_takes_at_most_five_percent_more_than_its_floor(run_rig):
 
 def test_night_falls_and_morning_comes(run_rig):
     async def through_the_night(_rig):
-        await asyncio.sleep(16 * 3600)
+        await asyncio.sleep(14.5 * 3600)
 
     class Day(HandWeather):
         def at(self, utc_s):
@@ -95,7 +95,8 @@ def test_night_falls_and_morning_comes(run_rig):
             conditions.dhi_w_m2[:] = 300.0 * up
             return conditions
 
-    rig = run_rig(through_the_night, start="2022-10-12T15:00", weather=Day(), rest_look_s=5.0)
+    seldom = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
+    rig = run_rig(through_the_night, start="2022-10-12T16:30", weather=Day(), rest_look_s=5.0, **seldom)
     modes = [change.after for change in rig.of(ModeChange)]
     assert modes == [Mode.TRACKING, Mode.NIGHT, Mode.TRACKING]
     dark = next(change.time_utc_s for change in rig.of(ModeChange) if change.after is Mode.NIGHT)
