@@ -63,56 +63,6 @@ def figure(text):
     return float(re.search(r"[−+\-]?\d+(?:\.\d+)?", text)[0].replace("−", "-"))
 
 
-def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
-    page = open_page()
-    page.sees(".hero h1", "Tracking")
-
-    def shown():
-        cells = page.page.locator(".card[aria-label=Cube] tbody tr").all_inner_texts()
-        wind = page.text(".card[aria-label=Wind] .big")
-        equipment = page.text(".card[aria-label=Equipment] tbody")
-        return {
-            "a": figure(page.text(".gauge:nth-child(1) .value")),
-            "b": figure(page.text(".gauge:nth-child(2) .value")),
-            "faces": [figure(cell.partition("\t")[2]) for cell in cells],
-            "wind": figure(wind),
-            "moves": figure(page.text(".facts div:has-text('Moves today') dd")),
-            "sun": figure(page.text(".facts div:has-text('Sun') dd").partition("elevation")[2]),
-            "board": site_board in equipment,
-        }
-
-    site_board = site.state()["tracker"]["identity"]["board"]
-
-    def said():
-        state = site.state()
-        pose, faces = state["tracker"]["pose"], state["scan"]["faces"]
-        return {
-            "a": round(pose["a_deg"], 1),
-            "b": round(pose["b_deg"], 1),
-            "faces": [float(round(faces[name]["irradiance_w_m2"])) for name in ("east", "south", "west", "zenith")],
-            "wind": round(state["wind"][0]["speed_m_s"], 1),
-            "moves": state["today"]["moves"],
-            "sun": round(state["sun_elevation_deg"], 1),
-            "board": True,
-        }
-
-    pairs = []
-
-    def agree():
-        # The readings go on changing: once, all of them have to agree.
-        pairs.append((said(), shown()))
-        return close(*pairs[-1])
-
-    wait_until(agree, 60, lambda: f"the same figures: {pairs[-1]}")
-    assert page.text(".simulated").startswith("SIMULATED")
-
-
-def close(said, shown):
-    faces = all(abs(one - other) <= 1 for one, other in zip(said["faces"], shown["faces"], strict=True))
-    rest = (said[name] == pytest.approx(shown[name], abs=0.101) for name in said if name != "faces")
-    return faces and all(rest)
-
-
 def test_stow_is_the_biggest_button_of_a_phone_and_two_touches_away_and_moves_the_axes(site, open_page):
     page = open_page("now", browsers.PHONE, has_touch=True, is_mobile=True)
     page.sees(".hero h1", "Tracking")
@@ -270,3 +220,59 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
     playwright.expect(dialog).to_be_visible()
     page.page.keyboard.press("Escape")
     playwright.expect(dialog).to_have_count(0)
+
+
+def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
+    # The light of today counts from its first minute on, which the tests before this one have taken.
+    wait_until(lambda: site.state()["received"], 90, "a minute of light")
+    page = open_page()
+    page.sees(".hero h1", "Tracking")
+
+    def shown():
+        cells = page.page.locator(".card[aria-label=Cube] tbody tr").all_inner_texts()
+        wind = page.text(".card[aria-label=Wind] .big")
+        equipment = page.text(".card[aria-label=Equipment] tbody")
+        return {
+            "a": figure(page.text(".gauge:nth-child(1) .value")),
+            "b": figure(page.text(".gauge:nth-child(2) .value")),
+            "faces": [figure(cell.partition("\t")[2]) for cell in cells],
+            "wind": figure(wind),
+            "moves": figure(page.text(".facts div:has-text('Moves today') dd")),
+            "sun": figure(page.text(".facts div:has-text('Sun') dd").partition("elevation")[2]),
+            "board": site_board in equipment,
+            "gain": figure(page.text(".facts div:has-text('Against chronometric') dd")),
+            "next_b": figure(page.text(".facts div:has-text('In the light of now') dd").partition("B ")[2]),
+        }
+
+    site_board = site.state()["tracker"]["identity"]["board"]
+
+    def said():
+        state = site.state()
+        pose, faces = state["tracker"]["pose"], state["scan"]["faces"]
+        return {
+            "a": round(pose["a_deg"], 1),
+            "b": round(pose["b_deg"], 1),
+            "faces": [float(round(faces[name]["irradiance_w_m2"])) for name in ("east", "south", "west", "zenith")],
+            "wind": round(state["wind"][0]["speed_m_s"], 1),
+            "moves": state["today"]["moves"],
+            "sun": round(state["sun_elevation_deg"], 1),
+            "board": True,
+            "gain": round(100 * state["received"]["gain"], 1),
+            "next_b": round(state["next_decision"]["target_b_deg"], 1),
+        }
+
+    pairs = []
+
+    def agree():
+        # The readings go on changing: once, all of them have to agree.
+        pairs.append((said(), shown()))
+        return close(*pairs[-1])
+
+    wait_until(agree, 60, lambda: f"the same figures: {pairs[-1]}")
+    assert page.text(".simulated").startswith("SIMULATED")
+
+
+def close(said, shown):
+    faces = all(abs(one - other) <= 1 for one, other in zip(said["faces"], shown["faces"], strict=True))
+    rest = (said[name] == pytest.approx(shown[name], abs=0.101) for name in said if name != "faces")
+    return faces and all(rest)

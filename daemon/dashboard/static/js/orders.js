@@ -110,6 +110,11 @@ export class Orders {
     return this.carryOut(name, entry.label, () => call("/command", body), service);
   }
 
+  // Says that a person has seen an alarm; one of the cube's is of no tracker.
+  acknowledge(alarm, entry) {
+    return this.give("acknowledge", { ...entry, name: alarm.tracker }, { alarm: alarm.name });
+  }
+
   async ask(name, entry) {
     if (!this.may(entry.service.name) && !(await this.login(entry.service.name))) return false;
     const why = await this.confirm(name, entry.label);

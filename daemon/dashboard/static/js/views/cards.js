@@ -1,7 +1,7 @@
 // The smaller cards of the view of now: what comes next, wind, light, equipment, and what happened lately.
 
 import { card, fill, h, s, setAttr, setClass, setText } from "../dom.js";
-import { at, countdown, deg, duration, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
+import { at, countdown, deg, duration, localTime, num, sentence, signed, signedDeg, utcDay, utcTime } from "../format.js";
 
 function facts(names) {
   const values = {};
@@ -12,6 +12,9 @@ function facts(names) {
   return { list, values };
 }
 
+// The law's name stands above already.
+const because = ({ law, why }) => (why.startsWith(`${law}: `) ? why.slice(law.length + 2) : why);
+const energy = (kwh) => (kwh < 1 ? num(1000 * kwh, 0, "Wh/m²") : num(kwh, 2, "kWh/m²"));
 const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${deg(b)}`;
 
 export function next() {
@@ -29,17 +32,17 @@ export function next() {
     // A service of an earlier version does not say.
     const coming = tracker.next_decision ?? null;
     values["In the light of now"].parentElement.hidden = coming === null;
-    if (coming) setText(values["In the light of now"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)} (${coming.why})`);
+    if (coming) setText(values["In the light of now"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)}: ${because(coming)}`);
     const decision = tracker.decision;
     setText(values["Last decision"], decision ? `${at(decision.time, now)}, ${duration(decision.age_s + extra)} ago` : "none yet");
-    setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)} (${decision.why})` : "–");
+    setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)}: ${because(decision)}` : "–");
     setText(values["Moves today"], `${num(tracker.today.moves)}, ${num(tracker.today.left.moves)} left`);
     setText(values["Travel today"], `${deg(tracker.today.travelled_deg)}, ${deg(tracker.today.left.travel_deg)} left`);
     const light = tracker.received ?? null;
     for (const name of ["Received today", "Against chronometric"]) values[name].parentElement.hidden = light === null;
     if (!light) return;
-    setText(values["Received today"], `${num(light.actual_kwh_m2, 2, "kWh/m²")}, in ${duration(light.known_s)} of light since ${at(light.since, now)}`);
-    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}; the best pose at every instant ${num(light.best_kwh_m2, 2, "kWh/m²")}; a model's result, from the faces`);
+    setText(values["Received today"], `${energy(light.actual_kwh_m2)}, in ${duration(light.known_s)} of light since ${at(light.since, now)}`);
+    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}: by a model, of the light on the faces, that would have received ${energy(light.chronometric_kwh_m2)} and the best pose at every instant ${energy(light.best_kwh_m2)}`);
   }
 
   return { node, update };
@@ -165,11 +168,13 @@ export function log() {
   const body = h("ol", { class: "log" });
   const node = card("What happened lately", null, body);
 
-  function update({ state, tracker, several }) {
+  function update({ state, tracker, several, now }) {
     const name = tracker?.tracker.name;
     const own = (state?.news ?? []).filter(({ text }) => !several || !name || text.startsWith(`${name}: `) || !/^[\w-]{1,32}: /.test(text));
-    const newest = own.slice(-12).reverse();
-    fill(body, newest, () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))) : h("li", null, h("span", null, "Nothing yet.")));
+    // A move is known by its beginning, and comes when it has ended.
+    const newest = own.sort((one, other) => (one.time < other.time ? -1 : 1)).slice(-12).reverse();
+    const today = state ? utcDay(now) : "";
+    fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${time.slice(0, 10) === today ? "" : `${time.slice(0, 10)} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))) : h("li", null, h("span", null, "Nothing yet.")));
   }
 
   return { node, update };

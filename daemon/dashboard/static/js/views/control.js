@@ -22,7 +22,7 @@ const ABOUT = {
 
 export function control(orders) {
   let entry = null;
-  const state = hero();
+  const state = hero(orders);
   const order = (name) => () => entry && (ASKED.includes(name) ? orders.ask(name, entry) : orders.give(name, entry));
   const button = (name) => h("button", { type: "button", class: `order ${name}`, onclick: order(name) }, icon(name), h("span", null, h("strong", null, TITLES[name]), h("small", null, ABOUT[name])));
   const input = (name) => h("input", { name, type: "number", step: "any", required: true, inputmode: "text" });

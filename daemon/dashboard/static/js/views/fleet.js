@@ -58,7 +58,7 @@ function row({ key, label, service, tracker }, connected) {
   const state = service.state;
   const extra = elapsed(service);
   const old = Boolean(state) && isOld(service, connected);
-  const mode = old || !state ? "no connection" : tracker ? tracker.mode.name : state.cube_down_why ? "cube down" : "cube reads";
+  const mode = old || !state ? "no connection" : tracker ? (tracker.mode.asked === "stop" ? "stopped" : tracker.mode.name) : state.cube_down_why ? "cube down" : "cube reads";
   const kind = old || !state ? "lost" : tracker ? KIND[tracker.mode.name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
   const pose = tracker?.tracker.pose;
   const wanted = target(tracker);

@@ -10,9 +10,11 @@ export const KIND = {
 export const TITLE = {
   tracking: "Tracking", night: "Night", starting: "Starting", fallback: "Fallback: by the clock", hold: "Held", snow: "Snow position", maintenance: "Maintenance", stow: "Stow", fault: "Fault",
 };
+// In the mode hold a stop is more than a hold: nothing but Auto ends it.
+const ASKED = { stop: "Stopped by a person", buttons: "A button was pressed at the unit" };
 const WISH = { maintenance: "Maintenance", stop: "Stopped", buttons: "Button pressed at the unit", stow: "Stow", snow: "Snow position", hold: "Held" };
 
-export function hero() {
+export function hero(orders) {
   const glyph = h("span", { class: "glyph" });
   const title = h("h1", null);
   const why = h("p", { class: "why" });
@@ -23,30 +25,30 @@ export function hero() {
   const node = h("section", { class: "hero", "aria-label": "State" },
     h("div", { class: "mode" }, glyph, h("div", null, title, why, since)), simulated, alarms, wishes);
 
-  function update({ service, state, tracker, now, old }) {
+  function update({ service, state, tracker, entry, now, old }) {
     const name = tracker ? tracker.mode.name : null;
     const kind = !state ? "calm" : old ? "lost" : name ? KIND[name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
     setAttr(node, "data-kind", kind);
     const shown = !state ? "starting" : old ? "lost" : name ?? (state.cube_down_why ? "fault" : "ok");
     fill(glyph, shown, () => icon(shown));
-    setText(title, headline(service, state, name, old));
+    setText(title, headline(service, state, tracker, old));
     setText(why, sentence(explain(service, state, tracker, old)));
     const sinceMs = tracker ? Date.parse(tracker.mode.since) : NaN;
     setText(since, tracker ? `since ${at(tracker.mode.since, now)}, for ${duration((now - sinceMs) / 1000)}` : "");
     simulated.hidden = !state?.simulated;
     setText(simulated.lastChild, state?.speed > 1 ? ` at ${state.speed} times real speed: nothing is moved` : ": no hardware is moved");
     const own = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || tracker === null || alarm.tracker === tracker.tracker.name);
-    fill(alarms, [own, Boolean(tracker?.wishes.maintenance)], () => alarmList(own, tracker, now));
+    fill(alarms, [own, entry.key, Boolean(tracker?.wishes.maintenance)], () => alarmList(own, tracker, now, (alarm) => orders.acknowledge(alarm, entry)));
     fill(wishes, [tracker?.wishes, tracker ? tracker.mode.name : ""], () => wishList(tracker?.wishes ?? {}, now));
   }
 
   return { node, update };
 }
 
-function headline(service, state, name, old) {
+function headline(service, state, tracker, old) {
   if (!state) return service?.up === false ? "No connection" : "Connecting ...";
   if (old) return "No connection: what is shown is old";
-  return name ? TITLE[name] ?? sentence(name) : state.cube_down_why ? "The cube does not answer" : "The cube reads";
+  return tracker ? ASKED[tracker.mode.asked] ?? TITLE[tracker.mode.name] ?? sentence(tracker.mode.name) : state.cube_down_why ? "The cube does not answer" : "The cube reads";
 }
 
 function explain(service, state, tracker, old) {
@@ -54,12 +56,24 @@ function explain(service, state, tracker, old) {
   return tracker ? tracker.mode.why : state.cube_down_why ?? "a process of the cube alone: it has no tracker";
 }
 
-function alarmList(alarms, tracker, now) {
+// Words between backticks are what is typed.
+const typed = (text) => text.split("`").map((part, index) => (index % 2 ? h("code", null, part) : part));
+
+function alarmState(alarm, now) {
+  const since = `since ${at(alarm.since, now)}`;
+  if (alarm.state === "cleared") return `${since}; over at ${at(alarm.cleared_at, now)}: it stays here until somebody has seen it`;
+  return alarm.acknowledged_by ? `${since}; seen by ${alarm.acknowledged_by}, ${at(alarm.acknowledged_at, now)}` : since;
+}
+
+function alarmList(alarms, tracker, now, acknowledge) {
   const muted = tracker?.wishes.maintenance ? [h("p", { class: "hint" }, "Alarms are silent during maintenance.")] : [];
   return [
     ...muted,
     ...alarms.map((alarm) =>
-      h("article", { class: "alarm" }, icon("fault"), h("div", null, h("h2", null, alarm.name), h("p", null, sentence(alarm.text)), h("p", { class: "hint" }, `since ${at(alarm.since, now)}`)))),
+      h("article", { class: "alarm", "data-state": alarm.state, "data-severity": alarm.severity }, icon("fault"),
+        h("div", { class: "told" }, h("h2", null, `${alarm.name}: ${alarm.severity}${alarm.state === "raised" ? "" : `, ${alarm.state}`}`), h("p", null, sentence(alarm.text)),
+          alarm.remedy ? h("p", null, h("strong", null, "What to do: "), typed(alarm.remedy)) : null, h("p", { class: "hint" }, alarmState(alarm, now))),
+        alarm.acknowledged_at ? null : h("button", { type: "button", class: "plain", "aria-label": `Acknowledge ${alarm.name}`, onclick: () => acknowledge(alarm) }, "Acknowledge"))),
   ];
 }
 
