@@ -1,58 +1,114 @@
 """The benchmark's picture: gain by day type, and harvest against wear."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from daemon.studies.energy import FIXED, EnergyRow
 from solar.energy import DAY_TYPES
 
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+
+# Told apart by those who see no red or green, and in print without colour by their brightness (Okabe and Ito).
+_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#000000")
+_BOUND = "0.65"
+_MARKERS = ("o", "s", "^", "D")
+_LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _MOVING_WORST_PCT = -5.0
+_LOWEST_SHARE_PCT = -60.0
 
 
 def plot(rows: Sequence[EnergyRow], path: Path) -> None:
     """Draw both panels to a PNG file; laws that lose more than 5 % (planes that never move) get no bars."""
-    figure = Figure(figsize=(12.0, 4.8), layout="constrained")
+    figure = Figure(figsize=(12.0, 5.6), layout="constrained")
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
-    sky_name = rows[0].sky
-    shown = [row for row in rows if row.sky == sky_name and row.gain_pct > _MOVING_WORST_PCT and ":" not in row.law]
+    laws = list(dict.fromkeys(_law_of(row) for row in rows if _is_drawn(row)))
+    colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {"bound": _BOUND}
+    _draw_bars(bars, [row for row in rows if row.sky == rows[0].sky], colours)
+    left_out: list[str] = []
+    skies = list(dict.fromkeys(row.sky for row in rows))
+    for index, name in enumerate(skies):
+        left_out += _draw_wear(wear, [row for row in rows if row.sky == name], colours, index)
+    wear.axhline(100.0, color=_BOUND, linewidth=1.5)
+    wear.axhline(0.0, color="black", linewidth=0.8)
+    wear.margins(y=0.08)
+    wear.set_xlim(left=0.0)
+    wear.set_ylim(top=108.0)
+    wear.set_xlabel("travel, A and B added [deg/day]")
+    wear.set_ylabel("share of what the bound gains [%]")
+    wear.set_title("Harvest against wear")
+    wear.grid(alpha=0.3)
+    if left_out:
+        wear.annotate(
+            f"below {_LOWEST_SHARE_PCT:g} %: {', '.join(dict.fromkeys(left_out))}",
+            (0.02, 0.02),
+            xycoords="axes fraction",
+        )
+    shown: list[Artist] = [Patch(color=colours[law], label=law) for law in (*laws, "bound")]
+    if len(skies) > 1:
+        shown += [
+            Line2D([], [], color="0.3", marker=_MARKERS[index % 4], linestyle=_LINES[index % 4], label=f"sky {name}")
+            for index, name in enumerate(skies)
+        ]
+    figure.legend(handles=shown, loc="outside lower center", ncols=min(len(shown), 7), frameon=False)
+    figure.savefig(path, dpi=120)
+
+
+def _is_drawn(row: EnergyRow) -> bool:
+    moves = np.isfinite(row.travel_deg_per_day) and not row.law.startswith(FIXED)
+    return bool(
+        row.law != "bound" and (row.gain_pct > _MOVING_WORST_PCT or (moves and row.share_pct > _LOWEST_SHARE_PCT))
+    )
+
+
+def _law_of(row: EnergyRow) -> str:
+    """Return the name of a law without the parameter that was tried with it; a fixed plane is named by its tilt."""
+    return row.law if row.law.startswith(FIXED) else row.law.partition(":")[0]
+
+
+def _draw_bars(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]) -> None:
+    shown = [row for row in rows if row.gain_pct > _MOVING_WORST_PCT and ":" not in row.law]
     width = 0.8 / max(len(shown), 1)
     places = np.arange(len(DAY_TYPES) + 1)
     for index, row in enumerate(shown):
         heights = (*row.gain_by_type_pct, row.gain_pct)
-        colour = "0.6" if row.law == "bound" else f"C{index}"
-        bars.bar(places + (index - (len(shown) - 1) / 2) * width, heights, width, label=row.law, color=colour)
-    bars.set_xticks(places, [*DAY_TYPES, "all days"])
-    bars.set_yscale("symlog", linthresh=1.0)
-    bars.set_yticks([-1, -0.5, 0, 0.5, 1, 2, 5, 10, 20], ["-1", "-0.5", "0", "0.5", "1", "2", "5", "10", "20"])
-    bars.axhline(0.0, color="black", linewidth=0.8)
-    bars.set_ylabel("gain over ideal chronometric [%]")
-    bars.set_title(f"Gain by type of day, sky {sky_name}")
-    if shown:
-        bars.legend(frameon=False)
-    for index, name in enumerate(dict.fromkeys(row.sky for row in rows)):
-        _draw_wear(wear, [row for row in rows if row.sky == name], name, f"C{index}")
-    wear.axhline(100.0, color="0.6", linewidth=0.8)
-    wear.set_xlim(left=0.0)
-    wear.set_ylim(-5.0, 105.0)
-    wear.set_xlabel("travel, A and B added [deg/day]")
-    wear.set_ylabel("share of what the bound gains [%]")
-    wear.set_title("Harvest against wear (line: one law's frontier; cross: a law as it is)")
-    if wear.has_data() and wear.get_legend_handles_labels()[0]:
-        wear.legend(frameon=False, loc="lower right")
-    figure.savefig(path, dpi=120)
+        axes.bar(places + (index - (len(shown) - 1) / 2) * width, heights, width, color=colours[row.law])
+    axes.set_xticks(places, [*DAY_TYPES, "all days"])
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_yticks([-1, -0.5, 0, 0.5, 1, 2, 5, 10, 20], ["-1", "-0.5", "0", "0.5", "1", "2", "5", "10", "20"])
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_ylabel("gain over ideal chronometric [%]\n(linear up to 1, logarithmic beyond)")
+    axes.set_title(f"Gain by type of day, sky {rows[0].sky}")
+    axes.grid(axis="y", alpha=0.3)
+    axes.set_axisbelow(True)
 
 
-def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], name: str, colour: str) -> None:
+def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], sky: int) -> list[str]:
+    """Draw each law's point, or its line over the parameter that was tried; return the laws that lie too low."""
     lines: dict[str, list[tuple[float, float]]] = {}
+    left_out = []
     for row in rows:
-        if np.isfinite(row.travel_deg_per_day) and not row.law.startswith(FIXED):
-            lines.setdefault(row.law.partition(":")[0], []).append((row.travel_deg_per_day, row.share_pct))
+        if not np.isfinite(row.travel_deg_per_day) or row.law.startswith(FIXED):
+            continue
+        if row.share_pct < _LOWEST_SHARE_PCT:
+            left_out.append(row.law)
+        else:
+            lines.setdefault(_law_of(row), []).append((row.travel_deg_per_day, row.share_pct))
     for law, points in lines.items():
-        style = "x" if len(points) == 1 else "o-"
-        axes.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=f"{law}, {name}")
+        axes.plot(
+            *zip(*sorted(points), strict=True),
+            color=colours[law],
+            marker=_MARKERS[sky % 4],
+            linestyle=_LINES[sky % 4],
+            markersize=6,
+        )
+    return left_out

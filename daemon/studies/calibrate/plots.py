@@ -41,7 +41,7 @@ def draw_comparison(found: Comparison, path: Path) -> None:
         locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]  # matplotlib has no types here
         in_time.xaxis.set_major_locator(locator)
         in_time.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]  # as above
-    axes[0][0].legend(markerscale=3.0)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), markerscale=3.0, loc="outside lower center", ncols=2)
     for panel, label in zip(axes[-1], ("reference [W/m2]", "time [UTC]", "angle of incidence [deg]"), strict=True):
         panel.set_xlabel(label)
     try:

@@ -49,7 +49,7 @@ def curve_figure(voltage_v: Array, current_a: Array, title: str) -> Figure:
     for axes in (left, right):
         axes.set_ylim(bottom=0.0)
     left.set_xlim(left=0.0)
-    left.legend([current, watts], ["I(V)", "P(V)"], frameon=False, loc="lower left")
+    figure.legend([current, watts], ["I(V)", "P(V)"], frameon=False, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -86,10 +86,10 @@ def power_figure(day: Pairs, bias: ChainBias | None, title: str) -> Figure:
     left.set_ylim(bottom=0.0)
     if np.isfinite(day.diffuse_fraction).any():
         right = left.twinx()
-        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="--")
-        right.set(ylabel="diffuse fraction (dashed)", ylim=(0.0, 1.05))
+        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="--", label="diffuse fraction")
+        right.set(ylabel="diffuse fraction", ylim=(0.0, 1.05))
     _clock(left, time)
-    left.legend(frameon=False, loc="upper left")
+    figure.legend(frameon=False, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -109,7 +109,7 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
     lower.set(ylabel="azimuth [deg]")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
     _clock(lower, time)
-    upper.legend(frameon=False, loc="lower left", ncols=3)
+    figure.legend(*upper.get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=3)
     return figure
 
 

@@ -129,7 +129,7 @@ def best_tilts(request: Request, sky: SkySource | None) -> Figure:
         if sky is not None:
             _sky_tilts(upper, latitudes, sky)
     upper.set_ylabel("best tilt for the year [deg]")
-    upper.legend(fontsize=9)
+    figure.legend(*upper.get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=2, frameon=False)
     lower.set_ylabel("dual axis gains over\nthe best tilt [%]")
     lower.set_xlabel("latitude [deg north]")
     lower.set_ylim(bottom=0.0)
@@ -160,7 +160,7 @@ def daily_gain(request: Request, sky: SkySource | None) -> Figure:
     panel.set_ylim(max(min(0.0, 1.05 * low), -50.0), min(1.05 * high, _HIGHEST_GAIN_PERCENT))
     panel.axhline(0.0, color="black", linewidth=0.8)
     panel.set_ylabel("dual axis gains [%]")
-    panel.legend(fontsize=9)
+    figure.legend(fontsize=9, loc="outside lower center", ncols=3, frameon=False)
     cut = f" (cut at {_HIGHEST_GAIN_PERCENT:g} %)" if high > _HIGHEST_GAIN_PERCENT else ""
     figure.suptitle(
         f"What a dual axis gains, day by day, at latitude {latitude:g}°{_azimuth(request)}{cut}", fontsize=12
