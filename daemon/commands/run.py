@@ -37,6 +37,7 @@ from daemon.service.rig import Rig, Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
+from daemon.store.settings_kept import tell_changes
 from daemon.store.store import Origin, Store
 from daemon.sunspec.server import SunSpecServer
 
@@ -199,6 +200,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Ite
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)
     service.bus.subscribe(store.keep)
+    tell_changes(service.settings.model_dump(mode="json"), settings.directory, service.clock, service.bus.publish)
     try:
         yield store
     finally:

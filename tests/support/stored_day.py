@@ -104,14 +104,18 @@ def told(tracker):
     yield event(16.0, "alarm", "raised day-budget: the day's moves are used up")
 
 
-def stored_days(directory, days=1, trackers=("roof",), simulated=True):
-    """Write the store and return its folder."""
-    name = trackers[0] if len(trackers) == 1 else ""
+def opened(directory, simulated=True, name="roof"):
+    """Open a store for one run."""
     origin = Origin(
         started_utc_s=T0, role="both", version="0.1.0", simulated=simulated, site="Greenwich & Sons",
         latitude_deg=SITE.latitude_deg, longitude_deg=SITE.longitude_deg, altitude_m=SITE.altitude_m, tracker=name,
     )  # fmt: skip
-    store = Store(directory, 3600.0, 400, origin, SystemClock(), lambda _event: None)
+    return Store(directory, 3600.0, 400, origin, SystemClock(), lambda _event: None)
+
+
+def stored_days(directory, days=1, trackers=("roof",), simulated=True):
+    """Write the store and return its folder."""
+    store = opened(directory, simulated, trackers[0] if len(trackers) == 1 else "")
     for record in scans(days, simulated):
         store.keep(record)
     for tracker in trackers:

@@ -9,6 +9,7 @@ from importlib.resources import files
 from matplotlib.figure import Figure
 
 from daemon.base.records import FACES, Quality
+from daemon.store.settings_kept import SUBJECT
 from daemon.studies.report import pictures
 from daemon.studies.report.availability import Availability, availability_of
 from daemon.studies.report.html import Node, Part, element, page, picture, table
@@ -287,7 +288,7 @@ def _runs(found: Findings) -> Iterator[Part]:
     material = found.material
     if not material.runs:
         return
-    yield element("h2", "Runs of the service")
+    yield element("h2", "Runs and configuration")
     rows = [
         (
             f"{run.run}",
@@ -301,9 +302,13 @@ def _runs(found: Findings) -> Iterator[Part]:
     yield table(
         ("Run", "started UTC", "local", "version", "role", "instruments"), rows, "Runs with records of this time"
     )
-    yield element(
-        "p", "The records hold when the service was started, but not what its configuration said.", class_="soft"
-    )
+    changes = [(*_when(note.utc_s, found, day=True), note.text) for note in found.notes if note.subject == SUBJECT]
+    if not changes:
+        yield element("p", "No change of the configuration was recorded.")
+    else:
+        yield table(
+            ("UTC", "local", "key"), changes[:_MOST_LINES], "What changed in the configuration, told at a start"
+        )
 
 
 def _events(found: Findings) -> Iterator[Part]:

@@ -237,6 +237,8 @@ def _panels(count: int, height_in: float, ratios: Sequence[float]) -> tuple[Figu
 
 def _legend(axes: Axes, columns: int) -> None:
     """Put the legend above the panel, where no data can be."""
+    if not axes.get_legend_handles_labels()[0]:
+        return
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=2.6)
 
 

@@ -7,8 +7,12 @@ from html.parser import HTMLParser
 
 import pytest
 
+from daemon.base.clock import LoopClock
+from daemon.base.records import Pose
 from daemon.commands.main import main
-from tests.support.stored_day import FLAGGED, GAP, STRANGER, T0, faces_of, instants, stored_days
+from daemon.config.settings import Settings
+from daemon.store.settings_kept import tell_changes
+from tests.support.stored_day import FLAGGED, GAP, STRANGER, T0, faces_of, instants, opened, stored_days
 
 
 @pytest.fixture(scope="module")
@@ -211,6 +215,20 @@ def test_the_configuration_gives_limits_and_budget(heliocube, store, tmp_path):
     assert row(page, "Most in a day")[1:] == ["50.0 deg", "10.0 % of the 500 deg of a day"]
     # Where it may not tilt, the best is little better than flat.
     assert figure(row(page, "Best pose at every instant: the bound")[2]) < 60.0
+
+
+def test_what_changed_in_the_configuration_is_said(heliocube, tmp_path):
+    kept = opened(tmp_path / "store")
+    for wind in (15.0, 15.0, 12.5):
+        settings = Settings.model_validate({"safety": {"stow_wind_m_s": wind}}).model_dump(mode="json")
+        tell_changes(settings, tmp_path / "store", LoopClock(lambda: 60.0, T0), kept.keep)
+    kept.keep(Pose(T0, 0.0, 0.0, 90.0, False, "roof"))
+    kept.close()
+    arguments = ("--store", tmp_path / "store", "--day", "2022-10-14", "--out", tmp_path)
+    assert heliocube("report", *arguments)[0] == 0
+    page = (tmp_path / "2022-10-14-roof.html").read_text(encoding="utf-8")
+    changes = [cells[2] for cells in Rows(page).rows if len(cells) == 3 and "stow_wind" in cells[2]]
+    assert changes == ["safety.stow_wind_m_s was 15.0 and is 12.5"]
 
 
 def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):

@@ -1,0 +1,77 @@
+"""What the configuration said at the last start: what it says otherwise at this one is told as events, and so kept."""
+
+import json
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from daemon.base.clock import Clock
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.records import Event
+
+log = logging.getLogger("heliocube.store")
+
+FILE_NAME = "configuration.json"
+SUBJECT = "configuration"
+
+_MOST = 40
+_LONGEST = 120
+
+
+class SettingsKept(BaseModel):
+    """The values of a configuration as JSON, by their dotted keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    values: dict[str, str]
+
+
+def tell_changes(settings: Mapping[str, Any], directory: Path, clock: Clock, publish: Callable[[Event], None]) -> None:
+    """Publish an event for each key that says something else than at the last start, and keep what is said now.
+
+    Parameters
+    ----------
+    settings
+        The whole configuration, as JSON would have it; it names files of secrets, but holds none.
+    directory
+        Where that of the last start is kept; without it there nothing is told, as at the first start.
+    clock
+        For the events' times.
+    publish
+        Takes them.
+    """
+    file = StateFile(StateFolder(directory), FILE_NAME, SettingsKept, log, "what the configuration said")
+    now = _flat(settings)
+    try:
+        kept = file.load()
+    except UnreadableStateError as error:
+        log.warning("%s: what has changed in the configuration is not told", error)
+        kept = None
+    before = now if kept is None else kept.values
+    changed = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+    texts = [f"{key} was {_short(before.get(key))} and is {_short(now.get(key))}" for key in changed[:_MOST]]
+    if len(changed) > _MOST:
+        texts.append(f"{len(changed) - _MOST} more keys have changed")
+    for text in texts:
+        publish(Event(clock.utc(), clock.monotonic(), SUBJECT, text))
+    if kept is None or changed:
+        file.save(SettingsKept(values=now))
+
+
+def _flat(table: Mapping[str, Any], outer: str = "") -> dict[str, str]:
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{outer}{key}.")
+        else:
+            found[f"{outer}{key}"] = json.dumps(value)
+    return found
+
+
+def _short(value: str | None) -> str:
+    if value is None:
+        return "not there"
+    return value if len(value) <= _LONGEST else f"{value[:_LONGEST]}..."
