@@ -122,7 +122,14 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
     )
     fraction = np.clip(np.divide(dhi, ghi, out=np.full(ghi.shape, np.nan), where=ghi > 0.0), 0.0, 1.0)
     simulated = bool((both[f"{SIMULATED}_cube"] | both[f"{SIMULATED}_chrono"]).any())
-    return Pairs(names, both["time"].to_numpy(float), cube, chrono, fraction, simulated)
+    return Pairs(
+        names=names,
+        utc_s=both["time"].to_numpy(float),
+        cube=cube,
+        chrono=chrono,
+        diffuse_fraction=fraction,
+        simulated=simulated,
+    )
 
 
 def _read(path: Path) -> pd.DataFrame:
