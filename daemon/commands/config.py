@@ -1,6 +1,7 @@
 """`heliocube config`: check a configuration file, write a commented one, bring an older one into today's form."""
 
 import contextlib
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -29,14 +30,22 @@ app = typer.Typer(
 
 
 @app.command()
-def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)],
+    role: Annotated[
+        RoleChoice | None, typer.Option(help="What the process will do; without it, one role has to be able to run.")
+    ] = None,
+) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
     from daemon.config.stuck_lines import self_test_gaps
 
-    settings = check_file(file)
+    settings = check_file(file, role)
     console = Console(highlight=False, soft_wrap=True)
     console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
-    for subject, text in _summary(settings).items():
+    summary = _summary(settings)
+    if settings.real:
+        summary["runs as"] = ", ".join(each for each, sentences in _lacking(settings).items() if not sentences)
+    for subject, text in summary.items():
         console.print(Text.assemble((f"  {subject:<12} ", "dim"), text))
     if settings.instruments.kind == "real":
         for sentence in self_test_gaps(settings):
@@ -68,8 +77,21 @@ def migrate(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML 
     typer.echo(bring_up_to_date(file))
 
 
-def check_file(path: Path) -> "Settings":
-    """Read a file like `load_settings`, but look at its topics and the files it names too; raises `ConfigError`."""
+def check_file(path: Path, role: RoleChoice | None = None) -> "Settings":
+    """Read a file like `load_settings`, but look for everything too that `heliocube run` would need.
+
+    Parameters
+    ----------
+    path
+        The file.
+    role
+        What the process will do; with None it is enough that one of the roles can run.
+
+    Raises
+    ------
+    ConfigError
+        Everything that is wrong, and what the role lacks.
+    """
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import KeyFileError, load_key
@@ -105,9 +127,40 @@ def check_file(path: Path) -> "Settings":
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not weather.is_file():
         problems.append(f"simulation.weather: there is no file {weather}")
+    if settings.store.directory is not None:
+        problems += _unwritable(settings.store.directory)
+    # On the simulated rig every file runs in the role of both; to ask takes longer than all else together.
+    if not problems and (settings.real or role is not None):
+        found = _lacking(settings)
+        asked = list(found) if role is None else [role]
+        if all(found[each] for each in asked):
+            problems += [f"as {each}: {sentence}" for each in asked for sentence in found[each]]
     if problems:
         raise ConfigError(str(path), problems)
     return settings
+
+
+def _lacking(settings: "Settings") -> dict[RoleChoice, list[str]]:
+    """Return for each role why it cannot run with these settings; nothing for one that can."""
+    from daemon.commands.run import lacking
+    from daemon.service.rig import Role
+
+    return {role: lacking(settings, Role(role.value)) for role in RoleChoice}
+
+
+def _unwritable(directory: Path) -> list[str]:
+    try:
+        there = next(each for each in (directory, *directory.absolute().parents) if each.exists())
+    except OSError as error:
+        return [f"store.directory: {error.strerror}; name another folder"]
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return []
+    why = "may not be written to by this user" if there.is_dir() else "is no folder"
+    sentence = (
+        f"store.directory: {there} {why}, so nothing would be kept in {directory}; check as the user that the service"
+        " runs as, or name another folder"
+    )
+    return [sentence]
 
 
 def write_example(

@@ -111,6 +111,21 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
+def lacking(settings: Settings, role: Role) -> list[str]:
+    """Return why a role cannot run with these settings, as far as that is known without a device; nothing if it can."""
+    needed: list[Callable[[], object]] = [partial(bridge_keys, settings, role)]
+    if settings.real:
+        parts = (Role.CUBE, Role.TRACKER) if role is Role.BOTH else (role,)
+        needed += [partial(build_real_rig, settings, part, SystemClock()) for part in parts]
+    found = []
+    for each in needed:
+        try:
+            each()
+        except UserError as error:
+            found.append(str(error))
+    return found
+
+
 def bridge_keys(settings: Settings, role: Role) -> tuple[bytes, ...]:
     """Return the keys of scans, the one that signs first, none for an insecure bridge.
 

@@ -10,6 +10,17 @@ from daemon.commands.config import check_file, write_example
 from daemon.commands.main import main
 from daemon.config.settings import Settings
 
+REAL = """
+[instruments]
+kind = "real"
+[instruments.multiplexer]
+digital_port = "Dev1/port0"
+[instruments.voltmeter]
+resource = "GPIB0::16::INSTR"
+[bridge]
+insecure = true
+"""
+
 
 @pytest.fixture
 def heliocube(monkeypatch, capsys):
@@ -115,7 +126,7 @@ def test_a_bare_config_shows_its_help(heliocube):
 
 def test_check_warns_of_a_stuck_line_that_no_self_test_sees_and_finds_the_file_good(heliocube, tmp_path):
     file = tmp_path / "heliocube.toml"
-    file.write_text('[instruments]\nkind = "real"\n[cube]\nself_test_channel = 7\n')
+    file.write_text(f"{REAL}[cube]\nself_test_channel = 7\n")
     code, out, err = heliocube("config", "check", file)
     assert (code, err) == (0, "")
     assert "warning      the self-test does not see line 0 stuck high, line 1 stuck high, line 2 stuck high," in out
@@ -131,3 +142,39 @@ def test_init_writes_the_keys_of_another_cube(tmp_path):
     with pytest.raises(UserError, match=r'no cube "foo"; known are .*multiplexed'):
         write_example(tmp_path / "other", "cube", "foo")
     assert not (tmp_path / "other").exists()
+
+
+def test_a_file_is_good_if_one_role_can_run_with_it_and_says_which(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text(REAL)
+    code, out, err = heliocube("config", "check", path)
+    assert (code, err) == (0, "")
+    assert "  runs as      cube\n" in out
+
+    code, _, err = heliocube("config", "check", path, "--role", "tracker")
+    assert code == 2
+    assert "has 1 problem:\n  as tracker: instruments.positioner.port is missing: real instruments need" in err
+
+    path.write_text('[instruments]\nkind = "real"\n')
+    code, _, err = heliocube("config", "check", path)
+    assert code == 2
+    for lack in ("both: instruments.voltmeter.resource", "both: instruments.positioner.port", "cube: bridge.key_file"):
+        assert f"as {lack}" in err
+
+
+def test_a_role_that_needs_the_shared_key_is_refused_without_it(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    path.write_text("")
+    assert heliocube("config", "check", path)[0] == 0
+    code, _, err = heliocube("config", "check", path, "--role", "tracker")
+    assert code == 2
+    assert "as tracker: bridge.key_file: the role 'tracker' needs the key that cube and tracker share" in err
+
+
+def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    (tmp_path / "file").write_text("")
+    path.write_text(f'[store]\ndirectory = "{tmp_path / "file" / "records"}"\n')
+    code, _, err = heliocube("config", "check", path)
+    assert code == 2
+    assert f"store.directory: {tmp_path / 'file'} is no folder" in err
