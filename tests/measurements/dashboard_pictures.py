@@ -52,7 +52,7 @@ def main():
             with browser.new_context(viewport=browsers.PHONE) as context:
                 page = browsers.Page(context, site.url)
                 site.order("stop", by="ben", why="somebody at the axes")
-                page.sees(".hero h1", "Held")
+                page.sees(".hero h1", "Stopped")
                 take(page, out, "stopped")
                 site.kill()
                 page.sees(".hero h1", "No connection")
