@@ -42,7 +42,7 @@ export function next() {
     for (const name of ["Received today", "Against chronometric"]) values[name].parentElement.hidden = light === null;
     if (!light) return;
     setText(values["Received today"], `${energy(light.actual_kwh_m2)}, in ${duration(light.known_s)} of light since ${at(light.since, now)}`);
-    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}: by a model, of the light on the faces, that would have received ${energy(light.chronometric_kwh_m2)} and the best pose at every instant ${energy(light.best_kwh_m2)}`);
+    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}; by the model such a tracker has received ${energy(light.chronometric_kwh_m2)}, the best pose at every instant ${energy(light.best_kwh_m2)}`);
   }
 
   return { node, update };
