@@ -119,6 +119,9 @@ def _lateness(loop: LoopState) -> HistogramMetricFamily:
 def _cube(found: _Families, seen: Snapshot) -> None:
     if seen.has_cube:
         found.gauge("cube_up", "1 while the cube's instruments answer.", float(seen.cube_down_why is None))
+    if seen.calibration is not None:
+        about = "When the cube's calibration expires, in seconds of UTC."
+        found.gauge("calibration_expires_timestamp_seconds", about, seen.calibration.expires_utc.timestamp())
     found.count("scans", "Scans taken, or accepted from the bridge.", seen.scans)
     if seen.scan is None:
         return

@@ -89,3 +89,34 @@ def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig):
         await rig.until(lambda: "positioner-down" not in names(rig), 120, "its end")
 
     run_rig(scenario)
+
+
+def test_readings_that_are_missing_for_long_are_an_alarm_until_they_are_back(run_rig):
+    def names(rig):
+        return {alarm.name for alarm in rig.tracker.alarms.active}
+
+    async def scenario(rig):
+        await tracking(rig)
+        rig.cables.voltmeter.link_up = False
+        await rig.until_mode(Mode.FALLBACK, 600)
+        await asyncio.sleep(600)
+        assert "no-readings" not in names(rig)
+        await rig.until(lambda: "no-readings" in names(rig), 400, "the alarm")
+        rig.cables.voltmeter.link_up = True
+        await rig.until(lambda: "no-readings" not in names(rig), 900, "its end")
+
+    run_rig(scenario)
+
+
+def test_whoever_clears_has_looked_at_what_waits_for_a_person_and_at_nothing_else(serve):
+    async def scenario(rig, call_http):
+        await tracking(rig)
+        alarms = rig.tracker.alarms
+        # Motion and control set theirs at every look: these two are set by neither here.
+        alarms.set("driver-hung", "it hangs")
+        alarms.set("move-failed", "stalled")
+        alarms.set("move-failed", None)
+        assert (await call_http.post("clear", b'{"by": "ana"}')).status == 200
+        assert [(alarm.name, alarm.state) for alarm in alarms.shown] == [("driver-hung", "raised")]
+
+    serve(scenario)
