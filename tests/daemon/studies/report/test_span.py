@@ -1,0 +1,47 @@
+"""Which time a report is about."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from daemon.studies.report.span import Wanted
+
+
+def utc_s(text):
+    return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("longitude_deg", "start"),
+    [(0.0, "2022-10-14T00:00"), (150.0, "2022-10-13T14:00"), (-75.0, "2022-10-14T05:00")],
+)
+def test_a_day_is_the_sites_own_from_solar_midnight(longitude_deg, start):
+    span = Wanted(day="2022-10-14").span(longitude_deg, utc_s("2023-01-01"))
+    assert (span.start_utc_s, span.duration_s) == (utc_s(start), 86400.0)
+    assert (span.name, span.title) == ("2022-10-14", "2022-10-14")
+
+
+@pytest.mark.parametrize(
+    ("longitude_deg", "now", "yesterday"),
+    [
+        (150.0, "2022-10-14T13:59", "2022-10-13"),
+        (150.0, "2022-10-14T14:01", "2022-10-14"),
+        (-75.0, "2022-10-14T04:59", "2022-10-12"),
+    ],
+)
+def test_yesterday_is_what_people_at_the_site_call_so(longitude_deg, now, yesterday):
+    assert Wanted(day="yesterday").span(longitude_deg, utc_s(now)).name == yesterday
+
+
+def test_a_day_that_goes_on_ends_now_and_a_long_span_has_days():
+    now = utc_s("2022-10-16T06:00")
+    assert Wanted(day="today").span(0.0, now).duration_s == 6 * 3600.0
+    span = Wanted(start="2022-10-14", end="2022-10-20").span(0.0, now)
+    assert [day.duration_s for day in span.days()] == [86400.0, 86400.0, 6 * 3600.0]
+    assert span.name == "2022-10-14_2022-10-20"
+
+
+def test_instants_are_utc_and_not_the_sites():
+    span = Wanted(start="2022-10-14T08:00+02:00", end="2022-10-14T07:00").span(150.0, utc_s("2023-01-01"))
+    assert (span.start_utc_s, span.duration_s) == (utc_s("2022-10-14T06:00"), 3600.0)
+    assert span.title == "2022-10-14 06:00 to 2022-10-14 07:00 UTC"
