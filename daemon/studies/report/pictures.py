@@ -256,7 +256,8 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
     lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
     here = datetime.fromtimestamp((span.start_utc_s + span.end_utc_s) / 2.0, UTC).astimezone(drawing.zone)
-    lowest.set_xlabel("UTC" if not here.utcoffset() else f"UTC; below it local time, {here:%Z}")
+    day = "" if span.duration_s > 1.5 * DAY_S else f"{here:%d %B %Y}, ".lstrip("0")
+    lowest.set_xlabel(f"{day}UTC" if not here.utcoffset() else f"{day}UTC; below it local time, {here:%Z}")
     figure.align_ylabels()
     return _marked(figure, drawing.material.simulated)
 
@@ -276,7 +277,8 @@ def _clock(drawing: Drawing) -> Callable[[float, int], str]:
 
 def _marked(figure: Figure, simulated: bool) -> Figure:
     if simulated:
-        figure.text(0.995, 0.995, "SIMULATED", ha="right", va="top", color=MARK, weight="bold", size=11.0)
+        # A title has a line of its own, where no data can be.
+        figure.suptitle("SIMULATED", x=0.995, ha="right", color=MARK, weight="bold", size=11.0)
     return figure
 
 
