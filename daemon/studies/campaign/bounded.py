@@ -1,8 +1,9 @@
 """What must not grow without bound: lines of the log, and moves."""
 
+import gc
 import logging
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from daemon.base.records import Move, Record
@@ -13,6 +14,12 @@ LINES_OF_A_COMMAND = 8
 MOVES_OF_AN_HOUR = 70
 """A law may order one in a minute; and some."""
 MOVES_OF_AN_EVENT = 6
+WARM_AFTER_S = 3600.0
+"""By then the windows of laws and judgements are full, and what is imported when it is needed first is there."""
+MOST_MORE = 2_000
+"""Objects, and items in queues: less than two for each minute of a day."""
+# In lists the simulated sky has its numbers, of some hours at a time; a table of numbers alone Python does not show.
+_CONTAINERS = frozenset((dict, set, deque))
 _ROUTINE = ("moving", "staying")
 _HOUR_S = 3600
 
@@ -44,20 +51,40 @@ class Bounded(logging.Handler):
         super().__init__(logging.INFO)
         self._now = now
         self.lines: list[LogLine] = []
+        self._alive_when_warm: int | None = None
+
+    def warm(self, records: Sequence[Record]) -> None:
+        """Count what is in memory, to be compared with at the end."""
+        self._alive_when_warm = self._alive(records)
+
+    def _alive(self, records: Sequence[Record]) -> int:
+        """Return how much is in memory but for what the campaign itself keeps."""
+        gc.collect()
+        found = gc.get_objects()
+        kept = len(records) + len(self.lines)
+        return len(found) + sum(len(one) for one in found if type(one) in _CONTAINERS) - kept
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a line."""
         self.lines.append(LogLine(self._now(), record.levelname, record.name, record.getMessage()))
 
-    def check(self, schedule: Schedule, records: Iterable[Record], fails: Callable[[str, str], None]) -> None:
-        """Compare each hour's lines and moves with what happened in it."""
+    def check(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
+        """Compare each hour's lines and moves with what happened in it, and the memory with that of the first hour."""
         self._check_lines(schedule, fails)
+        self._check_memory(records, fails)
         moves = Counter(int(record.time_monotonic_s // _HOUR_S) for record in records if isinstance(record, Move))
         events = Counter(int(event.at_s // _HOUR_S) for event in schedule.events)
         for hour, count in moves.items():
             allowed = MOVES_OF_AN_HOUR + MOVES_OF_AN_EVENT * (events[hour] + events[hour - 1])
             if count > allowed:
                 fails("moves", f"{count} moves in hour {hour}, {allowed} allowed")
+
+    def _check_memory(self, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
+        if self._alive_when_warm is None:
+            return
+        more = self._alive(records) - self._alive_when_warm
+        if more > MOST_MORE:
+            fails("leak", f"{more} more objects and items in memory than after the first hour, {MOST_MORE} allowed")
 
     def _check_lines(self, schedule: Schedule, fails: Callable[[str, str], None]) -> None:
         written: Counter[int] = Counter()

@@ -16,7 +16,7 @@ from daemon.base.records import Mode, ModeChange, Move
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
 from daemon.rigs.campaign.plant import build_plant
-from daemon.studies.campaign.bounded import Bounded, LogLine
+from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
 from daemon.studies.campaign.door import DirectDoor, Door
 from daemon.studies.campaign.matrix import refuse_unknown
 from daemon.studies.campaign.person import WORKS, Person, known
@@ -29,6 +29,7 @@ RECOVERS_WITHIN_S = 3000.0
 _MEMORY = Path("/dev/shm")  # noqa: S108 - only a place for a directory of our own
 _HANDLES = Path("/proc/self/fd")
 _ASKED_AGAIN_AFTER = 10
+_SERVED_AGAIN_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +114,7 @@ class CampaignRun:
             await asyncio.sleep(0)
         plant.start()
         watching = asyncio.create_task(self.watch.run(), name="watch")
+        self._warming = asyncio.get_running_loop().call_later(WARM_AFTER_S, self._warm)
         try:
             for event in events:
                 await asyncio.sleep(max(event.at_s - plant.clock.monotonic(), 0.0))
@@ -123,7 +125,15 @@ class CampaignRun:
                 await self._see_it_work()
             self._bounded.check(self._schedule, plant.records, self.watch.fails)
         finally:
+            self._warming.cancel()
             await self._leave(watching)
+
+    def _warm(self) -> None:
+        if self.plant.is_served:
+            self._bounded.warm(self.plant.records)
+        else:
+            # Without a service there would be less in memory than at the end.
+            self._warming = asyncio.get_running_loop().call_later(_SERVED_AGAIN_S, self._warm)
 
     async def _leave(self, watching: "asyncio.Task[None]") -> None:
         plant = self.plant

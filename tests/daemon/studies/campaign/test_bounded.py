@@ -1,0 +1,27 @@
+"""What must not grow is seen to grow."""
+
+from collections import deque
+
+import pytest
+
+from daemon.studies.campaign.bounded import Bounded
+from daemon.studies.campaign.draw import draw
+
+
+@pytest.mark.parametrize(
+    ("left", "leaks"),
+    [
+        (lambda: [object() for _ in range(100)], False),
+        (lambda: [[] for _ in range(5000)], True),
+        (lambda: deque(range(5000)), True),
+        (lambda: set(range(5000)), True),
+    ],
+    ids=["little", "objects", "a queue", "a set"],
+)
+def test_what_is_left_in_memory_is_a_leak_whatever_holds_it(left, leaks):
+    bounded, failed, schedule = Bounded(lambda: 0.0), [], draw(1, 2)
+    bounded.warm([])
+    kept = left()
+    bounded.check(schedule, [], lambda promise, text: failed.append((promise, text)))
+    assert len(kept) >= 100
+    assert [promise for promise, _ in failed] == ["leak"] * leaks
