@@ -106,6 +106,8 @@ def notify(
     settings = section_of_guest(config, "notify", NotifySettings)
     if api:
         settings = settings.model_copy(update={"services": tuple(api)})
+    if (settings.quiet_from is None) is not (settings.quiet_until is None):
+        raise UserError("notify.quiet_from and notify.quiet_until go together: set both, or neither")
     file = settings.people_file
     recipients = recipients_of(file if file is None or config is None else config.parent / file.expanduser())
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)

@@ -3,9 +3,9 @@
 import ipaddress
 import re
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
 from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
@@ -215,12 +215,6 @@ class NotifySettings(Section):
         " stops.",
     )
     heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
-
-    @model_validator(mode="after")
-    def _quiet_hours_have_both_ends(self) -> Self:
-        if (self.quiet_from is None) is not (self.quiet_until is None):
-            raise ValueError("quiet_from and quiet_until go together: set both, or neither")
-        return self
 
 
 class SunspecSettings(Section):

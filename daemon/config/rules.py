@@ -255,6 +255,13 @@ def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
 
 
+def quiet_hours_have_both_ends(settings: Sections) -> Iterator[Conflict]:
+    """`notify.quiet_from` and `notify.quiet_until` go together."""
+    for name, other in (("quiet_from", "quiet_until"), ("quiet_until", "quiet_from")):
+        if getattr(settings.notify, name) is not None and getattr(settings.notify, other) is None:
+            yield Conflict(f"notify.{name}", f"needs notify.{other}", (f"notify.{other}",))
+
+
 def a_curve_fits_its_period(settings: Sections) -> Iterator[Conflict]:
     """All points of a curve, each its settling and an exchange of about 20 ms, fit into `load.period_s`."""
     load = settings.load
@@ -293,6 +300,7 @@ RULES = (
     what_needs_a_broker_has_one,
     the_broker_is_known_as_asked,
     the_two_words_differ,
+    quiet_hours_have_both_ends,
     a_curve_fits_its_period,
     a_real_rig_has_no_simulated_load,
 )
