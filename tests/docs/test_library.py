@@ -12,6 +12,8 @@ from tests.daemon.store.test_store import ORIGIN
 from tests.daemon.store.test_tables import scan
 from tests.support import DOCS
 
+pytestmark = pytest.mark.slow
+
 NOON_UTC_S = 1665576000.0  # 2022-10-12T12:00Z
 
 PAGE = (DOCS / "library.md").read_text()

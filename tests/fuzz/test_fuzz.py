@@ -10,6 +10,8 @@ from tests.fuzz.parsers import PARSERS, corpus
 from tests.fuzz.run import mutated
 from tests.support import ROOT
 
+pytestmark = pytest.mark.slow
+
 # The slow ones read files and validate whole settings.
 INPUTS = {"toml-settings": 300, "toml-calibration": 300}
 

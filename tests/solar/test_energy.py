@@ -9,6 +9,8 @@ from solar.ephemeris import Site
 from solar.frames import Limits, angles_within, normal_from_angles
 from solar.laws import chronometric, mu_prime, optimal_live, sun_vector
 
+pytestmark = pytest.mark.slow
+
 LIMITS = Limits()
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 IDEAL = Drive(np.inf, 0.0, 1)

@@ -20,7 +20,8 @@ def start(tmp_path, start_bench, start_service, make):
     """Start a bench with a load of that make and a service that keeps its records."""
     config = brisk(tmp_path)
     config.write_text(
-        config.read_text() + f'\n[load]\ndriver = "{make}"\nperiod_s = 2.0\n\n[store]\ndirectory = "records"\nbatch_s = 0.5\n'
+        config.read_text()
+        + f'\n[load]\ndriver = "{make}"\nperiod_s = 2.0\n\n[store]\ndirectory = "records"\nbatch_s = 0.5\n'
     )
     bench = start_bench("--config", config, *HIGH_SUN)
     return Rig(bench, start_service(bench.config))

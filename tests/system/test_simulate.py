@@ -16,7 +16,7 @@ from daemon.studies.simulate import simulate
 from solar.ephemeris import sun_direction
 from solar.frames import direction_from_azimuth, normal_from_angles, separation_deg
 
-pytestmark = pytest.mark.computes
+pytestmark = [pytest.mark.computes, pytest.mark.slow]
 
 LYNGBY = {"name": "Lyngby", "latitude_deg": 55.79064, "longitude_deg": 12.52505, "altitude_m": 50.0}
 

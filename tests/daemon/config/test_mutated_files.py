@@ -15,6 +15,8 @@ from daemon.config.migrate import migrate
 from daemon.config.template import example
 from daemon.cube.calibration import read_calibration
 
+pytestmark = pytest.mark.slow
+
 # A second of the process' own time, and as much again for each other thing a machine does: what it guards against took
 # minutes.
 WITHIN_CPU_S = 5.0

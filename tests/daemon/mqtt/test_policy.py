@@ -17,6 +17,8 @@ from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from tests.support.mqtt import BrokerRig, settings_for, until
 
+pytestmark = pytest.mark.slow
+
 CONNECT, PUBLISH, SUBSCRIBE, PING = 1, 3, 8, 12
 
 

@@ -18,6 +18,8 @@ from solar.sky import sky
 from tests.daemon.tracker.test_optimal import Blinking, one_hour
 from tests.support.rig import SITE
 
+pytestmark = pytest.mark.slow
+
 PLACE = ",".join(str(value) for value in SITE)
 NORMALS = ([0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1])
 NOON = datetime(2022, 10, 12, 12, tzinfo=UTC).timestamp()

@@ -14,6 +14,8 @@ from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
 from solar.frames import azimuth_from_direction
 from tests.support.clear_sky import ClearSky
 
+pytestmark = pytest.mark.slow
+
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 SIRTA = Site(48.717607, 2.209002, 156.0)
 CANBERRA = Site(-35.3, 149.1, 580.0)

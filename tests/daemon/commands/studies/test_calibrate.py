@@ -15,6 +15,8 @@ from solar.calibration.attitude import attitude, face_orientations
 from solar.ephemeris import Site, sun_position
 from tests.support.clear_sky import ClearSky
 
+pytestmark = pytest.mark.slow
+
 SIRTA = Site(48.717607, 2.209002, 156.0)
 SITE = ("--site", "48.717607,2.209002,156")
 BEGIN = 1_646_956_800.0  # 2022-03-11

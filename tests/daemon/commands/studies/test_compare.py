@@ -14,6 +14,8 @@ import pytest
 from daemon.commands.main import main
 from daemon.store.schema import open_for_writing
 
+pytestmark = pytest.mark.slow
+
 SITE = "48.7176,2.2090,156"
 NOON = datetime(2022, 10, 12, 10, tzinfo=UTC).timestamp()
 

@@ -7,6 +7,8 @@ import pytest
 
 from daemon.commands.main import main
 
+pytestmark = pytest.mark.slow
+
 SITE = "55.79,12.53,50"
 
 

@@ -10,6 +10,8 @@ from daemon.commands.main import main
 from solar import gain
 from solar.gain import printed
 
+pytestmark = pytest.mark.slow
+
 POINTS = "phi_deg,beta_deg,n,lambda_deg\n45,35,172,5\n-33.87,-30,10,15\n82,60,1,0\n10,60,172,90\n"
 
 

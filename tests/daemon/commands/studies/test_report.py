@@ -14,6 +14,8 @@ from daemon.config.settings import Settings
 from daemon.store.settings_kept import tell_changes
 from tests.support.stored_day import FLAGGED, GAP, STRANGER, T0, faces_of, instants, opened, stored_days
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):

@@ -10,6 +10,8 @@ from daemon.studies.compare.paper import ceilings
 from solar.ephemeris import Site
 from solar.frames import Limits
 
+pytestmark = pytest.mark.slow
+
 SIRTA = Site(48.717607, 2.209002, 156.0)
 
 
