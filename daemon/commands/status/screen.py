@@ -66,27 +66,6 @@ class LiveView:
                 live.update(live_screen(self._see()), refresh=True)
 
 
-class LogAbove:
-    """A stream for the log that writes above what changes in place, which a line of another stream would tear.
-
-    Parameters
-    ----------
-    console
-        The one that has the screen.
-    """
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
-    def write(self, text: str) -> int:
-        """Write whole lines."""
-        self._console.print(Text(text), end="", soft_wrap=True)
-        return len(text)
-
-    def flush(self) -> None:
-        """Do nothing: every line is written at once."""
-
-
 def render(state: dict[str, Any]) -> RenderableType:
     """Return one screen for the JSON of /api/state."""
     return Group(_title(state), *_body(state, _NEWS, bars=False))
@@ -306,9 +285,17 @@ def _received(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     light = state.get("received")
     if light is None or light["gain"] is None:
         return
-    text = f"{100 * light['gain']:+.1f} % over chronometric: {light['actual_kwh_m2']:.2f} against"
+    actual, chronometric = _energies(light["actual_kwh_m2"], light["chronometric_kwh_m2"])
+    text = f"{100 * light['gain']:+.1f} % over chronometric: {actual} against {chronometric}"
     since = _since(light["since"], time)
-    yield "received", Text(f"{text} {light['chronometric_kwh_m2']:.2f} kWh/m2 {since}, a model's result from the faces")
+    yield "received", Text(f"{text} {since}, a model's result from the faces")
+
+
+def _energies(one_kwh_m2: float, other_kwh_m2: float) -> tuple[str, str]:
+    """Return two of a kind in the unit that shows their difference, which stands behind the second."""
+    if max(one_kwh_m2, other_kwh_m2) < 1.0:
+        return f"{1000 * one_kwh_m2:.0f}", f"{1000 * other_kwh_m2:.0f} Wh/m2"
+    return f"{one_kwh_m2:.2f}", f"{other_kwh_m2:.2f} kWh/m2"
 
 
 def _cube(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:

@@ -9,7 +9,8 @@ from rich.live import Live
 
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
-from daemon.commands.status.screen import LogAbove, render
+from daemon.commands.status.log_above import LogAbove
+from daemon.commands.status.screen import render
 from daemon.commands.status.watch import watch
 from daemon.service.recent import News, Recent
 from daemon.service.state import state_json
@@ -74,6 +75,22 @@ def test_a_warning_comes_above_the_screen_which_is_taken_away_and_drawn_anew():
     assert warning
     assert taken_away.count("\x1b[2K") == 2, "both lines are erased"
     assert "first\nsecond" in again
+
+
+@pytest.mark.parametrize(
+    ("actual", "chronometric", "shown"),
+    [(0.84, 0.83, "+1.2 % over chronometric: 840 against 830 Wh/m2"), (3.0, 3.03, "-1.0 % over chronometric: 3.00 ag")],
+)
+def test_what_was_received_is_shown_in_a_unit_that_tells_the_two_apart(state, actual, chronometric, shown):
+    state["received"] = {
+        "since": state["time"],
+        "gain": actual / chronometric - 1,
+        "actual_kwh_m2": actual,
+        "chronometric_kwh_m2": chronometric,
+    }
+    console = Console(file=io.StringIO(), width=160)
+    console.print(render(state))
+    assert shown in console.file.getvalue()
 
 
 def test_news_is_dated_and_in_the_order_of_time_and_fits_the_terminal(run_rig):
