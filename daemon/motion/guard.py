@@ -231,10 +231,10 @@ class Guard:
                     return task.result()
                 await poll()
         finally:
-            if not task.done():
-                task.cancel()
-                with contextlib.suppress(asyncio.CancelledError, DeviceError):
-                    await task
+            task.cancel()
+            # Of one that has just failed while this is cancelled the reason is taken too: nobody else would.
+            with contextlib.suppress(asyncio.CancelledError, DeviceError):
+                await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
         stray = self.watch.update(telemetry)

@@ -141,7 +141,8 @@ class Person:
         telemetry = self._plant.motion.telemetry
         if telemetry is None or not text.startswith("forgiven"):
             return
-        forgiven = text.partition("; standing")[0]
+        # What the mode is for is said behind it, and may be a fault that has come since.
+        forgiven = text.partition("; mode ")[0]
         left = [fault for fault in telemetry.faults if fault in forgiven]
         if left:
             self._watch.fails("false-done", f"clear is said to be done with {left}: {text}")
