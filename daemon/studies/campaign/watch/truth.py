@@ -326,7 +326,9 @@ class TruthWatch:
             return
         since_s = self._stop_s if self._stop_s is not None else self._maintenance_s
         assert since_s is not None  # noqa: S101 - narrowing; one of the two is on
-        free_s = max(since_s + STANDSTILL_S, self._self_moved_s + UNEXPLAINED_S) + SAMPLING_S
+        blind = any(self.moving[axis] for axis in self.blind)
+        itself_s = UNEXPLAINED_S + (UNIT_TRIPS_S if blind else 0.0)
+        free_s = max(since_s + STANDSTILL_S, self._self_moved_s + itself_s) + SAMPLING_S
         if now_s > free_s:
             kind = "stop" if self._stop_s is not None else "maintenance"
             axes = " and ".join(axis for axis, moves in self.moving.items() if moves)
