@@ -110,7 +110,7 @@ def answering(reply):
         (200, {"state": "done", "text": "standing"}, 0, "standing\n", ""),
         (200, {"state": "under-way", "text": "moving"}, 0, "moving\n", ""),
         (200, {"state": "not-seen", "text": "moving on"}, 3, "moving on\n", ""),
-        (409, {"error": "no goto: stopped"}, 2, "", "heliocube: no goto: stopped\n"),
+        (409, {"error": "no goto: stopped"}, 6, "", "heliocube: no goto: stopped\n"),
     ],
 )
 def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, code, out, err):
