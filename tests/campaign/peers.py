@@ -17,7 +17,7 @@ from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 TOKEN = "t" * 43
 COUNTS_PER_MM = 75.0
-ENDS_WITHIN_S = 15.0
+ENDS_WITHIN_S = 40.0
 LOW_V, FULL_V = 15, 24
 CONFIG = """
 [api]

@@ -6,7 +6,7 @@ Run with ``python -m pytest tests/system/long_outages.py -s``.
 import pytest
 
 from tests.system.processes import wait_until
-from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
+from tests.system.rig import HIGH_SUN, PHASES, ROLES, SETTLES_WITHIN_S, Rig, brisk
 
 OUT_S = 70.0
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
@@ -47,4 +47,4 @@ def test_a_plug_that_is_pulled_for_long_at_the_start_is_waited_for_at_rest(start
 def report(device, phase, load, back_s):
     print(f"{device} {phase}: {load:.1%} of a processor in {OUT_S:g} s without it, tracking {back_s:.1f} s after")
     assert load < 0.2
-    assert back_s < BACK_WITHIN_S
+    assert back_s < 15.0

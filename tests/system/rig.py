@@ -7,8 +7,9 @@ from solar.laws.paper import mu_prime
 from tests.system.processes import wait_until
 
 WITHIN_DEG = 1.5
-SETTLES_WITHIN_S = 60.0
-BACK_WITHIN_S = 15.0
+# For a broken program, and not for a slow machine.
+SETTLES_WITHIN_S = 120.0
+BACK_WITHIN_S = 60.0
 ROLES = {"positioner": "the positioner", "voltmeter": "the cube", "multiplexer": "the cube"}
 # High sun: the tracker begins near to where it has to go, and a shaded face turns it by a few degrees.
 HIGH_SUN = ("--weather", "clear", "--site", "30,0", "--start", "2022-09-21T11:50Z")

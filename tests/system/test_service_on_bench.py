@@ -14,7 +14,7 @@ from tests.system.rig import BACK_WITHIN_S, HIGH_SUN, PHASES, ROLES, SETTLES_WIT
 
 # Destinations, tracking off, stop and homing, clearing of faults.
 ALLOWED = {44, 46, 48, 50, 56, 57, 136}
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 
 
 def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start_bench, start_service, measured):
@@ -93,12 +93,12 @@ def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_use
     bench = start_bench("--config", config, *HIGH_SUN)
     bench.ask("boots-at-open", 3)
     rig = Rig(bench, start_service(bench.config))
-    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", 90, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 1 and rig.last_mode() == "tracking", 150, rig.service.log)
     assert rig.lines(" is down: ") == 0
     bench.ask("boots-at-open", "never")
     bench.ask("restart", 0.5)
     wait_until(lambda: rig.outages("it prints its banner") == 1, SETTLES_WITHIN_S, rig.service.log)
-    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", 90, rig.service.log)
+    wait_until(lambda: rig.lines("homing finished") == 2 and rig.last_mode() == "tracking", 150, rig.service.log)
     rig.settle()
     assert rig.lines(" is down: ") == rig.lines(" is back") == 1
 
@@ -204,7 +204,7 @@ def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_kee
     mark.touch()
     wait_until(lambda: rig.lines(told) == 2, SETTLES_WITHIN_S, rig.service.log)
     rig.service.ask_to_stop()
-    assert rig.service.wait(5.0) == 0
+    assert rig.service.wait(20.0) == 0
 
 
 def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_waited_for(

@@ -14,7 +14,7 @@ from daemon.bridge.signing import generate_key, write_key
 
 pytestmark = pytest.mark.system
 
-WITHIN_S = 40.0
+WITHIN_S = 100.0
 
 CONFIG = """
 [simulation]
@@ -72,7 +72,7 @@ class Process:
 
     def end(self, number):
         self.process.send_signal(number)
-        code = self.process.wait(timeout=15)
+        code = self.process.wait(timeout=40)
         self._file.close()
         return code
 
