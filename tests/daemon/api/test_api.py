@@ -21,7 +21,12 @@ def test_the_state_tells_everything_with_age_and_quality(serve):
         await at_rest(rig)
         found = (await call.get("/api/state")).json
         assert found["simulated"] is True
-        assert found["mode"] == {"name": "tracking", "why": rig.control.why, "since": found["mode"]["since"]}
+        assert found["mode"] == {
+            "name": "tracking",
+            "asked": None,
+            "why": rig.control.why,
+            "since": found["mode"]["since"],
+        }
         assert found["scan"]["stale"] is False
         for face in found["scan"]["faces"].values():
             assert face["quality"] == "ok"

@@ -122,6 +122,15 @@ def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, 
     assert any(f"heliocube campaign --schedule {keep / 'seed-7.json'}" in line for line in said)
 
 
+@pytest.fixture
+def _ctrl_c():
+    """Let SIGINT be what it is in a program of its own: the runner of the tests may have left another handler."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c")
 def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
     said = []
     schedules = [draw(seed, 0.02) for seed in (1, 2, 3)]
