@@ -11,9 +11,14 @@ from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, parse_
 # What comes first may be an old screen that has waited in the unit since its last listener left.
 _IGNORE_FIRST_S = 0.1
 _LOOK_AT_ECHO_EVERY_S = 1.0
-# An axis turns by a tenth of this between two screens; more means that the unit counts from elsewhere now.
+# An axis turns by a tenth of this between two screens, and no faster than that; more means that the unit counts from
+# elsewhere now.
 _JUMP_DEG = 2.0
+_FASTEST_DEG_PER_S = 10.0
 _JUMP_WITHIN_S = 1.0
+# When nothing was read for so long, the first of what is read then has waited, and some that did not fit is lost.
+_PAUSE_S = 0.1
+_BACKLOG_S = 0.5
 _ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
 
 
@@ -62,6 +67,7 @@ class FieldTable:
         self._jumps = jumps
         self._values: dict[int, Value] = {}
         self._suspect: dict[int, float] = {}
+        self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
 
     def get(self, field: int) -> Value | None:
@@ -78,6 +84,9 @@ class FieldTable:
 
     def take(self, tokens: Iterable[tuple[int, bytes]], now_s: float) -> None:
         """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again."""
+        if now_s - self._taken_s > _PAUSE_S:
+            self._paused_s, self._caught_up_s = self._taken_s, now_s + _BACKLOG_S
+        self._taken_s = now_s
         for code, text in tokens:
             number = math.nan
             try:
@@ -93,7 +102,11 @@ class FieldTable:
     def _plausible(self, code: int, number: float, now_s: float) -> bool:
         """Tell whether a value can be; a jump is one once the next value confirms it."""
         known, most = self._values.get(code), self._jumps[code]
-        if known is None or now_s - known.time_s > _JUMP_WITHIN_S or abs(number - known.number) <= most:
+        if known is None:
+            self._suspect.pop(code, None)
+            return True
+        passed_s = now_s - (min(known.time_s, self._paused_s) if now_s < self._caught_up_s else known.time_s)
+        if passed_s > _JUMP_WITHIN_S or abs(number - known.number) <= most + _FASTEST_DEG_PER_S * passed_s:
             self._suspect.pop(code, None)
             return True
         suspect = self._suspect.get(code)

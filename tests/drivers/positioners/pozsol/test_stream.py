@@ -102,6 +102,17 @@ def test_after_a_gap_any_angle_is_possible(wire, reader):
     assert (reader.table.get(Field.A_ANGLE).text, reader.table.jumped_s) == (b"40.0", None)
 
 
+def test_what_an_axis_can_turn_by_while_nothing_is_read_is_no_jump(wire, reader):
+    wire.say(angle(b"10.0"))
+    # Read late, of a moment in between; then what the machine had no room for is missing.
+    for text, after_s in ((b"11.0", 0.9), (b"15.0", 0.02), (b"15.1", 0.02)):
+        wire.say(angle(text), after_s=after_s)
+    assert (reader.table.get(Field.A_ANGLE).text, reader.table.jumped_s) == (b"15.1", None)
+    for text, after_s in ((b"15.2", 0.09),) * 8 + ((b"20.0", 0.02), (b"20.0", 0.02)):
+        wire.say(angle(text), after_s=after_s)
+    assert reader.table.jumped_s == wire.now_s
+
+
 def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
     wire.end()
     reader.close()
