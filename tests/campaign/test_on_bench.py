@@ -54,7 +54,7 @@ def test_a_stop_from_the_shell_outlasts_every_command_and_a_kill(tmp_path):
         assert "standing at" in text
         for words in IN_THE_SHELL:
             code, text = says(tracker, *words)
-            assert code == 2, text
+            assert code == 6, text
             assert "a hand near the actuator" in text
             assert "heliocube auto" in text
             assert "Traceback" not in text

@@ -189,6 +189,11 @@ def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_pat
         assert page.complaints == []
 
 
+def listeners(site):
+    """Return how many streams the dashboard sends."""
+    return browsers.httpx.get(f"{site.url}/healthz", trust_env=False).json()["listeners"]
+
+
 def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page):
     first = open_page()
     # A browser holds six connections to a host.
@@ -197,8 +202,8 @@ def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page)
         tab.sees(".hero h1", "Tracking")
     before = [tab.text("#clock") for tab in tabs]
     wait_until(lambda: all(tab.text("#clock") != old for tab, old in zip(tabs, before, strict=True)), 60, "all go on")
-    health = browsers.httpx.get(f"{site.url}/healthz", trust_env=False).json()
-    assert health["listeners"] == 1
+    # The page that other tests share may have a stream too, and that of one they have closed may end late.
+    wait_until(lambda: listeners(site) in (1, 2), 60, "one stream for seven tabs")
 
 
 @pytest.fixture(scope="module")

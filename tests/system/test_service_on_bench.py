@@ -26,7 +26,7 @@ def test_under_a_measured_sky_each_cycle_ends_where_the_law_says(tmp_path, start
     rig.new_sky()
     rig.settle()
     assert bench.state()["sky"]["ghi_w_m2"] > 100
-    assert "SIMULATED" not in rig.service.log()
+    assert "SIMULATED instruments" not in rig.service.log()
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,8 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 assert reply["accepted"]
                 await lab.until("heliocube/west/state", lambda state: state["mode"]["name"] == "hold")
                 assert (east.control.mode, west.control.mode) == (Mode.TRACKING, Mode.HOLD)
-                state = await lab.until("heliocube/east/state", lambda state: state["tracker"]["connected"])
-                assert (state["mode"]["name"], state["tracker"]["name"]) == ("tracking", "east")
+                state = await lab.until("heliocube/east/state", lambda state: state["mode"]["name"] == "tracking")
+                assert (state["tracker"]["connected"], state["tracker"]["name"]) == (True, "east")
                 await lab.say("heliocube/west/command/hold", {"tracker": "east"})
                 refused = await lab.until("heliocube/west/reply", lambda reply: not reply["accepted"])
                 assert refused["text"] == "there is no tracker 'east' here, but west"
