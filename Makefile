@@ -6,7 +6,7 @@ ARGS   ?=
 # One for each of two cores for the tests that compute; those that pass real time mostly wait, and come after them, by
 # themselves, so that what they wait for has its share of the machine.
 WORKERS ?= 2
-WAITING ?= 5
+WAITING ?= 4
 
 .PHONY: run test test-quick lint format clean help
 
