@@ -10,6 +10,8 @@ from daemon.config.file import load_settings
 from daemon.rigs.real import build_cube
 from tests.support import DOCS
 
+pytestmark = pytest.mark.slow
+
 PAGE = (DOCS / "instruments.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 

@@ -22,6 +22,8 @@ from drivers.transcript import no_tap
 from tests.support import DOCS
 from tests.support.packages import install
 
+pytestmark = pytest.mark.slow
+
 PAGE = (DOCS / "develop" / "add-voltmeter.md").read_text()
 (CODE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 PYPROJECT, CONFIG = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)

@@ -12,6 +12,8 @@ from solar.ephemeris import Site, extraterrestrial_dni, sun_day, sun_direction, 
 from solar.frames import Limits, angles_from_direction, separation_deg
 from solar.sky import SKY_MODELS, plane_of_array
 
+pytestmark = pytest.mark.slow
+
 SIRTA = Site(48.717607, 2.209002, 156.0)
 CAPE_TOWN = Site(-33.92, 18.42, 25.0)
 LYNGBY = Site(55.79064, 12.52505, 50.0)

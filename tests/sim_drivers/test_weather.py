@@ -7,6 +7,8 @@ from sim_drivers.weather import GeneratedWeather, Noise
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction, sun_position
 from solar.sky import plane_of_array
 
+pytestmark = pytest.mark.slow
+
 SIRTA = Site(48.717607, 2.209002, 156.0)
 CAPE_TOWN = Site(-33.92, 18.42, 25.0)
 KINDS = ("clear", "overcast", "variable", "broken")

@@ -7,6 +7,8 @@ from hypothesis.extra.numpy import arrays
 from solar.iv import LEAST_SWEEP_POINTS, measured_maximum, sweep_voltages
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
 
+pytestmark = pytest.mark.slow
+
 MODULE = Q_PEAK_G4_1_305
 irradiances = st.floats(20.0, 1300.0)
 temperatures = st.floats(-10.0, 75.0)

@@ -4,6 +4,8 @@ import pytest
 
 from tests.support import DOCS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def theory_numbers():

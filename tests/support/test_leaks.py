@@ -6,6 +6,8 @@ import pytest
 
 from tests.support import ROOT
 
+pytestmark = pytest.mark.slow
+
 LEAKS = {
     "tasks pending": """
         import asyncio

@@ -19,6 +19,8 @@ from daemon.notify.courier import Courier
 from daemon.notify.courier import test as try_out
 from daemon.notify.recipients import recipients_of
 
+pytestmark = pytest.mark.slow
+
 NOON_UTC_S = datetime(2026, 6, 21, 12, 0).astimezone(UTC).timestamp()
 WIND = "stow is wanted (wind 20.0 m/s)"
 

@@ -12,6 +12,8 @@ from daemon.config.file import ConfigError, load_settings
 from daemon.rigs.simulated import build_real_rig
 from daemon.service.rig import Role
 
+pytestmark = pytest.mark.slow
+
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 REAL = """
 [instruments]

@@ -66,7 +66,7 @@ def test_lines_of_the_log_say_whose_they_are(run_rig, caplog):
         run_rig(scenario, tracker=TWO)
     finally:
         logging.getLogger("heliocube").removeHandler(handler)
-    assert next(line for line in lines if "is down" in line).count("tracker=west") == 1
+    assert next(line for line in lines if "is down" in line).count("tracker=west") == 1, "\n".join(lines)
     assert next(line for line in lines if "hold: test" in line).count("tracker=east") == 1
     assert [
         line for line in lines if "tracker=" not in line and ("both" in line or " -> " in line or "go on" in line)

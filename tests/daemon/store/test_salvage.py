@@ -21,6 +21,8 @@ from daemon.store.store import Store
 from tests.daemon.store.test_store import ORIGIN, keep
 from tests.daemon.store.test_tables import ALL, T0, decision, scan
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["keep"]
 PAGE = 4096
 SCANS, POSES = 8000, 4000

@@ -8,6 +8,8 @@ import pytest
 from drivers.errors import DeadlineError, LinkLostError
 from drivers.lines.threaded import ThreadedLine
 
+pytestmark = pytest.mark.slow
+
 
 class EchoingLine:
     """Answers each line with itself in capitals; hangs where a test says so."""

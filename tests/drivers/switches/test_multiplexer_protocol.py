@@ -13,6 +13,8 @@ from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.bench.ni_server import NiServer
 from sim_drivers.multiplexer import MultiplexerCore
 
+pytestmark = pytest.mark.slow
+
 
 @contextlib.asynccontextmanager
 async def ni_server(**options):

@@ -15,6 +15,8 @@ from drivers.settings import CubeSurroundings
 from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedSmp
 
+pytestmark = pytest.mark.slow
+
 needs_mbpoll = pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
 
 

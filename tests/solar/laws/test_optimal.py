@@ -11,6 +11,8 @@ from solar.frames import Limits, angles_within, normal_from_angles, separation_d
 from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.sky import sky
 
+pytestmark = pytest.mark.slow
+
 LIMITS = Limits()
 SITE = (48.7176, 2.2090, 156.0)
 NOON = 1665576000.0  # 2022-10-12 12:00 UTC

@@ -8,6 +8,8 @@ from solar.laws.light import light_from_faces, usable_faces
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.sky import sky
 
+pytestmark = pytest.mark.slow
+
 SITE = (48.7176, 2.2090, 156.0)
 MIDNIGHT = 1655596800.0  # 2022-06-19
 NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])

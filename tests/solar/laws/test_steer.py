@@ -11,6 +11,8 @@ from solar.frames import Limits
 from solar.laws import chronometric, flat, mu_prime, optimal_live, sun_vector
 from solar.laws.steer import by_readings
 
+pytestmark = pytest.mark.slow
+
 LIMITS = Limits()
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 IDEAL = Drive(np.inf, 0.0, 1)
