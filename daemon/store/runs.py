@@ -2,27 +2,19 @@
 
 import sqlite3
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from daemon.store.schema import columns_of, open_for_reading, unreadable
+from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
 
 
-@dataclass(frozen=True, slots=True)
-class StoredRun:
+class StoredRun(NamedTuple):
     """One run of the service, from its start to its end; `run` counts them within a store."""
 
     run: int
-    started_utc_s: float
-    role: str
-    version: str
-    simulated: bool
-    site: str
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
-    tracker: str
+    origin: Origin
 
 
 def runs_of(path: Path) -> list[StoredRun]:
@@ -38,16 +30,18 @@ def runs_of(path: Path) -> list[StoredRun]:
             raise unreadable(path, error) from None
     return [
         StoredRun(
-            run=run,
-            started_utc_s=started,
-            role=role,
-            version=version,
-            simulated=bool(simulated),
-            site=site,
-            latitude_deg=latitude,
-            longitude_deg=longitude,
-            altitude_m=altitude,
-            tracker=name,
+            run,
+            Origin(
+                started_utc_s=started,
+                role=role,
+                version=version,
+                simulated=bool(simulated),
+                site=site,
+                latitude_deg=latitude,
+                longitude_deg=longitude,
+                altitude_m=altitude,
+                tracker=name,
+            ),
         )
         for run, started, role, version, simulated, site, latitude, longitude, altitude, name in rows
     ]

@@ -131,7 +131,7 @@ def _name(directory: Path, wanted: "Wanted") -> str:
     from daemon.store.schema import FILE_NAME
 
     runs = runs_of(directory / FILE_NAME)
-    return wanted.span(runs[-1].longitude_deg, time.time()).name if runs else ""
+    return wanted.span(runs[-1].origin.longitude_deg, time.time()).name if runs else ""
 
 
 def _materials(

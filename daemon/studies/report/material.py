@@ -117,14 +117,13 @@ def from_store(
     runs = runs_of(path)
     if not runs:
         raise UserError(f"the store {path} holds nothing yet")
-    newest = runs[-1]
-    span = wanted.span(newest.longitude_deg, now_utc_s)
+    span = wanted.span(runs[-1].origin.longitude_deg, now_utc_s)
     tables = _read_days(directory, span, progress)
     if not any(len(table) for table in tables.values()):
         raise UserError(nothing_in(span, str(path), reach_of(path)))
     with_records = {int(run) for table in tables.values() if "run" in table for run in table["run"].unique()}
     there = [run for run in runs if run.run in with_records]
-    last = there[-1]
+    last = there[-1].origin
     site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
     found = of_tables(tables, span, site, last.site, f"the store {path}", runs=tuple(there))
     chosen = [material for material in found if tracker in (None, material.tracker)]
@@ -154,7 +153,7 @@ def of_tables(
             site_name=site_name,
             limits=Limits(),
             tracker=name,
-            simulated=any(run.simulated for run in runs) or _simulated(inside),
+            simulated=any(run.origin.simulated for run in runs) or _simulated(inside),
             source=source,
             runs=runs,
             tables={kind: _of_tracker(table, name) for kind, table in inside.items()},

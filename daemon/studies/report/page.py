@@ -292,10 +292,10 @@ def _runs(found: Findings) -> Iterator[Part]:
     rows = [
         (
             f"{run.run}",
-            *_when(run.started_utc_s, found, day=True),
-            run.version,
-            run.role,
-            "SIMULATED" if run.simulated else "real",
+            *_when(run.origin.started_utc_s, found, day=True),
+            run.origin.version,
+            run.origin.role,
+            "SIMULATED" if run.origin.simulated else "real",
         )
         for run in material.runs
     ]
