@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from daemon.studies.notebook import UserError, read_faces, read_store, replay, simulate
+    from daemon.studies.samples import sample
     from solar.ephemeris import Site, SunPosition, sun_day, sun_direction, sun_position
     from solar.frames import (
         Angles,
@@ -45,6 +46,7 @@ __all__ = [
     "read_faces",
     "read_store",
     "replay",
+    "sample",
     "separation_deg",
     "simulate",
     "sun_day",
@@ -55,6 +57,7 @@ __all__ = [
 
 _HOMES = {
     "daemon.studies.notebook": ("UserError", "read_faces", "read_store", "replay", "simulate"),
+    "daemon.studies.samples": ("sample",),
     "solar.ephemeris": ("Site", "SunPosition", "sun_day", "sun_direction", "sun_position"),
     "solar.frames": (
         "Angles",

@@ -29,7 +29,7 @@ from daemon.commands.options import (
     ZoneOption,
 )
 from daemon.commands.status import command as status_command
-from daemon.commands.studies import calibrate, campaign, compare, energy, gain
+from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
 from daemon.commands.studies.simulate import checked_report, progress_bar, replay, report, tell_pages
 from daemon.studies.inputs import instant, settings_for, site_values
@@ -180,6 +180,7 @@ app.command(rich_help_panel=SERVICE)(alarms.notify)
 app.command(rich_help_panel=SERVICE)(replay)
 app.command(rich_help_panel=SCIENCE)(gain.gain)
 app.command(rich_help_panel=SCIENCE)(energy.energy)
+app.command(rich_help_panel=SCIENCE)(samples.samples)
 
 
 @app.command(rich_help_panel=BENCH)

@@ -1,0 +1,65 @@
+"""The sample days: as the simulator makes them, marked as simulated, and taken by everything that reads such files."""
+
+import csv
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import heliocube
+from daemon.commands.main import app
+from daemon.studies.samples import DAYS
+from tests.measurements.make_samples import text
+
+
+@pytest.fixture(params=DAYS)
+def name(request):
+    return request.param
+
+
+def day_of(name):
+    return pd.read_csv(heliocube.sample(name), index_col="time", parse_dates=["time"])
+
+
+def test_a_day_is_what_its_seed_makes(name):
+    kept = list(csv.reader(heliocube.sample(name).read_text().splitlines()))
+    made = list(csv.reader(text(name).splitlines()))
+    assert kept[0] == made[0]
+    # Another machine may round the last digit the other way.
+    here, there = ([row[1:-1] for row in rows[1:]] for rows in (kept, made))
+    np.testing.assert_allclose(np.array(here, dtype=float), np.array(there, dtype=float), atol=0.11)
+    assert [(row[0], row[-1]) for row in kept] == [(row[0], row[-1]) for row in made]
+
+
+def test_a_day_is_whole_and_says_that_it_is_simulated(name):
+    day = day_of(name)
+    assert len(day) == 1440
+    assert str(day.index[0].date()) == DAYS[name]
+    assert day["simulated"].all()
+    assert not day.isna().any(axis=None)
+
+
+def test_the_skies_are_what_their_names_say():
+    share = {name: day_of(name)["dhi"].sum() / day_of(name)["ghi"].sum() for name in DAYS}
+    assert share["clear"] < 0.3 < share["mixed"] < 0.9 < share["overcast"] == pytest.approx(1.0)
+
+
+def test_a_day_is_a_recording_and_a_weather_file(name):
+    faces = heliocube.read_faces(heliocube.sample(name))
+    assert list(faces.columns) == ["east", "south", "west", "zenith"]
+    start = f"{DAYS[name]}T11:00Z"
+    tables = heliocube.simulate(start, days=0.25 / 24, weather=heliocube.sample(name), seed=1)
+    assert tables["decisions"]["mode"].iloc[-1] == "tracking"
+
+
+def test_copies_are_written_once_and_an_unknown_day_lists_the_known(tmp_path):
+    out = tmp_path / "days"
+    done = CliRunner().invoke(app, ["samples", "--out", str(out)])
+    assert "SIMULATED" in done.output
+    assert sorted(path.name for path in out.iterdir()) == ["LICENSE.txt", "clear.csv", "mixed.csv", "overcast.csv"]
+    again = CliRunner().invoke(app, ["samples", "--out", str(out)])
+    assert "is there already: --force overwrites it" in str(again.exception)
+    assert CliRunner().invoke(app, ["samples", "--out", str(out), "--force"]).exit_code == 0
+    with pytest.raises(heliocube.UserError, match="no sample day 'foggy': choose clear, mixed, overcast"):
+        heliocube.sample("foggy")
