@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
-# Beside the file: a person's stop and a month of data are not forgotten because nobody has set a key.
-RECORDS_NAME = "records"
 TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
@@ -98,12 +96,13 @@ def check_file(path: Path, role: RoleChoice | None = None) -> "Settings":
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import KeyFileError, load_key
+    from daemon.commands.kept import with_place
     from daemon.config.file import ConfigError, load_settings_with_topics
     from daemon.cube.calibration import calibration_in_force
     from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
     from daemon.mqtt.topics import unusable
 
-    settings = load_settings_with_topics(path, unusable)
+    settings = with_place(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
     try:
         calibration_in_force(settings.cube)
@@ -188,6 +187,7 @@ def write_example(
     from daemon.bridge.signing import generate_key, write_key
     from daemon.config.plugged import CUBE, DRIVER, POSITIONER
     from daemon.config.template import FILE_NAME, example
+    from daemon.store.place import RECORDS_NAME
 
     file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
     values: dict[str, Any] = {
@@ -274,7 +274,7 @@ def _summary(settings: "Settings") -> dict[str, str]:
         **({"sunspec": _sunspec(settings.sunspec)} if settings.sunspec.enabled else {}),
         "mqtt": _broker(settings.mqtt) if settings.mqtt.enabled else "off",
         **({"trackers": ", ".join(table.name for table in settings.tracker)} if settings.tracker else {}),
-        "store": "none" if settings.store.directory is None else str(settings.store.directory),
+        "store": "none, the rig is simulated" if settings.store.directory is None else str(settings.store.directory),
     }
 
 

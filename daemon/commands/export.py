@@ -1,5 +1,6 @@
 """`heliocube export`: records of the store as tables."""
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -69,9 +70,10 @@ def store_directory(command: str, store: Path | None, config: Path | None) -> Pa
         return store
     if store is not None or config is None:
         raise UserError(f"{command} needs either --store DIR or --config FILE to find the store")
+    from daemon.commands.kept import records_of
     from daemon.config.file import load_settings
 
-    directory = load_settings(config).store.directory
+    directory = records_of(load_settings(config), config, os.environ)
     if directory is None:
-        raise UserError(f"{config} sets no store.directory: its service keeps no records")
+        raise UserError(f"{config} sets no store.directory, and its rig is simulated: its service keeps no records")
     return directory

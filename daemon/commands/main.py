@@ -1,6 +1,7 @@
 """The command line: `heliocube`."""
 
 import contextlib
+import os
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -133,10 +134,11 @@ def run(
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
         # Only now: a mistake in an option or in the file is told before the science is loaded.
+        from daemon.commands.kept import with_place
         from daemon.commands.run import run_service
         from daemon.service.rig import Role
 
-        run_service(settings, Role(role), for_s, Console())
+        run_service(with_place(settings, config, os.environ), Role(role), for_s, Console())
 
 
 @app.command(rich_help_panel=SERVICE)

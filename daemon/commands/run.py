@@ -38,6 +38,7 @@ from daemon.service.rig import Rig, Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
+from daemon.store.place import claimed
 from daemon.store.settings_kept import tell_changes
 from daemon.store.store import Origin, Store
 from daemon.sunspec.server import SunSpecServer
@@ -63,7 +64,11 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
     )
     # Real instruments have real time; what the simulation's table says is not for them.
     speed = 1.0 if settings.real else settings.simulation.speed
-    with asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner:
+    roles = (Role.CUBE, Role.TRACKER) if role is Role.BOTH else (role,)
+    with (
+        claimed(settings.store.directory, tuple(each.value for each in roles)),
+        asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner,
+    ):
         loop = runner.get_loop()
         clock = _clock(settings, loop)
         rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
@@ -95,7 +100,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
                 log.warning("SIMULATED by a bench, says instruments.bench: all records are marked so")
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
-        with _store(service, role, loop) as store:
+        with _store(service, role, loop, console) as store:
 
             def see() -> Snapshot:
                 statuses = {name: link.status for name, link in mqtt.items()}
@@ -186,10 +191,11 @@ def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
 
 
 @contextlib.contextmanager
-def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop) -> Iterator[Store | None]:
+def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, console: Console) -> Iterator[Store | None]:
     """Keep every record of the service, if the settings say where; what waits is written at the end."""
     settings, site = service.settings.store, service.settings.site
     if settings.directory is None:
+        console.print("nothing is kept: no store.directory is set", highlight=False)
         yield None
         return
 

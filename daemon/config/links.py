@@ -116,9 +116,15 @@ class BridgeSettings(Section):
 
 
 class StoreSettings(Section):
-    """Where records are kept, in one SQLite file; without a directory they are not."""
+    """Where records are kept, in one SQLite file, and beside it what must outlive a restart."""
 
-    directory: FilePath | None = Field(None, examples=["records"], description="Folder of the records.")
+    directory: FilePath | None = Field(
+        None,
+        examples=["records"],
+        description="Folder of both. If it is not set, real instruments have theirs in systemd's $STATE_DIRECTORY, by"
+        " the name of this file, or else beside it: records for heliocube.toml, NAME-records for NAME.toml. A simulated"
+        " rig keeps nothing then.",
+    )
     batch_s: float = Field(
         5.0, ge=0.1, le=300, description="Longest time until a record is written; a crash loses no more than this."
     )

@@ -1,8 +1,10 @@
 """One tracker: all that belongs to it alone, from its settings to its positioner, its wishes and its alarms."""
 
 import asyncio
+import json
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from importlib.metadata import version
 from random import Random
 
 from daemon.base.alarms.alarms import Alarms
@@ -36,6 +38,8 @@ _NO_WIND_SOURCE = (
     "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
     ' or safety.without_wind_source = "accepted"'
 )
+STARTED_NAME = "started.json"
+_TO_KEEP = "what persons ask for, a storm and what is in doubt"
 _NOTHING_KEPT = (
     "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
     " are kept"
@@ -187,8 +191,14 @@ class Tracker:
         return self._rig.simulated and not self.settings.instruments.bench
 
     def check_folder(self) -> None:
-        """Raise an alarm where a restart would forget all that a real tracker has to keep."""
+        """Raise an alarm where a restart would forget all that a real tracker has to keep.
+
+        Whether the disk takes it is known before the first stop: the folder reports what it could not write.
+        """
         self.alarms.set("nothing-kept", self.forgets)
+        if self.folder.directory is not None and not self._harmless:
+            started = json.dumps({"started_utc_s": self.clock.utc(), "version": version("heliocube")})
+            self.folder.put(self.folder.directory / STARTED_NAME, started, _TO_KEEP, log)
 
     def check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""

@@ -166,14 +166,14 @@ _ALL = (
     _kind(
         "nothing-kept",
         Severity.WARNING,
-        "real instruments, and `store.directory` is not set",
+        "real instruments, and a program of your own has named no folder: `heliocube run` always has one",
         "a restart forgets stops, storms and doubts, and no records are kept",
         "set store.directory, then restart the service",
     ),
     _kind(
         "not-kept",
         Severity.WARNING,
-        "a file of kept state cannot be written",
+        "a file of kept state cannot be written, which is tried at the start",
         "a restart would forget what the alarm's text names",
         "free the disk, or correct its rights; writing is tried again every few seconds",
     ),

@@ -277,7 +277,10 @@ def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_pat
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["poses.csv"]
     config.write_text("")
     code, _, err = heliocube("export", "-c", config, "--out", tmp_path / "out2")
-    assert (code, err) == (2, f"heliocube: {config} sets no store.directory: its service keeps no records\n")
+    assert (code, err) == (
+        2,
+        f"heliocube: {config} sets no store.directory, and its rig is simulated: its service keeps no records\n",
+    )
     code, _, err = heliocube("export", "--out", tmp_path / "out2")
     assert (code, err) == (2, "heliocube: export needs either --store DIR or --config FILE to find the store\n")
 

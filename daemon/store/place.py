@@ -1,0 +1,88 @@
+"""Where a service keeps records and state if nobody has named a folder, and that no other service does so there."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from daemon.base.errors import UserError
+
+# Where 'config init' puts them too: who takes that line out of the file has not lost a stop.
+RECORDS_NAME = "records"
+_USUAL_FILE = "heliocube.toml"
+# Of the units in deploy/, for a person whose shell is not told of it as they are.
+_OF_THE_UNITS = Path("/var/lib/heliocube")
+
+
+def default_place(file: Path, environment: Mapping[str, str]) -> Path:
+    """Return the folder for what the service of a configuration file must not forget; two files get two folders.
+
+    Parameters
+    ----------
+    file
+        The configuration.
+    environment
+        Of the process, in which systemd names the folder of a unit's state.
+    """
+    # systemd lists several behind one another.
+    state = environment.get("STATE_DIRECTORY", "").partition(":")[0]
+    if state:
+        return Path(state) / file.stem
+    return file.parent / (RECORDS_NAME if file.name == _USUAL_FILE else f"{file.stem}-{RECORDS_NAME}")
+
+
+def to_read(file: Path, environment: Mapping[str, str]) -> Path:
+    """Return the same folder for a person who reads it, whom systemd has told nothing."""
+    found, units = default_place(file, environment), _OF_THE_UNITS / file.stem
+    return units if units.exists() and not found.exists() else found
+
+
+@contextlib.contextmanager
+def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
+    """Keep other services of the same roles out of a folder for as long as this one runs.
+
+    Two would write one another's stops away. A folder that cannot be written to is nobody's.
+
+    Raises
+    ------
+    UserError
+        Another service is at work there.
+    """
+    with contextlib.ExitStack() as stack:
+        if directory is not None:
+            with contextlib.suppress(OSError):
+                directory.mkdir(parents=True, exist_ok=True)
+            for role in roles:
+                stack.enter_context(_held(directory, role))
+        yield
+
+
+@contextlib.contextmanager
+def _held(directory: Path, role: str) -> Iterator[None]:
+    if sys.platform == "win32":
+        # Only the cube's role runs there, which has no stop to keep.
+        yield
+        return
+    import fcntl  # noqa: PLC0415 - not there on Windows
+
+    try:
+        descriptor = os.open(directory / f".{role}-in-use", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        yield
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise UserError(
+            f"{directory} is where another {role} service, which runs, keeps its records and state; stop that one"
+            " first, or give this one a store.directory of its own"
+        ) from None
+    except OSError:
+        # Some network disks have no locks.
+        pass
+    try:
+        yield
+    finally:
+        os.close(descriptor)

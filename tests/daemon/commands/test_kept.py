@@ -1,0 +1,50 @@
+"""The commands agree on the folder of a service whose file names none."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from daemon.commands.kept import records_of, with_place
+from daemon.config.settings import Settings
+from daemon.store.place import claimed
+
+FILE = Path("rig/heliocube.toml")
+REAL = Settings.model_validate({"instruments": {"kind": "real"}})
+NAMED = Settings.model_validate({"instruments": {"kind": "real"}, "store": {"directory": "elsewhere"}})
+
+
+@pytest.mark.parametrize(
+    ("settings", "file", "found"),
+    [(REAL, FILE, "rig/records"), (NAMED, FILE, "elsewhere"), (Settings(), FILE, None), (REAL, None, None)],
+)
+def test_real_instruments_have_a_folder_and_a_simulated_rig_has_none(settings, file, found):
+    wanted = None if found is None else Path(found)
+    assert with_place(settings, file, {}).store.directory == wanted
+    if file is not None:
+        assert records_of(settings, file, {}) == wanted
+
+
+def heliocube(*words):
+    program = str(Path(sys.executable).with_name("heliocube"))
+    done = subprocess.run([program, *map(str, words)], capture_output=True, text=True, timeout=120, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_service(tmp_path):
+    file, kept = tmp_path / "east.toml", tmp_path / "east-records"
+    file.write_text(
+        '[instruments]\nkind = "real"\n[instruments.positioner]\nport = "/dev/no-such-port"\n'
+        '[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n[api]\nenabled = false\n'
+    )
+    run = ("run", "--role", "tracker", "--config", file, "--for", "0.3")
+    with claimed(kept, ("tracker",)):
+        before = sorted(kept.iterdir())
+        code, _, err = heliocube(*run)
+        assert (code, sorted(kept.iterdir())) == (2, before)
+        assert f"heliocube: {kept} is where another tracker service, which runs, keeps" in err
+    assert heliocube(*run)[0] == 0
+    assert {"heliocube.sqlite", "started.json"} <= {path.name for path in kept.iterdir()}
+    code, _, err = heliocube("export", "-c", file, "--out", tmp_path / "out", "--kind", "events")
+    assert (code, err, (tmp_path / "out" / "events.csv").is_file()) == (0, "", True)

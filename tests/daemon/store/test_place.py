@@ -1,0 +1,45 @@
+"""Where a service keeps records and state if nobody has named a folder: beside its file, and nobody else's."""
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.store.place import claimed, default_place
+
+
+@pytest.mark.parametrize(
+    ("file", "environment", "place"),
+    [
+        ("rig/heliocube.toml", {}, "rig/records"),
+        ("rig/east.toml", {}, "rig/east-records"),
+        ("/etc/heliocube/tracker.toml", {"STATE_DIRECTORY": "/var/lib/heliocube"}, "/var/lib/heliocube/tracker"),
+        ("/etc/heliocube/cube.toml", {"STATE_DIRECTORY": "/var/lib/heliocube:/b"}, "/var/lib/heliocube/cube"),
+        ("rig/east.toml", {"STATE_DIRECTORY": "", "XDG_STATE_HOME": "/home/ana"}, "rig/east-records"),
+    ],
+)
+def test_two_files_have_two_folders(file, environment, place):
+    assert default_place(Path(file), environment) == Path(place)
+
+
+def test_two_services_of_one_role_do_not_share_a_folder(tmp_path):
+    with claimed(tmp_path / "records", ("cube",)):
+        with (
+            pytest.raises(UserError, match="another cube service, which runs"),
+            claimed(tmp_path / "records", ("tracker", "cube")),
+        ):
+            pytest.fail("two cubes keep their records in one folder")
+        with claimed(tmp_path / "records", ("tracker",)), claimed(tmp_path / "other", ("cube",)):
+            pass
+    with claimed(tmp_path / "records", ("tracker", "cube")):
+        pass
+
+
+def test_a_folder_that_takes_no_file_is_nobodys(tmp_path):
+    (tmp_path / "file").write_text("")
+    with ExitStack() as stack:
+        for _ in range(2):
+            stack.enter_context(claimed(tmp_path / "file", ("tracker",)))
+            stack.enter_context(claimed(None, ("tracker",)))
+    assert (tmp_path / "file").read_text() == ""
