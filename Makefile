@@ -14,7 +14,7 @@ help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
 	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
-	@echo "make lint                       ruff, ruff format --check, mypy, import-linter"
+	@echo "make lint                       ruff, ruff format --check, mypy (for Linux and for Windows), import-linter"
 	@echo "make format                     ruff's fixes and formatting"
 	@echo "make clean                      remove the virtual environment and caches"
 
@@ -46,6 +46,7 @@ lint: $(BIN)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --no-warn-unreachable --follow-imports=silent -p solar -p drivers -p daemon
 	$(BIN)/lint-imports
 
 format: $(BIN)/.dev

@@ -67,10 +67,23 @@ def send_csv(
 
 
 def serve(settings: "Settings", directory: Path) -> None:
-    """Run the bench."""
+    """Run the bench; raises `UserError` on a machine that cannot have one."""
     from daemon.rigs.bench import serve_bench
 
+    _require_terminals()
     serve_bench(settings, directory)
+
+
+def _require_terminals() -> None:
+    from daemon.base.errors import UserError
+
+    try:
+        import termios  # noqa: F401 - asked for, not used
+    except ImportError:
+        raise UserError(
+            "a bench serves pseudo-terminals, which this system does not have: run it on Linux, or try the"
+            " simulated rig of 'heliocube run'"
+        ) from None
 
 
 def control(
@@ -81,6 +94,7 @@ def control(
     """Change or ask the bench that runs in DIR."""
     from daemon.rigs.simulated import ask_bench, bench_verbs
 
+    _require_terminals()
     if verb == "help":
         for name, (usage, meaning) in bench_verbs().items():
             typer.echo(f"{f'{name} {usage}'.rstrip():<36}  {meaning}")

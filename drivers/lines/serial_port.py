@@ -6,6 +6,7 @@ waiting, and whether it stays off is looked at from time to time.
 """
 
 import errno
+import importlib
 import os
 import sys
 from collections.abc import Callable
@@ -68,7 +69,7 @@ class SerialPort:
         self._path = path
         self._require_allowed = require_allowed
         self._tap = tap
-        first = _open_raw(device, path) if os.name == "posix" else None
+        first = _open_raw(device, path)
         # Windows opens every port exclusively and knows no such option.
         exclusive = True if os.name == "posix" else None
         unusable: tuple[type[BaseException], ...] = (OSError, ValueError, *terminal_errors())
@@ -152,8 +153,10 @@ def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
     return ConnectError(device, f"{path} cannot be opened: {text}")
 
 
-def _open_raw(device: str, path: str) -> int:
-    """Return a descriptor on the port, which has been made raw and empty before anything else happened."""
+def _open_raw(device: str, path: str) -> int | None:
+    """Return a descriptor on the port, made raw and empty before anything else happened; None where none is needed."""
+    if sys.platform == "win32":
+        return None
     import fcntl  # noqa: PLC0415 - not there on Windows
     import termios  # noqa: PLC0415
     import tty  # noqa: PLC0415
@@ -197,7 +200,7 @@ def _holder(path: str) -> str:
 def terminal_errors() -> tuple[type[Exception], ...]:
     """Return what the terminal layer of POSIX raises beside OSError."""
     try:
-        import termios  # noqa: PLC0415 - not there on Windows
+        terminals = importlib.import_module("termios")
     except ImportError:
         return ()
-    return (termios.error,)
+    return (terminals.error,)
