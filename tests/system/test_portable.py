@@ -34,7 +34,11 @@ NOT_ON_WINDOWS = {
     "socket": "AF_UNIX SO_REUSEPORT CMSG_LEN SCM_RIGHTS AF_NETLINK AF_PACKET MSG_DONTWAIT",
 }
 AS_ON_WINDOWS = f"""
-    import asyncio, logging, multiprocessing, os, random, signal, socket, ssl, subprocess, tempfile, threading, warnings
+    import asyncio, contextlib, importlib, multiprocessing, os, signal, socket, ssl, subprocess, tempfile, warnings
+    # Libraries that have other parts on Windows, of which there is nothing here.
+    for name in "aiomqtt httpx pandas pvlib pydantic pyvisa.ctwrapper rich.live serial typer uvicorn".split():
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
     for module, names in {NOT_ON_WINDOWS!r}.items():
         for name in names.split():
             vars(sys.modules[module]).pop(name, None)
@@ -46,6 +50,7 @@ AS_ON_WINDOWS = f"""
             return one, server.accept()[0]
     socket.socketpair = pair
     asyncio.SelectorEventLoop.add_signal_handler = asyncio.SelectorEventLoop.remove_signal_handler = unknown
+    sys.platform = "win32"
     # Without an encoding a file is in that of the country there.
     warnings.filterwarnings("error", category=EncodingWarning, module=r"(solar|drivers|sim_drivers|daemon)\\b")
 """
@@ -65,8 +70,6 @@ def without(modules, code):
         sys.meta_path.insert(0, Hide())
         sys.builtin_module_names = tuple(set(sys.builtin_module_names) - hidden)
     """)
-    if set(POSIX_ONLY) <= set(modules):
-        hide += textwrap.dedent(AS_ON_WINDOWS)
     return subprocess.run(
         [sys.executable, "-X", "warn_default_encoding", "-c", hide + textwrap.dedent(code)],
         capture_output=True,
@@ -77,15 +80,9 @@ def without(modules, code):
 
 
 def heliocube(hidden, *arguments):
-    """Give a command in a process in which these modules are hidden."""
-    return without(
-        hidden,
-        f"""
-        from daemon.entry import main
-        sys.argv = {["heliocube", *map(str, arguments)]!r}
-        main()
-        """,
-    )
+    """Give a command in a process in which these modules are hidden, and with those of POSIX all else of Windows."""
+    command = f"from daemon.entry import main\nsys.argv = {['heliocube', *map(str, arguments)]!r}\nmain()"
+    return without(hidden, (textwrap.dedent(AS_ON_WINDOWS) if hidden is POSIX_ONLY else "import sys\n") + command)
 
 
 def run_cube(folder, hidden, text):
