@@ -36,6 +36,24 @@ def damage() -> str | None:
     return None
 
 
+def release() -> str:
+    """Return what tells this installation from any other of the same version, such as ``0.1.0+3f9a02c1d4e7``.
+
+    After the plus stands a digest of the files of our packages as the installation recorded them. An editable
+    installation records none and is known by its version alone.
+    """
+    home = Path(__file__).resolve().parents[2]
+    digests = sorted(
+        f"{name} {digest}"
+        for name, digest in _recorded(home, sys.path).items()
+        if digest and name.partition("/")[0] in PACKAGES
+    )
+    version = metadata.version(DISTRIBUTION)
+    if not digests:
+        return version
+    return f"{version}+{hashlib.sha256(chr(10).join(digests).encode()).hexdigest()[:12]}"
+
+
 def _recorded(home: Path, path: Sequence[str]) -> dict[str, str]:
     """Return the digest of each file as our installation recorded it; empty for an editable one, which records none."""
     for distribution in metadata.distributions(name=DISTRIBUTION, path=list(path)):

@@ -33,6 +33,7 @@ from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
 from daemon.commands.studies.simulate import checked_report, progress_bar, replay, report, tell_pages
+from daemon.commands.upgrade import command as upgrade_command
 from daemon.studies.inputs import instant, settings_for, site_values
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(status_command.app)
+app.add_typer(upgrade_command.app)
 app.add_typer(operate.app)
 app.add_typer(alarms.app, name="alarms", rich_help_panel=OPERATION)
 app.add_typer(config_commands.app, name="config", rich_help_panel=FILES)

@@ -1,6 +1,7 @@
 """`heliocube probe` as a person with a rig uses it, on the bench."""
 
 import fcntl
+import json
 import os
 import re
 import subprocess
@@ -60,6 +61,15 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert multiplexer.returncode == 0, multiplexer.stderr
     assert "USB-6008" in multiplexer.stdout
     assert bench.state()["multiplexer"]["writes"] == 0
+
+    checked = subprocess.run(
+        [str(HELIOCUBE), "self-check", "--json", "-c", bench.config], capture_output=True, timeout=90, check=False
+    )
+    found = {each["subject"]: each["ok"] for each in json.loads(checked.stdout)["findings"]}
+    assert all(found[name] for name in ("voltmeter", "multiplexer", "positioner", "load")), checked.stdout
+    assert bench.state()["positioner"]["received"] == {}
+    assert bench.state()["multiplexer"]["writes"] == 0
+    assert bench.state()["voltmeter"]["range_v"] == range_v
 
     measured = probe("multiplexer", "-c", bench.config, "--write", "--record", tmp_path / "multiplexer")
     assert measured.returncode == 0, measured.stderr

@@ -1,5 +1,6 @@
 import base64
 import hashlib
+import re
 import shutil
 import subprocess
 import sys
@@ -101,3 +102,16 @@ def test_a_stop_is_given_by_a_damaged_installation_too(site, tmp_path):
     done = heliocube(site, "stop", "--api", "http://127.0.0.1:9", "--token-file", str(tmp_path / "none"))
     assert "overwritten" not in done.stderr
     assert str(tmp_path / "none") in done.stderr or "127.0.0.1:9" in done.stderr
+
+
+def test_two_installations_of_one_version_are_told_apart_by_what_was_installed(site):
+    def program():
+        # The program is told of also where there is no file to look at.
+        return heliocube(site, "self-check", "-c", "nothing.toml").stdout.splitlines()[0].split()[-1]
+
+    before = program()
+    assert before.startswith("0.1.0+")
+    assert program() == before
+    record = site / "heliocube-0.1.0.dist-info" / "RECORD"
+    record.write_text(re.sub(r"(solar/overcast.py,sha256=)\w", r"\1_", record.read_text()))
+    assert program() != before

@@ -1,0 +1,63 @@
+"""What a self-check found: of each subject whether it is well, and if not what to do."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from daemon.base.errors import ExitCode
+from daemon.config.keys import printable
+
+CONFIGURATION = "configuration"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of a self-check.
+
+    Attributes
+    ----------
+    subject
+        What was looked at.
+    text
+        What was found there.
+    remedy
+        What to do, where something is the matter; empty where all is well.
+    """
+
+    subject: str
+    text: str
+    remedy: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether all is well."""
+        return not self.remedy
+
+
+def lines(findings: Sequence[Finding]) -> list[str]:
+    """Return a line for each finding, and one for the sum."""
+    width = max(len(finding.subject) for finding in findings)
+    found = [_line(finding, width) for finding in findings]
+    amiss = sum(not finding.ok for finding in findings)
+    return [*found, f"{amiss} to look at" if amiss else "all is well"]
+
+
+def exit_code(findings: Iterable[Finding]) -> ExitCode:
+    """Return what the program ends with: a wrong file counts more than what is amiss on the rig."""
+    amiss = {finding.subject for finding in findings if not finding.ok}
+    if CONFIGURATION in amiss:
+        return ExitCode.MISTYPED
+    return ExitCode.ALARMS if amiss else ExitCode.GOOD
+
+
+def page(findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return the same as JSON."""
+    found = [{"subject": each.subject, "ok": each.ok} | asdict(each) for each in findings]
+    return {"exit_code": int(exit_code(findings)), "findings": found}
+
+
+def _line(finding: Finding, width: int) -> str:
+    remedy = f"; {finding.remedy}" if finding.remedy else ""
+    # What an instrument or another program says is a single line here.
+    text = printable(" ".join(f"{finding.text}{remedy}".split()))
+    return f"{'ok' if finding.ok else 'PROBLEM':<8} {finding.subject:<{width}}  {text}"

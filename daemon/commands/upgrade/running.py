@@ -1,0 +1,120 @@
+"""What a self-check hears from the running service, which has the instruments: its own state, and nothing is sent."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from daemon.api.client import NoServiceError, find_unarmed
+from daemon.base.records import Quality
+from daemon.commands.status.check import mode_words
+from daemon.commands.upgrade.finding import Finding
+from daemon.config.settings import Settings
+
+_TOLD_ALREADY = ("no-wind-source", "nothing-kept")
+
+
+def asked(settings: Settings) -> list[Finding] | None:
+    """Return what the service of these settings says; None where none listens."""
+    if not settings.api.enabled:
+        return None
+    client = find_unarmed(None, settings.api.listen, {})
+    stale_s = max(settings.safety.wind_stale_s, settings.mqtt.safe.stale_s)
+    try:
+        return list(service(client.state(), client.health(), stale_s))
+    except NoServiceError as error:
+        if isinstance(error.__context__, ConnectionRefusedError):
+            return None
+        return [Finding("service", str(error), "see what listens there: 'ss -tlnp'")]
+
+
+def service(state: dict[str, Any], health: dict[str, Any], stale_s: float) -> Iterator[Finding]:
+    """Yield what the service says of its work, its instruments, the wind and the clock, and each alarm.
+
+    Parameters
+    ----------
+    state, health
+        The JSON of /api/state and of /healthz.
+    stale_s
+        From which silence on a source of the wind counts as not heard [s].
+    """
+    modes = ", ".join(f"{_of(name, state)}{mode_words(own['mode'])}" for name, own in state["trackers"].items())
+    simulated = "SIMULATED, " if state["simulated"] else ""
+    remedy = f"{'; '.join(health['troubles'])}: restart it" if health["troubles"] else ""
+    yield Finding("service", f"runs as {state['role']}: {simulated}{modes or 'reads the cube'}", remedy)
+    yield _cube(state)
+    for name, own in state["trackers"].items():
+        yield _positioner(own, _subject("positioner", name, state))
+        if own["load"] is not None:
+            yield _load(own["load"], _subject("load", name, state))
+        yield _wind(own, _subject("wind source", name, state), _remedy("no-wind-source", name, state), stale_s)
+    for alarm in state["alarms"]:
+        if alarm["name"] in _TOLD_ALREADY:
+            continue
+        subject = f"alarm {_of(alarm['tracker'], state)}{alarm['name']}"
+        yield Finding(subject, f"{alarm['state']} since {alarm['since'][:19]}Z: {alarm['text']}", alarm["remedy"])
+    if state["store"] is not None and state["store"]["down_why"]:
+        yield Finding("store", state["store"]["down_why"], "disk full, rights")
+
+
+def _cube(state: dict[str, Any]) -> Finding:
+    scan = state["scan"]
+    if state["cube_down_why"]:
+        return Finding(
+            "cube", state["cube_down_why"], "cable, supply, adapter; 'heliocube status' shows when it is back"
+        )
+    if scan is None or scan["stale"]:
+        text = "no reading yet" if scan is None else f"the latest reading is {_age(scan['age_s'])} old"
+        return Finding("cube", text, "see the cube's service, the network, and the key of both machines")
+    bad = [f"{name}: {face['quality']}" for name, face in scan["faces"].items() if face["quality"] != Quality.OK]
+    text = f"{scan['source']}, the latest reading is {_age(scan['age_s'])} old"
+    return Finding("cube", ", ".join([text, *bad]), "look after these sensors" if bad else "")
+
+
+def _positioner(own: dict[str, Any], subject: str) -> Finding:
+    seen = own["tracker"]
+    if not seen["connected"]:
+        why = (seen["down_why"] or "is not connected").removeprefix("positioner: ")
+        return Finding(subject, why, "cable, supply, adapter")
+    identity, pose = seen["identity"], seen["pose"]
+    text = "connected" if identity is None else f"{identity['board']} {identity['firmware']}"
+    if pose is not None:
+        text = f"{text} at A {pose['a_deg']}, B {pose['b_deg']} deg"
+    wrong = seen["blocked_why"] or seen["doubt_why"] or seen["unexplained_why"]
+    return Finding(subject, f"{text}; {wrong}" if wrong else text, "see 'heliocube status'" if wrong else "")
+
+
+def _load(load: dict[str, Any], subject: str) -> Finding:
+    if not load["connected"]:
+        return Finding(subject, load["down_why"] or "is not connected", "cable, supply, adapter")
+    return Finding(subject, load["identity"])
+
+
+def _wind(own: dict[str, Any], subject: str, missing: str | None, stale_s: float) -> Finding:
+    if missing is not None:
+        return Finding(subject, "none", missing)
+    silent = [source["name"] for source in own["wind"] if source["age_s"] is None or source["age_s"] > stale_s]
+    heard = ", ".join(f"{source['name']}{_speed(source)}" for source in own["wind"] if source["name"] not in silent)
+    if silent:
+        return Finding(subject, f"{', '.join(silent)}: not heard", "see the sensor, the broker and mqtt.wind.topic")
+    return Finding(subject, heard or "none, and that is accepted")
+
+
+def _speed(source: dict[str, Any]) -> str:
+    return "" if source["speed_m_s"] is None else f" {source['speed_m_s']:.1f} m/s, {_age(source['age_s'])} ago"
+
+
+def _remedy(alarm: str, tracker: str, state: dict[str, Any]) -> str | None:
+    """Return the remedy of an alarm of a tracker, or None where it is not raised."""
+    found = (each["remedy"] for each in state["alarms"] if each["name"] == alarm and each["tracker"] == tracker)
+    return next(found, None)
+
+
+def _age(age_s: float | None) -> str:
+    return "unknown" if age_s is None else f"{age_s:.0f} s"
+
+
+def _subject(what: str, tracker: str, state: dict[str, Any]) -> str:
+    return f"{what} of {tracker}" if len(state["trackers"]) > 1 else what
+
+
+def _of(tracker: str | None, state: dict[str, Any]) -> str:
+    return f"{tracker}: " if tracker and len(state["trackers"]) > 1 else ""

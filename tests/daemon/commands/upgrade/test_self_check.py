@@ -1,0 +1,141 @@
+"""What `heliocube self-check` says of a rig that is well, and of each thing that is not."""
+
+import asyncio
+import json
+import sqlite3
+import sys
+
+import pytest
+
+from daemon.base.records import Mode
+from daemon.commands.main import main
+from daemon.commands.upgrade.running import service
+from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
+from tests.support.api import serve
+
+__all__ = ["serve"]
+
+STALE_S = 60.0
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Runs the command line; returns its exit code and what it wrote to either stream."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code, written.out, written.err
+
+    return run
+
+
+@pytest.fixture
+def config(tmp_path):
+    """A file of a simulated rig, whose service nobody can ask."""
+    file = tmp_path / "heliocube.toml"
+    file.write_text("[api]\nenabled = false\n[store]\ndirectory = 'records'\n[bridge]\ninsecure = true\n")
+    return file
+
+
+def by_subject(out):
+    return {each["subject"]: each for each in json.loads(out)["findings"]}
+
+
+def texts(findings):
+    return {each.subject: each.text for each in findings}
+
+
+def amiss(findings):
+    return {each.subject: each for each in findings if not each.ok}
+
+
+def test_a_rig_that_is_well_has_a_line_each_and_ends_with_0(heliocube, config):
+    code, out, err = heliocube("self-check", "-c", config)
+    assert (code, err) == (0, "")
+    assert [line.split()[:2] for line in out.splitlines()] == [
+        *(["ok", name] for name in ("program", "configuration", "store", "disk", "clock", "instruments", "wind")),
+        ["all", "is"],
+    ]
+    assert not (config.parent / "records").exists()
+
+
+def test_a_file_that_cannot_be_used_ends_with_2_and_one_that_is_not_named_too(heliocube, config):
+    config.write_text("[site]\nlatitude_deg = 95\n")
+    code, out, err = heliocube("self-check", "--json", "-c", config)
+    assert (code, err) == (2, "")
+    assert json.loads(out)["exit_code"] == 2
+    assert "latitude_deg = 95" in by_subject(out)["configuration"]["text"]
+
+    code, out, err = heliocube("self-check")
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+
+
+def test_real_instruments_without_wind_and_positioner_are_told_with_what_to_do(heliocube, tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(
+        "[instruments]\nkind = 'real'\n[instruments.positioner]\nport = '/dev/serial/by-id/nothing'\n"
+        "[bridge]\ninsecure = true\n[api]\nenabled = false\n"
+    )
+    code, out, _ = heliocube("self-check", "--json", "-c", file)
+    found = by_subject(out)
+    assert code == 4
+    wrong = {subject for subject, each in found.items() if not each["ok"]} - {"clock"}
+    assert wrong == {"positioner", "wind source"}
+    assert all(found[subject]["remedy"] for subject in wrong)
+    assert str(tmp_path / "records") in found["store"]["text"]
+    assert "there is no /dev/serial/by-id/nothing" in found["positioner"]["text"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said", "ok"),
+    [
+        (lambda path: None, f"version {VERSION}, ", True),
+        (lambda path: set_version(path, VERSION - 1), f"makes it version {VERSION}", True),
+        (lambda path: set_version(path, VERSION + 1), "written by a newer heliocube", False),
+        (lambda path: path.write_text("no store"), "no store of heliocube", False),
+        (lambda path: path.rename(path.with_name("heliocube.20260101T000000Z.damaged.sqlite")), "store salvage", False),
+    ],
+)
+def test_a_store_is_read_and_said_to_be_of_which_version(heliocube, config, spoil, said, ok):
+    path = config.parent / "records" / FILE_NAME
+    path.parent.mkdir()
+    open_for_writing(path).close()
+    spoil(path)
+    code, out, _ = heliocube("self-check", "--json", "-c", config)
+    found = by_subject(out)["store"]
+    assert said in found["text"] + found["remedy"]
+    assert found["ok"] is ok
+    assert code == (0 if ok else 4)
+
+
+def set_version(path, version):
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"PRAGMA user_version = {version}")
+
+
+def test_a_running_service_is_asked_and_not_its_instruments(serve):
+    async def scenario(rig, call):
+        async def findings():
+            await asyncio.sleep(2)
+            return list(service((await call.get("/api/state")).json, (await call.get("/healthz")).json, STALE_S))
+
+        await rig.until_mode(Mode.TRACKING, 120)
+        found = await findings()
+        assert not amiss(found)
+        assert texts(found)["service"] == "runs as both: SIMULATED, tracking"
+        assert texts(found)["positioner"].startswith("36A1 ")
+        assert texts(found)["wind source"].startswith("wind 3.0 m/s, ")
+
+        rig.wind_m_s = None
+        rig.cables.positioner.link_up = rig.cables.voltmeter.link_up = False
+        await rig.until(lambda: rig.service.trackers[0].alarms.active, 120, "an alarm")
+        await asyncio.sleep(2 * STALE_S)
+        found = amiss(await findings())
+        assert {"positioner", "cube", "wind source"} <= set(found)
+        assert found["wind source"].text == "wind: not heard"
+        assert any(subject.startswith("alarm ") for subject in found)
+
+    serve(scenario)
