@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.operate import JsonOption, TokenOption, WhyOption, give
+from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.operate import TokenOption, WhyOption, give
 from daemon.commands.options import ApiOption, ConfigOption, TrackerOption
 
 if TYPE_CHECKING:
@@ -21,11 +22,9 @@ def alarms(
     context: typer.Context,
     config: ConfigOption = None,
     api: ApiOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON, with cause, effect and remedy.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show the alarms, what to do about each, and acknowledge them."""
-    import json
-
     from rich.console import Console
 
     from daemon.api.client import find_unarmed
@@ -34,7 +33,7 @@ def alarms(
         return
     state = find_unarmed(config, api).state()
     if as_json:
-        typer.echo(json.dumps(state["alarms"], indent=2))
+        print_json(state["alarms"])
     elif state["alarms"]:
         Console(highlight=False).print(*(_lines(alarm, state) for alarm in state["alarms"]), sep="\n")
     else:

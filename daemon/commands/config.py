@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
 
 if TYPE_CHECKING:
@@ -35,18 +36,28 @@ def check(
     role: Annotated[
         RoleChoice | None, typer.Option(help="What the process will do; without it, one role has to be able to run.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
+    from daemon.config.file import ConfigError
     from daemon.config.stuck_lines import self_test_gaps
 
-    settings = check_file(file, role)
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
+    try:
+        settings = check_file(file, role)
+    except ConfigError as error:
+        if as_json:
+            print_json({"file": file, "good": False, "problems": error.problems})
+        raise
     summary = _summary(settings)
     gaps: Iterable[str] = ()
     if settings.real:
         gaps = self_test_gaps(settings)
         summary["runs as"] = ", ".join(each for each, sentences in _lacking(settings).items() if not sentences)
+    if as_json:
+        print_json({"file": file, "good": True, "problems": (), "sets_up": summary, "warnings": tuple(gaps)})
+        return
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
     for subject, text in summary.items():
         console.print(Text.assemble((f"  {subject:<12} ", "dim"), text))
     for sentence in gaps:
@@ -101,6 +112,7 @@ def check_file(path: Path, role: RoleChoice | None = None) -> "Settings":
     from daemon.cube.calibration import calibration_in_force
     from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
     from daemon.mqtt.topics import unusable
+    from daemon.notify.recipients import recipients_of
 
     settings = with_place(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
@@ -126,6 +138,11 @@ def check_file(path: Path, role: RoleChoice | None = None) -> "Settings":
             tls_context(mqtt)
     except CredentialsError as error:
         problems.append(str(error))
+    if settings.notify.people_file is not None:
+        try:
+            recipients_of(settings.notify.people_file)
+        except UserError as error:
+            problems.append(str(error))
     weather = settings.simulation.weather
     if isinstance(weather, Path) and not weather.is_file():
         problems.append(f"simulation.weather: there is no file {weather}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import FILES, TableFormat
 from daemon.studies.inputs import instant
 
@@ -46,6 +47,7 @@ def export(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Write records of the store as tables, even while the service runs."""
     from daemon.store.export import export as write_tables
@@ -60,6 +62,9 @@ def export(
         last,
         [one.value for one in kind or []],
     )
+    if as_json:
+        print_json({"tables": out, "format": table_format, "rows": rows})
+        return
     counts = ", ".join(f"{count} {name}" for name, count in rows.items())
     typer.echo(f"written to {out}: {counts}")
 

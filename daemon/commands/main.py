@@ -14,6 +14,7 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import (
     BENCH,
     FILES,
@@ -32,11 +33,13 @@ from daemon.commands.options import (
 from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
-from daemon.commands.studies.simulate import checked_report, progress_bar, replay, report, tell_pages
+from daemon.commands.studies.simulate import checked_report, page_of, progress_bar, replay, report, tell_pages
 from daemon.commands.upgrade import command as upgrade_command
 from daemon.studies.inputs import instant, settings_for, site_values
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     # Help and completion must not wait for the science.
     from daemon.config.settings import Settings
 
@@ -159,6 +162,7 @@ def simulate(
     report_to: ReportOption = None,
     zone: ZoneOption = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
     from daemon.studies.simulate import simulate as run_simulation
@@ -172,11 +176,17 @@ def simulate(
     console = Console(stderr=True)
     with progress_bar(console) as progress:
         summary = run_simulation(settings, begin, days, out, table_format.value, progress)
-    report(summary, settings, out, console, Console())
+    pages: Sequence[Path] = ()
+    if not as_json:
+        report(summary, settings, out, console, Console())
     if report_to is not None:
         from daemon.studies.report.studies import report_simulation
 
-        tell_pages(report_simulation(settings, span, out, table_format.value, report_to, local, force=force))
+        pages = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
+    if as_json:
+        print_json(page_of(summary, settings, out, pages))
+    else:
+        tell_pages(pages)
 
 
 app.add_typer(dashboard.app)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import OPERATION, ApiOption, ConfigOption, TrackerOption
 
 app = typer.Typer()
@@ -13,7 +14,6 @@ TokenOption = Annotated[
     Path | None,
     typer.Option("--token-file", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="The whole answer, as JSON.")]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"
 
@@ -73,13 +73,14 @@ def give(
     **arguments: float | str,
 ) -> None:
     """Give a command to the service, print what came of it and leave with its exit code."""
-    import json
-
     from daemon.api.client import find
 
     which = {} if tracker is None else {"tracker": tracker}
     if why:
         which["why"] = why
     reply = find(config, api, token_file).command(name, **which, **arguments)
-    typer.echo(json.dumps(reply.page, indent=2) if as_json else reply.text)
+    if as_json:
+        print_json(reply.page)
+    else:
+        typer.echo(reply.text)
     raise typer.Exit(reply.exit_code)

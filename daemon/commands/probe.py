@@ -1,16 +1,16 @@
 """`heliocube probe`: look at one real instrument, without changing anything unless asked to."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Coroutine, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import CubeOption, TrackerOption
 
 if TYPE_CHECKING:
@@ -41,14 +41,16 @@ def positioner(
         float | None, typer.Option(min=1, max=20, help="MOVES both axes, one by one, by this much and back.")
     ] = None,
     record: RecordOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Identify the positioner by listening, and report its stream, settings and geometry."""
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_positioner import probe_positioner
 
     settings = _settings(config, "positioner", {"port": port}, tracker)
+    say = teller(as_json=as_json)
     with _tap(record) as tap:
-        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, _printer()))
+        _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json)
 
 
 @app.command()
@@ -57,14 +59,19 @@ def voltmeter(
     config: ConfigOption = None,
     write: WriteOption = False,
     record: RecordOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Ask the voltmeter who it is and how it is set; with --write, configure it and take ten readings."""
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_cube import probe_voltmeter
 
     settings = _settings(config, "voltmeter", {"resource": resource})
+    say = teller(as_json=as_json)
     with _tap(record) as tap:
-        _run(probe_voltmeter(settings, SystemClock().monotonic, tap, _printer(), write=write))
+        _run(
+            probe_voltmeter(settings, SystemClock().monotonic, tap, say, write=write),
+            as_json=as_json,
+        )
 
 
 @app.command()
@@ -73,13 +80,15 @@ def multiplexer(
     config: ConfigOption = None,
     write: WriteOption = False,
     record: RecordOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Reserve the multiplexer's lines; with --write, select each input and measure it."""
     from daemon.rigs.probe_cube import probe_multiplexer
 
     settings = _settings(config, "multiplexer", {"server": server})
+    say = teller(as_json=as_json)
     with _tap(record) as tap:
-        _run(probe_multiplexer(settings, tap, _printer(), write=write))
+        _run(probe_multiplexer(settings, tap, say, write=write), as_json=as_json)
 
 
 @app.command()
@@ -95,17 +104,21 @@ def cube(
         bool, typer.Option("--set-address", help="Lead through giving new sensors their addresses, one at a time.")
     ] = False,
     record: RecordOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the pyranometers that answer on their line of Modbus, with make, serial number and value."""
     from daemon.base.clock import SystemClock
     from daemon.rigs.probe_modbus import ModbusProbe, unit_range
     from daemon.studies.inputs import settings_for
 
+    if as_json and set_address:
+        raise UserError("--set-address is for people: leave out --json")
     chosen = name or ("modbus-pyranometers" if config is None else None)
     settings, units = settings_for(config, cube=chosen), unit_range(addresses)
+    say = teller(as_json=as_json)
     with _tap(record) as tap:
-        probe = ModbusProbe(settings, line, SystemClock(), _printer(), tap)
-        _run(probe.set_addresses(_ask, units) if set_address else probe.report(units, clear=clear))
+        probe = ModbusProbe(settings, line, SystemClock(), say, tap)
+        _run(probe.set_addresses(_ask, units) if set_address else probe.report(units, clear=clear), as_json=as_json)
 
 
 def _ask(question: str) -> str:
@@ -132,6 +145,7 @@ def load(
         bool, typer.Option("--write", help="Also trace one curve; the module is in open circuit afterwards.")
     ] = False,
     record: RecordOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Ask the electronic load who it is and how it is set; with --write, trace one curve."""
     from daemon.base.clock import SystemClock
@@ -142,8 +156,9 @@ def load(
     settings = settings_of_one(load_settings(config) if config is not None else Settings(), tracker)
     given = {"resource": resource, "driver": None if driver is None else driver.value}
     settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
+    say = teller(as_json=as_json)
     with _tap(record) as tap:
-        _run(probe_load(settings, SystemClock().monotonic, tap, _printer(), write=write))
+        _run(probe_load(settings, SystemClock().monotonic, tap, say, write=write), as_json=as_json)
 
 
 def _settings(
@@ -160,19 +175,16 @@ def _settings(
     return override(settings, {"instruments": changes})
 
 
-def _printer() -> Callable[[str], object]:
-    console = Console(highlight=False, soft_wrap=True)
-    return lambda text: console.print(text, markup=False)
-
-
-def _run(work: Coroutine[Any, Any, None]) -> None:
+def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
     """Run to the end; what goes wrong with the instrument is one sentence and exit code 2."""
     from drivers.errors import DeviceError
 
     try:
-        asyncio.run(work)
+        found = asyncio.run(work)
     except DeviceError as error:
         raise UserError(str(error)) from error
+    if as_json:
+        print_json(found)
 
 
 @contextmanager

@@ -1,9 +1,12 @@
 """`heliocube store`: what can be done with the records' file itself."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from daemon.commands.answers import JsonOption, print_json
 
 app = typer.Typer(help="The file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
 
@@ -22,11 +25,15 @@ def salvage(
             metavar="DIR", help="Folder of the store that takes the records: the service's own, or a new one."
         ),
     ],
+    as_json: JsonOption = False,
 ) -> None:
     """Write what can be read from a store into another one, even while the service runs."""
     from daemon.store.salvage import salvage as write_records
 
     found = write_records(file, into)
+    if as_json:
+        print_json({"file": file, "into": into, **asdict(found)})
+        return
     counts = ", ".join(f"{count} {name}" for name, count in found.read.items())
     state = "is damaged" if found.damaged else "is whole"
     typer.echo(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")

@@ -1,11 +1,12 @@
 """`heliocube bridge`: tools for whoever writes or tests a sender."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+
+from daemon.commands.answers import JsonOption, print_json
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -30,6 +31,7 @@ def send_csv(
         float, typer.Option(min=0.001, metavar="FACTOR", help="How many times the pace of the file.")
     ] = 1.0,
     keep_times: Annotated[bool, typer.Option("--keep-times", help="Send the file's times instead of now.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Send recorded irradiances as a cube would: the reference sender of docs/bridge.md."""
     import asyncio
@@ -63,6 +65,9 @@ def send_csv(
                 on_progress=lambda done, total: progress(done / total),
             )
         )
+    if as_json:
+        print_json({"scans": sent, "sent_to": bridge.send_to})
+        return
     Console().print(f"{sent} scans sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
 
 
@@ -101,4 +106,4 @@ def control(
         return
     result = ask_bench(directory.absolute(), verb, arguments or [])
     if result is not None:
-        typer.echo(json.dumps(result, indent=2))
+        print_json(result)

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
@@ -30,7 +31,9 @@ _SETTINGS = {
 }
 
 
-async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap, say: Say, *, write: bool) -> None:
+async def probe_voltmeter(
+    settings: Settings, now: Callable[[], float], tap: Tap, say: Say, *, write: bool
+) -> dict[str, Any]:
     """Ask the voltmeter who it is and how it is set; with `write`, configure it and time some readings.
 
     Parameters
@@ -43,6 +46,11 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         Told what goes over the line.
     say
         Takes the lines of the report.
+
+    Returns
+    -------
+    dict
+        For scripts: answers by name under `answers`, and the readings [mV] with the time each took [ms].
 
     Raises
     ------
@@ -63,8 +71,10 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
     for name, answer in answers.items():
         say(f"{name}: {answer}")
     require_model(answers["identity"])
+    readings: list[dict[str, float]] = []
+    page = {"answers": answers, "readings": readings}
     if not write:
-        return
+        return page
     meter = build_voltmeter(settings, tap)
     try:
         await meter.open()
@@ -72,9 +82,12 @@ async def probe_voltmeter(settings: Settings, now: Callable[[], float], tap: Tap
         for _ in range(_READINGS):
             start_s = now()
             voltage_v = await meter.read_voltage()
-            say(f"  {voltage_v * 1e3:+.4f} mV in {(now() - start_s) * 1e3:.0f} ms")
+            took_ms = (now() - start_s) * 1e3
+            readings.append({"mv": voltage_v * 1e3, "took_ms": took_ms})
+            say(f"  {voltage_v * 1e3:+.4f} mV in {took_ms:.0f} ms")
     finally:
         await meter.close()
+    return page
 
 
 def _require_multiplexed(settings: Settings, what: str) -> None:
@@ -99,8 +112,10 @@ async def _answers(line: ScpiLine, deadline_s: float) -> dict[str, str]:
     return {"identity": identity} | {name: await ask(query) or "no answer" for name, query in _SETTINGS.items()}
 
 
-async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> None:
+async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bool) -> dict[str, Any]:
     """Reserve the multiplexer's lines; with `write`, select each input, and measure it if there is a voltmeter.
+
+    Returns for scripts what was found, and what each input is for and read.
 
     Raises
     ------
@@ -113,9 +128,10 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
     multiplexer = build_multiplexer(settings, tap)
     meter = build_voltmeter(settings) if write and settings.instruments.voltmeter.resource else None
     try:
-        say(f"found: {await multiplexer.open()}")
+        identity = await multiplexer.open()
+        say(f"found: {identity}")
         if not write:
-            return
+            return {"found": identity, "inputs": []}
         if meter is None:
             say("instruments.voltmeter.resource is not set: the inputs are selected, not measured")
         else:
@@ -124,22 +140,25 @@ async def probe_multiplexer(settings: Settings, tap: Tap, say: Say, *, write: bo
         for name in SELF_TESTS:
             if (channel := getattr(settings.cube, name)) is not None:
                 wired[channel] = "self-test"
+        inputs = []
         for channel in range(len(settings.instruments.multiplexer.addresses)):
             await multiplexer.select(channel)
             await asyncio.sleep(settings.instruments.multiplexer.settle_s)
-            reading = "selected" if meter is None else await _measured(meter, settings, wired.get(channel))
+            reading, mv = ("selected", None) if meter is None else await _measured(meter, settings, wired.get(channel))
+            inputs.append({"input": channel, "for": wired.get(channel), "mv": mv, "reading": reading})
             say(f"  input {channel} ({wired.get(channel, 'not used')}): {reading}")
+        return {"found": identity, "inputs": inputs}
     finally:
         await multiplexer.close()
         if meter is not None:
             await meter.close()
 
 
-async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -> str:
+async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -> tuple[str, float | None]:
     try:
         voltage_mv = await meter.read_voltage() * 1e3
     except OverRangeError:
-        return "beyond the range"
+        return "beyond the range", None
     if name not in FACES:
-        return f"{voltage_mv:+.4f} mV"
-    return f"{voltage_mv:+.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2"
+        return f"{voltage_mv:+.4f} mV", voltage_mv
+    return f"{voltage_mv:+.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2", voltage_mv

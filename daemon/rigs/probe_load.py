@@ -1,6 +1,7 @@
 """Looking at a real electronic load."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
@@ -17,7 +18,7 @@ from solar.iv import measured_maximum, sweep_voltages
 
 async def probe_load(
     settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object], *, write: bool
-) -> None:
+) -> dict[str, Any]:
     """Ask the load who it is and how it is set; with `write`, trace one curve and leave the module in open circuit.
 
     Parameters
@@ -30,6 +31,11 @@ async def probe_load(
         Told what goes over the line.
     say
         Takes the lines of the report.
+
+    Returns
+    -------
+    dict
+        For scripts: `answers` by name, and with `write` the `curve` [V, A] and its maximum [W].
 
     Raises
     ------
@@ -54,15 +60,19 @@ async def probe_load(
         await line.open()
         await line.interrupt()
         await line.drain(0.1)
-        for text in await _answers(line, dialect, own.deadline_s):
-            say(text)
+        answers = await _answers(line, dialect, own.deadline_s)
     finally:
         await line.close()
-    if write:
-        await _trace(settings, now, tap, say)
+    known = dialect.knows(answers["identity"])
+    for name, answer in answers.items():
+        say(f"{name}: {answer}")
+        if name == "identity" and not known:
+            say(f"  this is not a {dialect.name}: the service will not use it")
+    page = {"answers": answers, "known": known}
+    return page | await _trace(settings, now, tap, say) if write else page
 
 
-async def _answers(line: ScpiLine, dialect: Dialect, deadline_s: float) -> list[str]:
+async def _answers(line: ScpiLine, dialect: Dialect, deadline_s: float) -> dict[str, str]:
     async def ask(query: str) -> str | None:
         try:
             return (await line.ask(query, deadline_s)).strip()
@@ -74,16 +84,15 @@ async def _answers(line: ScpiLine, dialect: Dialect, deadline_s: float) -> list[
         raise ConnectError(
             "load", f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface?"
         )
-    answers = [f"identity: {identity}"]
-    if not dialect.knows(identity):
-        answers.append(f"  this is not a {dialect.name}: the service will not use it")
     questions = {"input on": dialect.is_on, "mode": dialect.mode_proof[0], "all in one line": dialect.measure}
     if dialect.select_proof is not None:
         questions = {"channel": dialect.select_proof[0], "module": dialect.identify_channel} | questions
-    return answers + [f"{name}: {await ask(query) or 'no answer'}" for name, query in questions.items()]
+    return {"identity": identity} | {name: await ask(query) or "no answer" for name, query in questions.items()}
 
 
-async def _trace(settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object]) -> None:
+async def _trace(
+    settings: Settings, now: Callable[[], float], tap: Tap, say: Callable[[str], object]
+) -> dict[str, Any]:
     load, least_v = build_load(settings, tap), settings.load.minimum_voltage_v
     assert load is not None  # noqa: S101 - narrowing; the driver was looked at before
 
@@ -103,5 +112,10 @@ async def _trace(settings: Settings, now: Callable[[], float], tap: Tap, say: Ca
             say(f"stopped: {swept.stopped_why}")
         found = measured_maximum(swept.voltage_v, swept.current_a)
         say(found.why_not or f"maximum power {found.pmpp_w:.2f} +- {found.pmpp_sigma_w:.2f} W at {found.vmpp_v:.2f} V")
+        return {
+            "curve": {"voltage_v": swept.voltage_v, "current_a": swept.current_a},
+            "stopped": swept.stopped_why or None,
+            "maximum": found,
+        }
     finally:
         await load.close()

@@ -1,7 +1,7 @@
 """Looking at what answers on lines of Modbus, clearing an old error, and giving new sensors their addresses."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
@@ -99,14 +99,19 @@ class ModbusProbe:
         self._tap = tap
         self._path = path
 
-    async def report(self, units: Sequence[int], *, clear: bool) -> None:
-        """Say who answers at which address; with `clear` take old errors away. Raises `DeviceError`."""
+    async def report(self, units: Sequence[int], *, clear: bool) -> dict[str, Any]:
+        """Say who answers at which address; with `clear` take old errors away. Raises `DeviceError`.
+
+        Returns the same for scripts, by line.
+        """
+        answering: dict[str, list[dict[str, Any]]] = {}
         for line in self._lines:
             bus = self._bus(line, writes=clear)
             self._say(f"{line}:")
             await bus.open()
             try:
                 found = await self._find(bus, line, units)
+                answering[line] = [each._asdict() | {"face": self._face_at(line, each.unit)} for each in found]
                 for each in found:
                     self._say(f"  address {each.unit}: {each.text}{self._face_of(line, each)}")
                     if clear and each.make == "smp":
@@ -118,8 +123,9 @@ class ModbusProbe:
                     f"  nobody answers at {units[0]} to {units[-1]}: are they on, A and B the right way round, speed"
                     f" and parity ({self._own.serial_speed}, {self._own.serial_form}) as at the sensors?"
                 )
+        return {"lines": answering}
 
-    async def set_addresses(self, ask: Ask, units: Sequence[int]) -> None:
+    async def set_addresses(self, ask: Ask, units: Sequence[int]) -> dict[str, Any]:
         """Lead through giving each face's sensor its address, one sensor on the line at a time.
 
         Nothing is written before the person has said so twice. Raises `DeviceError`.
@@ -132,6 +138,7 @@ class ModbusProbe:
                 await self._set_one(bus, line or "", face, ask, units)
             finally:
                 await bus.close()
+        return {}
 
     async def _set_one(self, bus: ModbusBus, line: str, face: str, ask: Ask, units: Sequence[int]) -> None:
         wanted = self._own.face(face).address
@@ -229,14 +236,20 @@ class ModbusProbe:
             if here and self._own.make_of(face) not in _RECOGNISED:
                 yield self._own.make_of(face), make_of(self._own.make_of(face), self._own.map_of(face))
 
-    def _face_of(self, line: str, found: Answering) -> str:
+    def _face_at(self, line: str, unit: int) -> str | None:
         for face in FACES:
-            own = self._own.face(face)
-            if self._own.line_of(face) in (None, line) and own.address == found.unit:
-                if own.serial is not None and found.serial != own.serial:
-                    return f"; the {face} face is configured here, with serial number {own.serial}: INTERCHANGED?"
-                return f"; configured as the {face} face"
-        return "; not configured"
+            if self._own.line_of(face) in (None, line) and self._own.face(face).address == unit:
+                return face
+        return None
+
+    def _face_of(self, line: str, found: Answering) -> str:
+        face = self._face_at(line, found.unit)
+        if face is None:
+            return "; not configured"
+        serial = self._own.face(face).serial
+        if serial is not None and found.serial != serial:
+            return f"; the {face} face is configured here, with serial number {serial}: INTERCHANGED?"
+        return f"; configured as the {face} face"
 
     async def _clear(self, bus: ModbusBus, unit: int) -> None:
         (code,) = await bus.read(unit, READ_INPUT, _SMP_ERROR_CODE, 1, self._within_s)

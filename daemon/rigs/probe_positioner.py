@@ -4,6 +4,7 @@ import asyncio
 import os
 from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
@@ -35,8 +36,10 @@ _BY_HAND = (
 
 async def probe_positioner(
     settings: Settings, clock: Clock, seconds: float, move_deg: float | None, tap: Tap, say: Say
-) -> None:
+) -> dict[str, Any]:
     """Listen to the positioner and report; with `move_deg`, also move each axis by that much and back.
+
+    Returns for scripts who it is, what it shows, its stream, its conflicts with the configuration and its settings.
 
     Raises
     ------
@@ -74,6 +77,14 @@ async def probe_positioner(
             await _time_moves(positioner, setups, move_deg, clock, say)
         for line in _BY_HAND:
             say(line)
+        return {
+            "port": own.port,
+            "identity": identity,
+            "telemetry": telemetry,
+            "geometry_fits": _geometry_fits(telemetry, setups),
+            "own_moves": tuple(own_moves(fields)),
+            "fields": {str(code): text for code, text in sorted(fields.items())},
+        }
     finally:
         await positioner.close()
 
@@ -139,9 +150,21 @@ def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> Non
         say(f"  set in the unit, which may move by itself: {setting}")
 
 
+def _geometry_fits(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup]) -> dict[str, bool]:
+    return {name: setup.fits(angle_deg, position) for name, setup, angle_deg, position in _axes(telemetry, setups)}
+
+
+def _axes(
+    telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup]
+) -> tuple[tuple[AxisName, AxisSetup, float, float], ...]:
+    return (
+        ("a", setups[0], telemetry.a_deg, telemetry.position_a),
+        ("b", setups[1], telemetry.b_deg, telemetry.position_b),
+    )
+
+
 def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], say: Say) -> None:
-    shown = ((telemetry.a_deg, telemetry.position_a), (telemetry.b_deg, telemetry.position_b))
-    for name, setup, (angle_deg, position) in zip("ab", setups, shown, strict=True):
+    for name, setup, angle_deg, position in _axes(telemetry, setups):
         expected = setup.geometry.position(angle_deg)
         if setup.fits(angle_deg, position):
             say(f"geometry of {name.upper()} fits: {angle_deg:.1f} deg is {expected:.1f}, it shows {position:g}")

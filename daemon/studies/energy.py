@@ -2,11 +2,11 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,6 +161,21 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -
             f"{_cell(row.return_deg_per_day, 8, '.0f')}{_cell(row.moves_per_day, 7, '.0f')}"
         )
     return "\n".join(lines) + "\n"
+
+
+def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -> dict[str, Any]:
+    """Return the same for scripts: gains in percent over ideal chronometric, by type of day under its name."""
+    types = weather.day_types()
+    return {
+        "days": {name: int(np.count_nonzero(types == index)) for index, name in enumerate(DAY_TYPES)},
+        "minutes_of_daylight": len(weather.utc_s),
+        "albedo": terms.albedo,
+        "limits": terms.limits,
+        "speed_deg_per_s": terms.drive.speed_deg_per_s,
+        "rows": [
+            asdict(row) | {"gain_by_type_pct": dict(zip(DAY_TYPES, row.gain_by_type_pct, strict=True))} for row in rows
+        ],
+    }
 
 
 def _cell(value: float, width: int, form: str) -> str:

@@ -71,9 +71,10 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert bench.state()["multiplexer"]["writes"] == 0
     assert bench.state()["voltmeter"]["range_v"] == range_v
 
-    measured = probe("multiplexer", "-c", bench.config, "--write", "--record", tmp_path / "multiplexer")
+    measured = probe("multiplexer", "-c", bench.config, "--write", "--record", tmp_path / "multiplexer", "--json")
     assert measured.returncode == 0, measured.stderr
-    assert re.search(r"input 3 \(zenith\): \+\d+\.\d{4} mV, \d+\.\d W/m2", measured.stdout)
+    assert re.search(r"input 3 \(zenith\): \+\d+\.\d{4} mV, \d+\.\d W/m2", measured.stderr)
+    assert json.loads(measured.stdout)["inputs"][3]["for"] == "zenith"
     assert sent(tmp_path / "multiplexer") == [b"%d" % channel for channel in range(8)]
 
     again = probe("voltmeter", "-c", bench.config, "--record", tmp_path / "voltmeter")
@@ -82,9 +83,10 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
 
 def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
-    moved = probe("positioner", "-c", bench.config, "--seconds", "1", "--move-deg", "2")
+    moved = probe("positioner", "-c", bench.config, "--seconds", "1", "--move-deg", "2", "--json")
     assert moved.returncode == 0, moved.stderr
-    speeds = [float(text) for text in re.findall(r"([\d.]+) units/s", moved.stdout)]
+    speeds = [float(text) for text in re.findall(r"([\d.]+) units/s", moved.stderr)]
+    assert json.loads(moved.stdout)["geometry_fits"] == {"a": True, "b": True}
     assert len(speeds) == 4
     assert all(1.5 < speed < 4.0 for speed in speeds)
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import ExitCode, UserError
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import OPERATION, ApiOption, ConfigOption
 
 app = typer.Typer()
@@ -14,7 +15,7 @@ app = typer.Typer()
 def status(
     config: ConfigOption = None,
     api: ApiOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Everything, as JSON; with --check its answer.")] = False,
+    as_json: JsonOption = False,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on showing it, until Ctrl-C.")] = False,
     check: Annotated[
         bool,
@@ -27,7 +28,6 @@ def status(
     with 4 where it works and something is amiss.
     """
     import contextlib
-    import json
 
     from rich.console import Console
 
@@ -41,10 +41,13 @@ def status(
 
         state, health = client.state(), client.health()
         lines, code = checks.verdict(state, health)
-        typer.echo(json.dumps(checks.page(state, health), indent=2) if as_json else "\n".join(lines))
+        if as_json:
+            print_json(checks.page(state, health))
+        else:
+            typer.echo("\n".join(lines))
         raise typer.Exit(code)
     if as_json:
-        typer.echo(json.dumps(client.state(), indent=2))
+        print_json(client.state())
         return
     console = Console(highlight=False)
     if watch:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.commands.answers import JsonOption, print_json
 from daemon.studies.inputs import instant
 
 app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
@@ -67,6 +68,7 @@ def cube(
     ] = 730,
     plot: Annotated[Path | None, typer.Option(help="Draw scatter and residuals too: .png, .svg or .pdf.")] = None,
     out: OutOption = Path("calibration.toml"),
+    as_json: JsonOption = False,
 ) -> None:
     """Calibrate the four sensors, lying horizontally beside a reference pyranometer, in the manner of ISO 9847."""
     from daemon.cube.calibration import write_calibration
@@ -95,6 +97,9 @@ def cube(
 
         draw_comparison(found, plot)
     write_calibration(calibration, out, lines)
+    if as_json:
+        print_json(report.comparison_page(found) | {"calibration": calibration, "written": out, "figure": plot})
+        return
     _print(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
 
 
@@ -129,6 +134,7 @@ def field(
         float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
     ] = 365,
     out: OutOption = Path("calibration.toml"),
+    as_json: JsonOption = False,
 ) -> None:
     """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
     from daemon.cube.calibration import write_calibration
@@ -145,6 +151,9 @@ def field(
     lines = report.field_lines(found, made_on, sky.value)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
     write_calibration(calibration, out, lines)
+    if as_json:
+        print_json(report.field_page(found, made_on) | {"calibration": calibration, "written": out})
+        return
     _print(lines, calibration.identifier, out)
 
 

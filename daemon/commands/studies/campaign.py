@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from daemon.commands.answers import JsonOption, print_json, teller
+
 
 def campaign(
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
@@ -29,6 +31,7 @@ def campaign(
     keep: Annotated[
         Path, typer.Option(metavar="DIR", help="Where each failure is written, reduced, as seed-N.json.")
     ] = Path("campaign-failures"),
+    as_json: JsonOption = False,
 ) -> None:
     """Attack the simulated rig with faults and commands from seeds, and hold every promise against the truth.
 
@@ -38,21 +41,22 @@ def campaign(
     from daemon.studies.campaign.attack import Attack, chosen_schedules
     from daemon.studies.campaign.reliability import write_reliability
 
-    out, errors = Console(), Console(stderr=True)
-
-    def say(text: str) -> None:
-        out.print(text, markup=False, highlight=False, soft_wrap=True)
+    say, errors = teller(as_json=as_json), Console(stderr=True)
 
     if reliability is not None:
         with progress_bar(errors, "drilling") as progress:
             beyond = write_reliability(reliability, jobs, progress)
         for text in (*beyond, f"written: {reliability}"):
             say(text)
+        if as_json:
+            print_json({"beyond": beyond, "written": reliability})
         raise typer.Exit(1 if beyond else 0)
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
     attack = Attack(schedules, jobs, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
         code = attack.run(progress)
+    if as_json:
+        print_json(attack.summary.page())
     raise typer.Exit(code)
 
 

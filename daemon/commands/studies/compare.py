@@ -1,5 +1,6 @@
 """`heliocube compare`: two trackers side by side, as in the paper's experiment."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -7,6 +8,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import TableFormat
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.studies.inputs import instant, parse_site, site_values, weather_choice
@@ -56,6 +58,7 @@ def simulate(
     site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of table.")] = TableFormat.csv,
+    as_json: JsonOption = False,
 ) -> None:
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
     from contextlib import ExitStack
@@ -108,6 +111,12 @@ def simulate(
             for one in measured:
                 tables.write(one)
     place = settings.site
+    if as_json:
+        table = None if out is None else out / f"powers.{table_format.value}"
+        print_json(
+            {"simulated": True, "site": place, "laws": names, "powers": len(measured), "table": table, "store": store}
+        )
+        return
     typer.echo(
         f"SIMULATED {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), T-Cube {names[0]}, T-Chrono"
         f" {names[1]}, weather {settings.simulation.weather}, sky {settings.simulation.sky}, seed"
@@ -128,6 +137,7 @@ def fit(
     end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="To here, itself not included.")] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
+    as_json: JsonOption = False,
 ) -> None:
     """Find the bias between the two measuring chains from a time in which both trackers lay flat."""
     from daemon.studies.compare import figures
@@ -143,6 +153,10 @@ def fit(
     found = fit_bias(flat)
     write(found, out)
     figures.save(figures.bias_figure(flat, found), out.parent, out.stem)
+    if as_json:
+        agreement = {"before": found.before._asdict(), "after": found.after._asdict()}
+        print_json(asdict(found) | agreement | {"written": out})
+        return
     typer.echo(as_text(found), nl=False)
     typer.echo(f"written to {out}")
 
@@ -162,6 +176,7 @@ def report(
     ] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
+    as_json: JsonOption = False,
 ) -> None:
     """Tell what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
     from daemon.studies.compare.fit import flat_pairs, read
@@ -188,6 +203,10 @@ def report(
         flat = None
     curve = kept_curve([parse_store(text) for text in store or []], cube)
     rows = write_report(pairs, found, flat, place, spans, curve, out)
+    if as_json:
+        page = {"trackers": pairs.names, "corrected": found is not None, "gains": rows, "page": out / "report.html"}
+        print_json(page)
+        return
     typer.echo(as_text(rows, pairs.names), nl=False)
     if found is None:
         typer.echo(f"{cube}'s power is not corrected: name the file of 'heliocube compare fit' with --bias")
@@ -205,6 +224,7 @@ def paper(
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
     law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = DEFAULT_LAW,
+    as_json: JsonOption = False,
 ) -> None:
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
     from typing import get_args
@@ -213,7 +233,7 @@ def paper(
     from daemon.config.plugged import law_names
     from daemon.config.settings import Settings
     from daemon.config.simulation import WeatherName
-    from daemon.studies.compare.paper import as_text, notes, run_paper, verdicts, write_paper
+    from daemon.studies.compare.paper import as_page, as_text, notes, run_paper, verdicts, write_paper
     from solar.sky import SKY_MODELS, SkyModel
 
     chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
@@ -226,6 +246,9 @@ def paper(
         runs = list(run_paper(settings, chosen, seeds, weather, cube_law, progress))
     found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
     write_paper(runs, found, paragraphs, settings.site.place(), out)
+    if as_json:
+        print_json({"periods": [as_page(one) for one in found], "notes": paragraphs, "page": out / "paper.html"})
+        return
     typer.echo(as_text(found))
     typer.echo("\n\n".join(paragraphs))
     typer.echo(f"\nfigures and page: {out / 'paper.html'}")

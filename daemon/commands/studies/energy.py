@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from daemon.commands.answers import JsonOption, print_json
+
 
 def energy(
     weather: Annotated[list[Path], typer.Argument(help="Measured weather (CSV, BSRN, SURFRAD, MIDC, TMY3).")],
@@ -26,6 +28,7 @@ def energy(
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
     speed: Annotated[float, typer.Option(min=0.01, max=90, help="Speed of each axis, deg/s.")] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
     from daemon.base.errors import UserError
@@ -33,6 +36,7 @@ def energy(
     from daemon.studies.energy import (
         IDEAL,
         Terms,
+        as_page,
         as_text,
         check_names,
         default_names,
@@ -68,6 +72,9 @@ def energy(
         plot(rows, out / "energy.png")
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error}") from error
+    if as_json:
+        print_json(as_page(rows, days, terms) | {"tables": out, "warnings": warnings})
+        return
     Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
 
 

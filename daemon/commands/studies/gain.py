@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import track
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption, print_json
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def gain(
         AnswerFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File for CSV or Parquet instead of standard output.")] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Tell how much more a dual-axis tracker receives than a static panel and single axes.
 
@@ -72,6 +74,8 @@ def gain(
     from daemon.studies.gain.evaluate import evaluate, evaluate_points
 
     errors, console = Console(stderr=True), Console()
+    if as_json and (table_format is not None or out is not None):
+        raise UserError("--json goes to standard output; leave out --format and --out, or --json")
     if points is not None:
         given = {
             "--lat": lat, "--lat-range": lat_range, "--tilt": tilt, "--day": day, "--weather": weather, "--plot": plot,
@@ -80,7 +84,10 @@ def gain(
         if clash is not None:
             raise UserError(f"--points answers its own rows; leave out {clash}")
         rows = evaluate_points(request.read_points(points), with_printed=printed)
-        output.write(rows, table_format or AnswerFormat.CSV, out, console, None)
+        if as_json:
+            print_json(output.as_page(rows, None))
+        else:
+            output.write(rows, table_format or AnswerFormat.CSV, out, console, None)
         return
 
     if day is not None and year:
@@ -110,7 +117,11 @@ def gain(
         kind = plot_kind or _fitting(asked)
         plots.draw(kind, asked, columns, sky, plot)
         errors.print(f"figure in {plot}", markup=False, highlight=False, soft_wrap=True)
-    output.write(columns, table_format or AnswerFormat.TABLE, out, console, sky.label if sky else None)
+    label = sky.label if sky else None
+    if as_json:
+        print_json(output.as_page(columns, label) | {"figure": plot})
+    else:
+        output.write(columns, table_format or AnswerFormat.TABLE, out, console, label)
 
 
 def _sky(weather: str | None, asked: "Request", lon: float | None, altitude: float | None) -> "SkySource | None":

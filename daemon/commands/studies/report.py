@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.studies.simulate import progress_bar, tell_pages
@@ -50,6 +51,7 @@ def report(
     tracker: TrackerOption = None,
     zone: ZoneOption = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a page about a day, a week or a month: what the tracker did, what it gained, how good the records are.
 
@@ -66,7 +68,7 @@ def report(
         materials = _materials(directory, wanted, tracker, lambda share: progress(0.8 * share))
         known = [with_settings(material, settings) for material in materials]
         paths = write_reports(known, out, local, lambda share: progress(0.8 + 0.2 * share), force=force)
-    tell_pages(paths)
+    tell_pages(paths, as_json=as_json)
 
 
 @app.command(rich_help_panel=FILES)
@@ -89,6 +91,7 @@ def plot(
     tracker: TrackerOption = None,
     zone: ZoneOption = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Draw quick pictures of a day from the store, or from tables of simulate or export."""
     from daemon.studies.report.plot import check_pictures, draw, material_of_tables, picture_paths
@@ -114,7 +117,7 @@ def plot(
                 raise UserError(f"that store has several trackers, {names}: choose one with --tracker NAME")
             material = found[0]
     draw(with_settings(material, settings), what, paths, local)
-    tell_pages(paths)
+    tell_pages(paths, as_json=as_json)
 
 
 def _settings(config: Path | None) -> "Settings | None":

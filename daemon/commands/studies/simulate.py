@@ -2,13 +2,15 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 
 if TYPE_CHECKING:
@@ -31,6 +33,20 @@ def progress_bar(console: Console, what: str = "simulating") -> Iterator[Callabl
             progress.update(task, completed=share)
 
         yield advance
+
+
+def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequence[Path]") -> dict[str, Any]:
+    """Return the same for scripts."""
+    return {
+        "simulated": True,
+        "site": settings.site,
+        "laws": list(dict.fromkeys(own.law.driver for _, own in settings.trackers)),
+        "weather": settings.simulation.weather,
+        "seed": settings.simulation.seed,
+        **asdict(summary),
+        "tables": out,
+        "reports": pages,
+    }
 
 
 def report(summary: "Summary", settings: "Settings", out: Path, errors: Console, console: Console) -> None:
@@ -73,8 +89,11 @@ def checked_report(
     return zone_of(zone)
 
 
-def tell_pages(paths: "Sequence[Path]") -> None:
+def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
     """Say where pages or pictures are."""
+    if as_json:
+        print_json({"written": paths})
+        return
     for path in paths:
         typer.echo(f"written: {path}")
 
@@ -96,6 +115,7 @@ def replay(
     report_to: ReportOption = None,
     zone: ZoneOption = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
     from rich.console import Console
@@ -127,8 +147,13 @@ def replay(
     local = checked_report(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
         run_replay(settings, rows, out, progress)
-    typer.echo(f"{len(rows)} rows by {settings.law.driver}: {out}")
+    pages: Sequence[Path] = ()
     if report_to is not None:
         from daemon.studies.report.studies import report_replay
 
-        tell_pages(report_replay(settings, span, rows, out, report_to, local, force=force))
+        pages = report_replay(settings, span, rows, out, report_to, local, force=force)
+    if as_json:
+        print_json({"rows": len(rows), "law": settings.law.driver, "table": out, "reports": pages})
+        return
+    typer.echo(f"{len(rows)} rows by {settings.law.driver}: {out}")
+    tell_pages(pages)

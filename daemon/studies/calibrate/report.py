@@ -66,6 +66,29 @@ def comparison_lines(found: Comparison) -> list[str]:
     return lines
 
 
+def comparison_page(found: Comparison) -> dict[str, Any]:
+    """Return what the calibration does not hold for scripts: agreement before and after, and what it is from."""
+    return {
+        "clear_minutes": int(found.utc_s.size),
+        "common_minutes": found.minutes,
+        "lag_s": found.lag_s,
+        "lag_known": found.lag_known,
+        "agreement": {
+            name: {"before": face.before._asdict(), "after": face.after._asdict()} for name, face in found.faces.items()
+        },
+    }
+
+
+def field_page(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
+    """Return what the calibration does not hold for scripts: how the cube stands, and how well the sky explains it."""
+    return {
+        "days": found.fit.days,
+        "standing": _standing(found, made_on.site.latitude_deg),
+        "unexplained_share": found.fit.shape.residual,
+        "doubtful": not found.fit.shape.residual <= _DOUBTFUL,
+    }
+
+
 def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
     """Return gains, attitude and albedo as lines of text."""
     fit, latitude = found.fit, made_on.site.latitude_deg

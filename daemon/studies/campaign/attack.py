@@ -6,7 +6,7 @@ from pathlib import Path
 from daemon.base.errors import UserError
 from daemon.studies.campaign.door import DirectDoor
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
-from daemon.studies.campaign.many import run_many
+from daemon.studies.campaign.many import CampaignSummary, run_many
 from daemon.studies.campaign.matrix import chosen_faults, refuse_unknown
 from daemon.studies.campaign.person import known
 from daemon.studies.campaign.reduce import reduce
@@ -64,6 +64,11 @@ class Attack:
         Where reduced failures are written; made with the first one.
     show
         Whether each schedule and its log are printed.
+
+    Attributes
+    ----------
+    summary
+        What the last `run` has shown.
     """
 
     def __init__(
@@ -74,6 +79,7 @@ class Attack:
         self._say = say
         self._keep = keep
         self._show = show
+        self.summary = CampaignSummary()
 
     def run(self, progress: Callable[[float], None]) -> int:
         """Carry them out, reduce what fails, and return an exit code; `progress` takes the share done, 0..1.
@@ -88,7 +94,7 @@ class Attack:
             progress(done / len(self._schedules))
             self._tell(schedule, outcome)
 
-        summary = run_many(self._schedules, self._jobs, note, with_log=self._show)
+        self.summary = summary = run_many(self._schedules, self._jobs, note, with_log=self._show)
         for line in summary.lines():
             self._say(line)
         left = len(self._schedules) - summary.done

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from daemon.studies.campaign.run import CampaignOutcome, run_schedule
 from daemon.studies.campaign.schedule import Schedule
@@ -46,6 +47,20 @@ class CampaignSummary:
         self.stop_latencies_s += outcome.stop_latencies_s
         if outcome.violations:
             self.failed.append((schedule, outcome))
+
+    def page(self) -> dict[str, Any]:
+        """Return it for scripts; `failed` has the broken promises of each seed."""
+        latencies = self.stop_latencies_s
+        return {
+            "schedules": self.done,
+            "hours": self.hours,
+            "events": self.events,
+            "moves": self.moves,
+            "stops_in_motion": len(latencies),
+            "stop_median_s": statistics.median(latencies) if latencies else None,
+            "stop_worst_s": max(latencies, default=None),
+            "failed": {schedule.seed: sorted(outcome.promises) for schedule, outcome in self.failed},
+        }
 
     def lines(self) -> Iterator[str]:
         """Yield it for people; the same for the same schedules, in whatever order they ended."""

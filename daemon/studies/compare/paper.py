@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -234,6 +235,20 @@ def as_text(found: Sequence[Verdict]) -> str:
             f"{one.median_pct:+9.2f}{_range(one):>19}  {one.word}"
         )
     return "\n".join(lines) + "\n"
+
+
+def as_page(one: Verdict) -> dict[str, Any]:
+    """Return one period under one sky for scripts; gains in percent, a bound that is none is infinite."""
+    printed = one.printed
+    return {
+        "period": printed.span.name,
+        "paper_pct": printed.paper_pct,
+        "asked_for_pct": (printed.lowest_pct, printed.highest_pct),
+        "sky": one.sky,
+        "median_pct": one.median_pct,
+        "gains_pct": one.gains_pct,
+        "verdict": one.word,
+    }
 
 
 def write_paper(

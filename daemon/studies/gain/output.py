@@ -40,6 +40,12 @@ def write(columns: Columns, kind: AnswerFormat, out: Path | None, console: Conso
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from error
 
 
+def as_page(columns: Columns, sky_label: str | None) -> dict[str, Any]:
+    """Return `columns` for scripts, an object a row, under the names of the CSV's columns."""
+    values = [column.tolist() for column in _typed(columns).values()]
+    return {"sky": sky_label, "rows": [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]}
+
+
 def show(columns: Columns, console: Console, sky_label: str | None) -> None:
     """Print one row as a comparison of devices, several as they are."""
     rows = next(iter(columns.values())).size

@@ -1,5 +1,6 @@
 """What is still there of a damaged store comes back, as it was, and the damaged file stays as it is."""
 
+import json
 import random
 import re
 import shutil
@@ -177,6 +178,9 @@ def test_the_command_says_what_it_read_and_what_cannot_be_meant(whole, tmp_path,
     assert re.match(
         rf"{re.escape(str(path))} is damaged: \d+ scans, 2 decisions, .* of them are new in .*new\n\d+ records", out
     )
+    page = json.loads(heliocube(path, "--into", tmp_path / "new", "--json")[1])
+    assert page["damaged"]
+    assert not any(page["added"].values()), "all of it is there already"
     notes = tmp_path / "notes"
     notes.write_text("my notes")
     for arguments, sentence in (

@@ -1,4 +1,5 @@
 import csv
+import json
 import sys
 from contextlib import closing
 
@@ -124,8 +125,13 @@ def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp
 
 def test_the_service_measures_with_the_calibration_and_names_it_in_every_scan(heliocube, tmp_path):
     calibration = tmp_path / "calibration.toml"
-    heliocube("calibrate", "cube", *beside(tmp_path), *SITE, "--out", calibration, "--valid-days", "200")
+    told = heliocube(
+        "calibrate", "cube", *beside(tmp_path), *SITE, "--out", calibration, "--valid-days", "200", "--json"
+    )
     identifier = read_calibration(calibration).identifier
+    page = json.loads(told[1])
+    assert page["calibration"]["identifier"] == identifier
+    assert page["agreement"]["zenith"]["before"]["rmbe_percent"] == pytest.approx(-2.0, abs=0.2)
     for name, line in (("plain", ""), ("calibrated", 'calibration_file = "calibration.toml"')):
         config = tmp_path / f"{name}.toml"
         config.write_text(f"[cube]\n{line}\n")
@@ -158,7 +164,8 @@ def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, t
     assert "albedo" in told
     csv_out = tmp_path / "again.toml"
     heliocube("export", "--store", tmp_path, "--out", tmp_path / "tables", "--kind", "scans")
-    assert heliocube("calibrate", "field", tmp_path / "tables" / "scans.csv", *SITE, "--out", csv_out)[0] == 0
+    _, told, _ = heliocube("calibrate", "field", tmp_path / "tables" / "scans.csv", *SITE, "--out", csv_out, "--json")
+    assert json.loads(told)["standing"]["yaw_deg"] == pytest.approx(2.0, abs=0.3)
     again = read_calibration(csv_out)
     assert again.standing.yaw_deg == pytest.approx(made.standing.yaw_deg, abs=1e-3)
 

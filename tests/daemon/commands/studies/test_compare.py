@@ -109,11 +109,11 @@ def test_the_same_report_is_the_same_bytes(compare, day, tmp_path):
 
 def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, day, tmp_path):
     period = "coffee=2022-10-12T10:00/2022-10-12T11:00"
-    code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, "--period", period)
+    code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, "--period", period, "--json")
     assert code == 0
-    assert "coffee" in out
+    assert "coffee" in {gain["period"] for gain in json.loads(out)["gains"]}
     assert "overcast" not in out
-    assert "is not corrected" in out
+    assert json.loads(out)["corrected"] is False
 
 
 def test_parquet_and_gzip_are_read_too(compare, day, tmp_path):
@@ -136,10 +136,10 @@ def test_a_time_by_the_clock_says_that_both_lay_flat_where_poses_are_not_known(c
     assert code == 2
     assert "name the time at which both lay flat with --from and --to" in err
     code, out, _ = compare(
-        "fit", bare, "--out", tmp_path / "b.json", "--from", "2022-10-11", "--to", "2022-10-11T10:30"
+        "fit", bare, "--out", tmp_path / "b.json", "--from", "2022-10-11", "--to", "2022-10-11T10:30", "--json"
     )
     assert code == 0
-    assert "360 pairs" in out
+    assert json.loads(out)["before"]["pairs"] == 360
 
 
 ROW = "2022-10-12T10:00:00Z,{},50"
@@ -214,9 +214,9 @@ def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, 
 
 def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     arguments = ("--start", "2022-10-14T11:00", "--days", "0.03", "--weather", "overcast")
-    code, out, err = compare("simulate", *arguments, "--out", tmp_path)
+    code, out, err = compare("simulate", *arguments, "--out", tmp_path, "--json")
     assert (code, err) == (0, "")
-    assert out.startswith("SIMULATED SIRTA")
+    assert json.loads(out)["powers"] == 2 * 519
     rows = list(csv.DictReader((tmp_path / "powers.csv").read_text().splitlines()))
     cube, chrono = ([row for row in rows if row["tracker"] == name] for name in ("T-Cube", "T-Chrono"))
     assert len(cube) == len(chrono) == 519

@@ -1,6 +1,7 @@
 """`heliocube energy`."""
 
 import csv
+import json
 import sys
 
 import pytest
@@ -71,5 +72,10 @@ def test_a_file_that_is_not_there_is_named(monkeypatch, tmp_path, capsys):
 
 
 def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, capsys):
-    assert energy(monkeypatch, weather, "--site", "55.79,120", "--out", tmp_path / "o", "--laws", "flat") == 0
-    assert "does not fit" in " ".join(capsys.readouterr().err.split())
+    assert energy(monkeypatch, weather, "--site", "55.79,120", "--out", tmp_path / "o", "--laws", "flat", "--json") == 0
+    written = capsys.readouterr()
+    assert "does not fit" in " ".join(written.err.split())
+    page = json.loads(written.out)
+    assert any("does not fit" in warning for warning in page["warnings"])
+    (row,) = (row for row in page["rows"] if row["law"] == "flat")
+    assert f"{row['energy_kwh_m2']:9.1f}" in (tmp_path / "o" / "energy.txt").read_text()

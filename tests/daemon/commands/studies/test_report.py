@@ -1,6 +1,7 @@
 """`heliocube report` and `heliocube plot`, as the command line has them."""
 
 import csv
+import json
 import re
 import sys
 from html.parser import HTMLParser
@@ -161,7 +162,8 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
     code, _, said = heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path)
     assert (code, page.read_text()) == (2, "mine")
     assert said == f"heliocube: {page} is there already: --force overwrites it, or name another --out\n"
-    assert heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path, "--force")[0] == 0
+    _, told, _ = heliocube("report", "--store", store, "--day", "2022-10-14", "--out", tmp_path, "--force", "--json")
+    assert json.loads(told)["written"] == [str(page)]
     assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert [path.name for path in tmp_path.iterdir()] == [page.name]
 
@@ -263,7 +265,8 @@ def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_pa
 def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     start = ("--start", "2022-06-21T11:00Z", "--days", "0.02")
     out = tmp_path / "tables"
-    assert heliocube("simulate", *start, "--out", out, "--report", tmp_path / "pages")[0] == 0
+    code, told, err = heliocube("simulate", *start, "--out", out, "--report", tmp_path / "pages", "--json")
+    assert (code, err, json.loads(told)["scans"]) == (0, "", 346)
     simulated = (tmp_path / "pages" / "20220621T1100Z_20220621T1128Z-tracker.html").read_text(encoding="utf-8")
     faces = tmp_path / "faces.csv"
     with (out / "scans.csv").open(newline="") as file:
@@ -272,8 +275,11 @@ def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     lines = [",".join([scan["time"], *(scan[f"{name}_w_m2"] for name in names)]) for scan in scans]
     faces.write_text("\n".join(["time,east,south,west,zenith", *lines]))
     site = ("--site", "48.717607,2.209002,156")
-    assert heliocube("replay", faces, *site, "--out", tmp_path / "p.csv", "--report", tmp_path / "again")[0] == 0
+    _, told, _ = heliocube(
+        "replay", faces, *site, "--out", tmp_path / "p.csv", "--report", tmp_path / "again", "--json"
+    )
     (again,) = (tmp_path / "again").iterdir()
+    assert json.loads(told)["reports"] == [str(again)]
     replayed = again.read_text(encoding="utf-8")
     assert figure(row(replayed, "zenith")[1]) == pytest.approx(figure(row(simulated, "zenith")[1]), abs=0.002)
     assert "SIMULATED" in simulated

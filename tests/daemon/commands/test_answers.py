@@ -1,0 +1,99 @@
+import json
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.main import get_command
+
+from daemon.commands.answers import print_json
+from daemon.commands.main import app, main
+
+# What runs until it is ended, leads a person through something, or answers in JSON already.
+WITHOUT = {"run", "bench", "dashboard", "notify", "config init", "config migrate", "bench-ctl"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    value: float
+    where: Path
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code, written.out, written.err
+
+    return run
+
+
+def commands(command, path=()):
+    inner = getattr(command, "commands", {})
+    if not inner:
+        yield " ".join(path), command
+    for name, one in inner.items():
+        yield from commands(one, (*path, name))
+
+
+def test_every_command_that_ends_with_an_answer_gives_it_as_json_too():
+    found = dict(commands(get_command(app)))
+    without = {name for name, one in found.items() if not any("--json" in each.opts for each in one.params)}
+    assert without == WITHOUT | (without & {"setup"})
+
+
+def test_a_page_is_strict_json_whatever_it_is_made_of(capsys):
+    print_json({
+        "none": float("nan"),
+        "beyond": np.float64("inf"),
+        "row": np.arange(2),
+        "one": Answer(1.5, Path("a")),
+        "when": datetime(2022, 10, 14, tzinfo=UTC),
+        "degrees": "°",
+    })  # fmt: skip
+    out = capsys.readouterr().out
+    assert out.isascii()
+    assert json.loads(out, parse_constant=pytest.fail) == {
+        "none": None,
+        "beyond": None,
+        "row": [0, 1],
+        "one": {"value": 1.5, "where": "a"},
+        "when": "2022-10-14T00:00:00Z",
+        "degrees": "°",
+    }
+
+
+def test_a_checked_file_says_what_is_wrong_with_it_on_both_streams(heliocube, tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[law]\ndriver = "flat"\n')
+    code, out, err = heliocube("config", "check", file, "--json")
+    page = json.loads(out)
+    assert (code, err, page["good"], page["problems"]) == (0, "", True, [])
+    assert page["sets_up"]["law"].startswith("flat")
+    file.write_text('[law]\ndrover = "flat"\n[site]\nlatitude_deg = 91\n')
+    code, out, err = heliocube("config", "check", file, "--json")
+    page = json.loads(out)
+    assert (code, page["good"], len(page["problems"])) == (2, False, 2)
+    assert all(problem in err for problem in page["problems"])
+
+
+def test_what_cannot_be_done_leaves_standard_output_empty(heliocube):
+    code, out, err = heliocube("gain", "--lat", "95", "--json")
+    assert (code, out) == (2, "")
+    assert "95" in err
+    code, out, err = heliocube("gain", "--lat", "45", "--json", "--format", "csv")
+    assert (code, out) == (2, "")
+    assert "leave out --format" in err
+
+
+def test_figures_are_those_of_the_table(heliocube):
+    arguments = ("gain", "--lat", "48.7", "--day", "10:12:1")
+    table = heliocube(*arguments, "--format", "csv")[1].splitlines()
+    rows = json.loads(heliocube(*arguments, "--json")[1])["rows"]
+    assert [list(row) for row in rows] == [table[0].split(",")] * 3
+    assert [[float(cell) for cell in line.split(",")] for line in table[1:]] == [list(row.values()) for row in rows]
