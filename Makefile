@@ -8,13 +8,14 @@ ARGS   ?=
 WORKERS ?= 2
 WAITING ?= 4
 
-.PHONY: run test test-quick lint format clean help
+.PHONY: run test test-quick lint docs format clean help
 
 help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
 	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
 	@echo "make lint                       ruff, ruff format --check, mypy (for Linux and for Windows), import-linter"
+	@echo "make docs                       the documentation as a site, in site/html; a link that leads nowhere ends it"
 	@echo "make format                     ruff's fixes and formatting"
 	@echo "make clean                      remove the virtual environment and caches"
 
@@ -27,6 +28,10 @@ $(BIN)/.runtime: deploy/lock/runtime.txt pyproject.toml
 
 $(BIN)/.dev: deploy/lock/dev.txt $(BIN)/.runtime
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/lock/dev.txt
+	@touch $@
+
+$(BIN)/.docs: deploy/lock/docs.txt $(BIN)/.runtime
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/lock/docs.txt
 	@touch $@
 
 run: $(BIN)/.runtime
@@ -49,9 +54,12 @@ lint: $(BIN)/.dev
 	$(BIN)/mypy --platform win32 --no-warn-unreachable --follow-imports=silent -p solar -p drivers -p daemon
 	$(BIN)/lint-imports
 
+docs: $(BIN)/.docs
+	$(BIN)/python docs/site/build.py
+
 format: $(BIN)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

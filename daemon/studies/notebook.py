@@ -1,9 +1,12 @@
 """The studies as a notebook calls them: choices by keyword, tables as data frames. Public through `heliocube`."""
 
-from collections.abc import Collection, Sequence
+import asyncio
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event
 
 import numpy as np
 import pandas as pd
@@ -63,7 +66,8 @@ def simulate(
     """
     settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
-        run_simulation(settings, _instant(start), days, Path(folder), "parquet", lambda _share: None)
+        first, out = _instant(start), Path(folder)
+        _in_a_loop_of_its_own(lambda progress: run_simulation(settings, first, days, out, "parquet", progress))
         return _tables(Path(folder))
 
 
@@ -147,8 +151,34 @@ def replay(
     settings = settings_for(_path(config), law=law, site=_place(site))
     with TemporaryDirectory(prefix="heliocube-") as folder:
         out = Path(folder) / "positions.csv"
-        run_replay(settings, _rows(faces), out, lambda _share: None)
+        rows = _rows(faces)
+        _in_a_loop_of_its_own(lambda progress: run_replay(settings, rows, out, progress))
         return pd.read_csv(out, index_col="time", parse_dates=["time"])
+
+
+def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> None:
+    """Do what runs an event loop and takes a function for its progress, which ends it when the notebook is interrupted.
+
+    A thread may run one event loop at a time, and the kernel of a notebook runs one already.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        work(lambda _share: None)
+        return
+    interrupted = Event()
+
+    def advance(_share: float) -> None:
+        if interrupted.is_set():
+            raise InterruptedError
+
+    with ThreadPoolExecutor(1) as thread:
+        done = thread.submit(work, advance)
+        try:
+            done.result()
+        except KeyboardInterrupt:
+            interrupted.set()
+            raise
 
 
 def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:

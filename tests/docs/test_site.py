@@ -1,0 +1,60 @@
+"""What the documentation site is built of. `make docs` builds it, runs the notebook and checks every link."""
+
+import importlib.util
+import json
+import re
+import tomllib
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from daemon.base.records import Mode
+from tests.support import DOCS
+
+
+def script(path):
+    specification = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+BUILD = script(DOCS / "site" / "build.py")
+
+
+def test_the_menu_names_every_page_once(tmp_path):
+    BUILD.stage(tmp_path / "pages")
+    text = (DOCS / "site" / "zensical.toml").read_text()
+    pages = {*BUILD.pages(tmp_path / "pages"), "tutorials/notebook.md"}
+    assert BUILD.named(tomllib.loads(text)) == pages
+    assert len(re.findall(r'"[\w/.-]+\.md"', text)) == len(pages)
+
+
+def test_every_decision_is_in_the_list_of_them():
+    listed = re.findall(r"- \[.+\]\((.+)\)", BUILD.decisions())
+    assert listed == [page.name for page in sorted((DOCS / "decisions").glob("0*.md"))]
+
+
+def test_a_page_that_fetches_from_elsewhere_is_named(tmp_path):
+    (tmp_path / "own.html").write_text(f'<script src="{BUILD.SHIM}"></script><a href="https://sunspec.org">', "utf-8")
+    (tmp_path / "other.html").write_text('<link rel="stylesheet" href="https://fonts.example/x.css">', "utf-8")
+    assert BUILD.own_scripts(tmp_path) == ["other.html"]
+    assert 'src="site/iframe-worker.js"' in (tmp_path / "own.html").read_text()
+    assert (DOCS / "site" / "iframe-worker.js").is_file()
+
+
+def test_the_drawing_of_the_angles_is_what_its_script_draws():
+    drawing = script(DOCS / "glossary_drawing.py")
+    assert drawing.PICTURE.read_text(encoding="utf-8") == drawing.picture(), "run python docs/glossary_drawing.py"
+    ET.fromstring(drawing.picture())
+
+
+def test_the_notebook_is_kept_without_its_results():
+    cells = json.loads((DOCS / "tutorials" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert not [cell["id"] for cell in cells if cell.get("outputs") or cell.get("execution_count")]
+
+
+@pytest.mark.parametrize("word", [*Mode, "A", "B", "face", "stop", "scan", "target", "law"])
+def test_the_glossary_has_the_words_of_the_status(word):
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    assert re.search(rf"^{word}\n:   |`{word}`", text, re.MULTILINE)
