@@ -20,6 +20,7 @@ from daemon.base import process
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.files import StateFolder
+from daemon.base.installation import release
 from daemon.base.process import Notifier, on_signals
 from daemon.base.records import Bus, Event
 from daemon.base.timeloop import new_loop
@@ -39,6 +40,7 @@ from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
 from daemon.store.place import claimed
+from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, Releases
 from daemon.store.settings_kept import tell_changes
 from daemon.store.store import Origin, Store
 from daemon.sunspec.server import SunSpecServer
@@ -76,6 +78,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         recent = Recent(several=len(settings.trackers) > 1)
         bus.subscribe(recent.note)
         mqtt = links(settings, role, clock, SystemRandom(), bus.publish, speed)
+        name = CUBE_FILE_NAME if role is Role.CUBE else FILE_NAME
+        releases = Releases(StateFolder(settings.store.directory, behind=True), name, release(), clock, bus.publish)
         service = Service(
             settings,
             role,
@@ -90,6 +94,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             stow_sources={name: link.stow_sources() for name, link in mqtt.items()},
             send_beyond=_sender(settings, mqtt),
             kept_in=partial(StateFolder, behind=True),
+            hold_why=releases.hold_why,
         )
         if not settings.real:
             fields = {"role": role, "speed": speed}
@@ -113,7 +118,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
-            runner.run(_run(service, for_s, speed, companions))
+            runner.run(_run(service, for_s, speed, releases, companions))
     console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
 
 
@@ -274,6 +279,7 @@ async def _run(
     service: Service,
     for_s: float | None,
     speed: float,
+    releases: Releases,
     companions: Iterable[LiveView | ApiServer | SunSpecServer | KeyFileWatch | LoopWatch | Mqtt | None],
 ) -> None:
     stop = asyncio.Event()
@@ -281,4 +287,5 @@ async def _run(
     if for_s is not None:
         loop.call_later(for_s * speed, stop.set)
     with on_signals(lambda: loop.call_soon_threadsafe(stop.set)):
-        await service.run(stop, *(companion.run() for companion in companions if companion is not None))
+        running = (companion.run() for companion in companions if companion is not None)
+        await service.run(stop, releases.run(lambda: service.all_is_kept), *running)

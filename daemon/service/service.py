@@ -62,6 +62,8 @@ class Service:
         Takes each signed scan of the cube to trackers that UDP does not reach, or None.
     kept_in
         Makes the folder of a tracker's kept state; in real time one whose disk is never waited for.
+    hold_why
+        Why the trackers are to be held from the start where nobody has asked for anything, or None.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class Service:
         stow_sources: Mapping[str, Sequence[StowSource]] = MappingProxyType({}),
         send_beyond: Callable[[bytes], None] | None = None,
         kept_in: Callable[[Path | None], StateFolder] = StateFolder,
+        hold_why: str | None = None,
     ) -> None:
         self.settings = settings
         self.role = role
@@ -90,6 +93,7 @@ class Service:
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
         self._random = random
         self._kept_in = kept_in
+        self._hold_why = hold_why
         self._key = key
         self._notifier = notifier
         self.calibration = calibration
@@ -152,9 +156,15 @@ class Service:
                 alone=len(wanted) == 1,
                 refused=self._refused,
                 muted=self._mute_cube,
+                hold_why=self._hold_why,
             )
             self.bus.subscribe(tracker.note)
             yield tracker
+
+    @property
+    def all_is_kept(self) -> bool:
+        """Whether a restart now would forget nothing that was asked of any tracker."""
+        return all(tracker.folder.unsaved is None for tracker in self.trackers)
 
     def take_keys(self, keys: tuple[bytes, ...]) -> None:
         """Sign scans with the first of these keys from now on, and accept what any of them has signed."""

@@ -79,6 +79,8 @@ class Tracker:
         Returns what the bridge has refused since the last scan, in words; empty for nothing.
     muted
         Called when its alarms are silenced or heard again.
+    hold_why
+        Why it is to be held from the start where nobody has asked for anything, or None.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Tracker:
         alone: bool,
         refused: Callable[[], str],
         muted: Callable[[], None],
+        hold_why: str | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
@@ -132,7 +135,7 @@ class Tracker:
             build_pointing(settings, clock.utc(), folder),
             sun_elevation_deg,
             self.stow_watch,
-            Orders(clock, WishFile(folder)),
+            Orders(clock, WishFile(folder), hold_why),
             self.publish,
             self.alarms,
             folder,

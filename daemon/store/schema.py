@@ -9,6 +9,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import Record, Scan
+from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
@@ -92,6 +93,9 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
             if not _is_empty(connection):
                 # Before anything is written to what may not be ours.
                 check_is_store(connection, path)
+                version: int = connection.execute("PRAGMA user_version").fetchone()[0]
+                if version < VERSION:
+                    keep_copy(connection, path, version)
             connection.execute("PRAGMA journal_mode = WAL")
             # A commit then survives the end of the process, and a power cut costs the last seconds but never the file.
             connection.execute("PRAGMA synchronous = NORMAL")

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from daemon.base.clock import Clock
 from daemon.tracker.stow import OperatorStow
-from daemon.tracker.wishes import Wish, Wishes, WishFile
+from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 from drivers.errors import RefusedError
 from drivers.interfaces import Telemetry
 
@@ -24,6 +24,8 @@ class Orders:
         The service's time.
     file
         Keeps it over a restart.
+    hold_why
+        Why the tracker is to be held from the start where nobody has asked for anything; None to let it go to work.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class Orders:
         Where a hold is, or None for wherever the tracker stands.
     """
 
-    def __init__(self, clock: Clock, file: WishFile) -> None:
+    def __init__(self, clock: Clock, file: WishFile, hold_why: str | None = None) -> None:
         self._clock = clock
         self._file = file
         self._released_s = float("-inf")
@@ -43,6 +45,9 @@ class Orders:
         self.hold_at: Target | None = None
         self.wishes = Wishes()
         self._set(file.load())
+        if hold_why is not None and self.wishes == Wishes():
+            self.latch("hold", hold_why, PROGRAM)
+            self.keep()
 
     def refuse(self, command: str) -> None:
         """Raise `RefusedError` where a person's stop, maintenance or a person at the buttons forbids a command."""

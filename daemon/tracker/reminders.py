@@ -51,7 +51,8 @@ class Reminders:
         self._remind_of_maintenance(wishes)
         name = "snow" if wishes.snow is not None else "hold"
         wish: Wish | None = getattr(wishes, name)
-        if wish is None:
+        self._alarms.set("release-changed", wishes.held_by_program)
+        if wish is None or wishes.held_by_program:
             self._alarms.set("hold-forgotten", None)
         elif sun_known and self._outlasted_a_night(wish):
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"

@@ -15,6 +15,9 @@ from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "operator.json"
+PROGRAM = "heliocube"
+"""Who holds the tracker where no person does: the service itself, after a change of its release."""
+
 # What each wish makes of the tracker, as a sentence begins.
 _DONE_TO_IT = {
     "maintenance": "in maintenance",
@@ -81,6 +84,11 @@ class Wishes(BaseModel):
         if self.maintenance is None and self.stop is None and self.buttons is None:
             return None
         return self.describe("maintenance") or self.describe("stop") or self.describe("buttons")
+
+    @property
+    def held_by_program(self) -> str | None:
+        """Return why the service itself holds the tracker until a person has looked, in words, or None."""
+        return self.describe("hold") if self.hold is not None and self.hold.by == PROGRAM else None
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:
         """Yield in words what stands here and no longer, or another one, in `later`."""

@@ -164,6 +164,13 @@ _ALL = (
         "`heliocube auto`, if it was forgotten",
     ),
     _kind(
+        "release-changed",
+        Severity.WARNING,
+        "another release of heliocube runs than at the last start, and nobody had asked for anything",
+        "the tracker is held where it stands, but for a stow",
+        "`heliocube self-check`, a look at the tracker, then `heliocube auto`",
+    ),
+    _kind(
         "nothing-kept",
         Severity.WARNING,
         "real instruments, and a program of your own has named no folder: `heliocube run` always has one",

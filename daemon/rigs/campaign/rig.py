@@ -103,7 +103,11 @@ class HandledRig:
         What the wind sensor says; None: it is silent.
     noise_v
         Standard deviation [V] of what disturbs the cables of the sensors.
+    hold_why
+        Why the service is to hold its trackers from the start, or None.
     """
+
+    hold_why: str | None = None
 
     def __init__(
         self,
@@ -183,6 +187,7 @@ class HandledRig:
             Notifier({}, 0),
             polling=self.polling,
             kept_in=self.keep_in,
+            hold_why=self.hold_why,
         )
 
     def _sensor(self, channel: int, now_s: float) -> float | None:

@@ -1,0 +1,86 @@
+"""The copy of a store that is kept before a newer release changes it, so that there is a way back."""
+
+import logging
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+log = logging.getLogger("heliocube.store")
+
+_STEM = "heliocube.version-"
+_SUFFIX = ".sqlite"
+_SPARE_BYTES = 64 << 20
+
+
+def copy_path(path: Path, version: int) -> Path:
+    """Return where a store of a version is kept, beside the one in use."""
+    return path.with_name(f"{_STEM}{version}{_SUFFIX}")
+
+
+def copies_of(directory: Path) -> list[Path]:
+    """Return the copies in a folder, the oldest version first."""
+    found = [path for path in directory.glob(f"{_STEM}*{_SUFFIX}") if version_of(path) is not None]
+    return sorted(found, key=lambda path: version_of(path) or 0)
+
+
+def version_of(copy: Path) -> int | None:
+    """Return the version that a copy's name bears, or None for another file."""
+    number = copy.name.removeprefix(_STEM).removesuffix(_SUFFIX)
+    return int(number) if number.isascii() and number.isdecimal() else None
+
+
+def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
+    """Copy a store of an older version beside it, if there is room; a copy of that version that is there is replaced.
+
+    Without room, or where the disk fails, the store is changed all the same, because records that are not kept are
+    worth more than a short way back; a warning says so.
+
+    Parameters
+    ----------
+    connection
+        To the store, not in a transaction.
+    path, version
+        Of the store.
+    """
+    copy = copy_path(path, version)
+    part = copy.with_name(f"{copy.name}.part")
+    size = _bytes(connection)
+    try:
+        free = shutil.disk_usage(path.parent).free
+        if free < size + _SPARE_BYTES:
+            _went_without(path, version, f"{size / 1e6:.0f} MB are needed and {free / 1e6:.0f} MB are free")
+            return
+        # Of a process that was killed at it.
+        part.unlink(missing_ok=True)
+        with closing(sqlite3.connect(part)) as target:
+            connection.backup(target)
+        part.replace(copy)
+    except (sqlite3.Error, OSError) as error:
+        _went_without(path, version, str(error))
+    else:
+        log.warning(
+            "the store %s is of version %d: before it is changed, a copy is kept as %s (%.0f MB)",
+            path,
+            version,
+            copy,
+            size / 1e6,
+        )
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _went_without(path: Path, version: int, why: str) -> None:
+    log.warning(
+        "the store %s is of version %d and is changed WITHOUT a copy (%s): on the way back to the release before, the"
+        " store begins anew and this one is moved aside",
+        path,
+        version,
+        why,
+    )
+
+
+def _bytes(connection: sqlite3.Connection) -> int:
+    pages: int = connection.execute("PRAGMA page_count").fetchone()[0]
+    size: int = connection.execute("PRAGMA page_size").fetchone()[0]
+    return pages * size
