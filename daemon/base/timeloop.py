@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextvars import Context, copy_context
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from typing import Any, TypeVarTuple, cast
 
@@ -227,9 +228,10 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         every_s
             Virtual seconds between two calls.
         call
-            Returns whether it has set off anything that has to run before time goes on.
+            Returns whether it has set off anything that has to run before time goes on. It runs in the context of this
+            call, as with a timer.
         """
-        beat = _Beat(self.time() + every_s, every_s, call)
+        beat = _Beat(self.time() + every_s, every_s, partial(copy_context().run, call))
         self._virtual.beats.append(beat)
         return lambda: self._virtual.beats.remove(beat)
 

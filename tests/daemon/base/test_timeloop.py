@@ -3,10 +3,13 @@
 import asyncio
 import socket
 import time
+from contextvars import ContextVar
 
 import pytest
 
 from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until
+
+NAME = ContextVar("name", default="")
 
 
 def test_a_virtual_day_of_timers_passes_at_once_and_in_order():
@@ -116,6 +119,22 @@ def test_what_is_called_every_second_comes_between_the_timers_until_it_is_ended(
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+@pytest.mark.parametrize("loop", [asyncio.SelectorEventLoop, VirtualTimeLoop])
+def test_a_beat_runs_in_the_context_of_whoever_asked_for_it(loop):
+    async def worker(name, seen):
+        NAME.set(name)
+        await call_until(0.01, lambda: seen.append(NAME.get()) or seen.count(name) >= 2)
+
+    async def scenario():
+        seen = []
+        async with asyncio.timeout(60.0):
+            await asyncio.gather(worker("roof", seen), worker("field", seen))
+        return set(seen)
+
+    with asyncio.Runner(loop_factory=loop) as runner:
+        assert runner.run(scenario()) == {"roof", "field"}
 
 
 def test_a_timer_that_raises_or_never_ends_holds_up_nothing_else():
