@@ -112,12 +112,14 @@ class Mqtt:
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)
-        if mqtt.commands and own:
+        # A cube alone moves nothing; that a person has seen its alarms can be said to it all the same.
+        names = NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
+        if mqtt.commands and names:
             operators = Operators(own, self._speed, service.cube_alarms)
             self._commands = Commands(
                 operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed
             )
-            for name in NAMES:
+            for name in names:
                 self.link.listen(self._topics.command(name), partial(self._commands.take, name), as_published=True)
         if "mqtt.discovery_prefix" not in self._unusable:
             messages = discovery(

@@ -44,8 +44,11 @@ def discovery(
     topic = f"{prefix}/device/{node}/config"
     if not enabled:
         return [Message(topic, b"", 1, retain=True)]
-    offered = _CUBE | (_TRACKER if tracker else {}) | (_commands(topics, dated=dated) if tracker and commands else {})
-    known = _CUBE | _TRACKER | _commands(topics, dated=dated)
+    orders = _commands(topics, dated=dated)
+    known = _CUBE | _TRACKER | orders
+    offered = known if tracker else _CUBE | {key: orders[key] for key in _ORDERS_OF_A_CUBE}
+    if not commands:
+        offered = {key: entity for key, entity in offered.items() if key not in orders}
     components: dict[str, dict[str, Any]] = {}
     for key, found in known.items():
         if key in offered:
@@ -132,6 +135,7 @@ def _commands(topics: Topics, *, dated: bool) -> dict[str, dict[str, Any]]:
     return {"command": select, **buttons}
 
 
+_ORDERS_OF_A_CUBE = ("press_acknowledge",)
 _DIAGNOSTIC = {"entity_category": "diagnostic"}
 _CUBE = {
     **{f"irradiance_{name}": _face(name) for name in FACES},

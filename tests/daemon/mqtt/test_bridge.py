@@ -39,6 +39,8 @@ def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_befo
                     await lab.say(TOPIC, payload)
                     refused = tracker.service.receiver
                     await until(lambda name=name, seen=refused: getattr(seen.statistics, name), name)
+                await lab.say("heliocube/cube/command/acknowledge", b'{"by": "lab"}')
+                assert (await lab.until("heliocube/cube/reply"))["text"] == "there is nothing to acknowledge"
                 assert "the topic site/cube/bridge" in tracker.service.receiver.statistics.last_refusal
             await until(
                 lambda: {m.payload for m in lab.on("heliocube/cube/status")} == {b"online", b"offline"}, "offline"

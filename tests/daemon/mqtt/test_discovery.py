@@ -93,7 +93,9 @@ def test_without_commands_or_without_a_tracker_their_entities_are_removed_and_no
     assert gone == {key for key, component in all_of_them.items() if component["platform"] in ("select", "button")}
     cube = document(tracker=False)["components"]
     assert set(cube["mode"]) == {"platform"}
-    assert set(cube["command"]) == {"platform"}
+    assert set(cube["command"]) == set(cube["press_stop"]) == {"platform"}
+    assert cube["press_acknowledge"]["command_topic"] == TOPICS.command("acknowledge")
+    assert set(document(tracker=False, commands=False)["components"]["press_acknowledge"]) == {"platform"}
     assert cube["irradiance_east"]["device_class"] == "irradiance"
 
 
