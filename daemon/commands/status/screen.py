@@ -193,6 +193,8 @@ def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
         yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
     yield from _received(own, time)
+    for source in own.get("wind") or ():
+        yield "wind", _wind(source)
     if own["load"] is not None:
         yield "module", _module(own["load"])
 
@@ -220,6 +222,18 @@ def _tracker(tracker: dict[str, Any]) -> Text:
         if why:
             text.append(f"  {why}", style=_BAD)
             break
+    return text
+
+
+def _wind(source: dict[str, Any]) -> Text:
+    """Return what a source of stow read last, what that is compared with, and when it lets a stow go."""
+    threshold, release_s = source["stow_from_m_s"], source["release_in_s"]
+    measured = f"{_number(source['speed_m_s'], '.1f')} m/s, stow from {_number(threshold, 'g')} m/s"
+    value = source["name"] if threshold is None else measured
+    text = Text(f"{value}, {'not heard yet' if source['age_s'] is None else _age(source['age_s']) + ' old'}")
+    if source["why"]:
+        text.append(f"  STOWS: {source['why']}", style=_BAD)
+        text.append("" if release_s is None else f"; let go after {_age(release_s)} more of calm")
     return text
 
 

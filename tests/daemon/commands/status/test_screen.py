@@ -3,6 +3,7 @@
 import asyncio
 import io
 import math
+import re
 from dataclasses import replace
 
 from rich.console import Console
@@ -106,12 +107,18 @@ def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
 def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig):
     async def scenario(rig):
         east, west = rig.service.trackers
+        rig.wind_m_s = 3.2
         await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
         await west.control.stop("repair", "ana")
+        console = Console(file=io.StringIO(), width=160)
+        console.print(render(state_json(rig.see())))
+        assert re.search(r"wind +3\.2 m/s, stow from 15 m/s, \d\.\d s old", console.file.getvalue())
         rig.wind_m_s = 20.0
         await asyncio.sleep(20)
         console = Console(file=io.StringIO(), width=160)
         console.print(render(state_json(rig.see())))
+        stowing = r"wind +20\.0 m/s, .* STOWS: wind 20\.0 m/s, stow from 15 m/s; let go after \d+ min more of calm"
+        assert re.search(stowing, console.file.getvalue())
         lines = [line.strip() for line in console.file.getvalue().splitlines()]
         assert lines.index("east") < lines.index("west")
         own = lines[lines.index("west") :]
