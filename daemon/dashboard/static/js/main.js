@@ -48,7 +48,7 @@ function update() {
   view?.update(found);
 }
 
-function head({ trackers, entry, state, now: time, old }) {
+function head({ trackers, entry, service, state, now: time, old }) {
   const picker = byId("tracker");
   picker.parentElement.hidden = trackers.length < 2;
   fill(picker, trackers.map(({ key, label }) => [key, label]), () => trackers.map(({ key, label }) => h("option", { value: key }, label)));
@@ -62,6 +62,8 @@ function head({ trackers, entry, state, now: time, old }) {
   banner.hidden = live.connected !== false;
   if (live.connected === false) setText(banner, `No connection to the dashboard since ${localTime(live.lostAt)}. What is shown is old. It is tried again by itself.`);
   setAttr(document.body, "data-old", old ? "" : null);
+  // Before the first state nothing is known, and nothing is wrong.
+  setAttr(document.body, "data-waiting", !state && service.up !== false ? "" : null);
   document.title = state && entry.tracker ? `${old ? "old: " : ""}${entry.tracker.mode.name}, ${entry.label}` : "heliocube";
 }
 

@@ -27,9 +27,9 @@ export function hero(orders) {
 
   function update({ service, state, tracker, entry, now, old }) {
     const name = tracker ? tracker.mode.name : null;
-    const kind = !state ? "calm" : old ? "lost" : name ? KIND[name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
+    const kind = !state ? (service?.up === false ? "lost" : "calm") : old ? "lost" : name ? KIND[name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
     setAttr(node, "data-kind", kind);
-    const shown = !state ? "starting" : old ? "lost" : name ?? (state.cube_down_why ? "fault" : "ok");
+    const shown = !state ? (service?.up === false ? "lost" : "starting") : old ? "lost" : name ?? (state.cube_down_why ? "fault" : "ok");
     fill(glyph, shown, () => icon(shown));
     setText(title, headline(service, state, tracker, old));
     setText(why, sentence(explain(service, state, tracker, old)));
