@@ -210,7 +210,10 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the tracker truly stands, from its own telemetry."""
+    """Where the tracker truly stands, from its own telemetry; and the wind there.
+
+    `wind_m_s` is the strongest that a source of stow has read since the pose before; NaN where none was read.
+    """
 
     time_utc_s: float
     time_monotonic_s: float
@@ -218,6 +221,7 @@ class Pose:
     b_deg: float
     moving: bool
     tracker: str = ""
+    wind_m_s: float = math.nan
 
 
 class CurveQuality(StrEnum):

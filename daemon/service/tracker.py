@@ -4,6 +4,7 @@ import asyncio
 import json
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from random import Random
 
@@ -121,7 +122,7 @@ class Tracker:
             settings.instruments.positioner,
             clock,
             random,
-            self.publish,
+            self._publish_of_motion,
             self._decide_again,
             self.alarms,
             folder,
@@ -168,6 +169,11 @@ class Tracker:
         self.control.receive(scan)
         if self._clock_watch.trusted:
             self.received.add(scan, self.motion.pose if self.motion.connected else None, self.clock.utc())
+
+    def _publish_of_motion(self, record: Record) -> None:
+        if isinstance(record, Pose):
+            record = replace(record, wind_m_s=self.stow_watch.take_gust())
+        self.publish(record)
 
     def _albedo(self) -> float:
         return float(getattr(self.control.pointing.law.learned, "albedo", _ALBEDO))

@@ -28,7 +28,7 @@ _FACES = ("east", "south", "west", "zenith")
 # By kind: the table, what is a number there, and what a row must be to count.
 _NUMBERS = {
     "scans": {f"{face}_w_m2": f"CASE {face}_quality WHEN 'ok' THEN {face}_w_m2 END" for face in _FACES},
-    "poses": {name: name for name in ("a_deg", "b_deg", "moving")},
+    "poses": {name: name for name in ("a_deg", "b_deg", "moving", "wind_m_s")},
     "decisions": {
         name: name
         for name in ("target_a_deg", "target_b_deg", "moved", "dni_est", "dhi_est", "albedo_est", "zenith_w_m2")

@@ -13,7 +13,7 @@ from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 6
+VERSION = 7
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63

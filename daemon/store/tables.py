@@ -92,7 +92,16 @@ COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
             _TRACKER,
         ],
     ),
-    Pose: ("poses", [*_TIMES, *_same("float", "a_deg", "b_deg"), Column("moving", "moving", "bool"), _TRACKER]),
+    Pose: (
+        "poses",
+        [
+            *_TIMES,
+            *_same("float", "a_deg", "b_deg"),
+            Column("moving", "moving", "bool"),
+            _TRACKER,
+            *_same("float", "wind_m_s"),
+        ],
+    ),
     ModeChange: ("modes", [*_TIMES, *_same("text", "before", "after", "why"), _TRACKER]),
     Event: ("events", [*_TIMES, *_same("text", "subject", "text"), _TRACKER]),
     IvCurve: (

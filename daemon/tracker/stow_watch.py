@@ -82,6 +82,7 @@ class StowWatch:
         self._clock = clock
         self._wake = wake
         self._kept: Set[str] | None = None
+        self._gust_m_s = math.nan
         self._pending = {source.name for source in self._sources}
         before = file.load()
         if before is not None and self._sources:
@@ -99,7 +100,16 @@ class StowWatch:
         found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
         if found.keys() != self._kept:
             self._keep(found)
+        for status in self.statuses(now_s):
+            # What was read by this very poll; NaN is no reading.
+            if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
+                self._gust_m_s = status.speed_m_s
         return tuple(dict.fromkeys(found.values())) if found else ()
+
+    def take_gust(self) -> float:
+        """Return the strongest wind [m/s] that any source has read since the last call; NaN where none was read."""
+        gust_m_s, self._gust_m_s = self._gust_m_s, math.nan
+        return gust_m_s
 
     def waiting_why(self, now_s: float) -> str | None:
         """Return which sources have not been heard once since the start, in words, or None."""

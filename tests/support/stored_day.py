@@ -1,5 +1,7 @@
 """A store with days of records that are known: a uniform sky, a tracker that lies flat till noon and then tilts."""
 
+import math
+
 import numpy as np
 
 from daemon.base.clock import SystemClock
@@ -70,7 +72,8 @@ def of_tracker(days, tracker):
         start = T0 + day * DAY_S
         for minute in range(1440):
             at = start + 60.0 * minute
-            yield Pose(at, at, 0.0, 90.0 if minute < 720 else 40.0, False, tracker)
+            wind_m_s = math.nan if minute % 2 else 4.0 + minute % 480 / 60.0
+            yield Pose(at, at, 0.0, 90.0 if minute < 720 else 40.0, False, tracker, wind_m_s)
         yield ModeChange(start + 6.5 * 3600, 0.0, Mode.NIGHT, Mode.TRACKING, "the cube's readings are good", tracker)
         noon = start + DAY_S / 2.0
         yield Move(

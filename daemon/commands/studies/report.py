@@ -74,7 +74,8 @@ def report(
 @app.command(rich_help_panel=FILES)
 def plot(
     what: Annotated[
-        list[str], typer.Argument(metavar="PICTURE...", help="light, angles, received, motion or power; one or more.")
+        list[str],
+        typer.Argument(metavar="PICTURE...", help="light, angles, received, motion, wind or power; one or more."),
     ],
     out: Annotated[Path, typer.Option(help="PNG or SVG file; with several pictures their names are added to its own.")],
     day: DayOption = None,

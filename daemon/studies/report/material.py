@@ -46,6 +46,8 @@ class Material:
         By kind, a frame with a UTC index and the columns of docs/data.md; empty without a record.
     budget_deg, budget_moves
         Of a day, as far as they are known.
+    stow_wind_m_s
+        From which on the wind stows, as far as that is known.
     """
 
     span: ReportSpan
@@ -59,6 +61,7 @@ class Material:
     tables: dict[str, pd.DataFrame]
     budget_deg: float | None = None
     budget_moves: int | None = None
+    stow_wind_m_s: float | None = None
 
     def times_of(self, kind: str) -> Array:
         """Return the UTC [s] of a kind's rows."""

@@ -6,6 +6,7 @@ from datetime import tzinfo
 from importlib.metadata import version
 from importlib.resources import files
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from daemon.base.records import FACES, Quality
@@ -115,7 +116,9 @@ def _pictures(found: Findings) -> Iterator[Part]:
     if material.span.duration_s > _MOST_DAYS_IN_LINES * DAY_S:
         names_shown = ["motion"]
     else:
-        names_shown = [name for name in pictures.PICTURES if name != "power" or len(material.tables["curves"])]
+        without = set() if len(material.tables["curves"]) else {"power"}
+        without |= set() if np.isfinite(material.column("poses", "wind_m_s")).any() else {"wind"}
+        names_shown = [name for name in pictures.PICTURES if name not in without]
     for name in names_shown:
         series = pictures.PICTURES[name]
         yield _captioned(series.draw(drawing), name, series.about[0].upper() + series.about[1:])
@@ -226,7 +229,18 @@ def _moves(found: Findings) -> Iterator[Part]:
             f"of daylight within {TOLERANCE_DEG:g} deg of the set point; stow and what persons ordered left out",
         ),
     ]
+    rows += _wind(material)
     yield table(("What", "how much", "of that"), rows, "Moves, travel and how near the tracker stood to its set point")
+
+
+def _wind(material: Material) -> list[tuple[str, str, str]]:
+    wind = material.column("poses", "wind_m_s")
+    if not np.isfinite(wind).any():
+        return []
+    place = int(np.nanargmax(wind))
+    at = clock(float(material.times_of("poses")[place]), None, day=True)[0]
+    stows = "" if material.stow_wind_m_s is None else f"; from {material.stow_wind_m_s:g} m/s on it stows"
+    return [("Strongest wind", f"{number(float(wind[place]), 1)} m/s", f"{at} UTC{stows}")]
 
 
 def _quality(found: Findings) -> Iterator[Part]:

@@ -189,6 +189,26 @@ def power_picture(drawing: Drawing) -> Figure:
         return _finished(figure, axes, drawing)
 
 
+def wind_picture(drawing: Drawing) -> Figure:
+    """Draw the wind, and from which on it stows, where that is known."""
+    with rc_context(_RC):
+        figure, (axes,) = _panels(1, 2.2, (1.0,))
+        material = drawing.material
+        wind = material.column("poses", "wind_m_s")
+        read = np.isfinite(wind)
+        axes.plot(
+            *_thinned(material.times_of("poses")[read], wind[read]),
+            color=BLUE,
+            label="strongest since the reading before",
+        )
+        if material.stow_wind_m_s is not None:
+            axes.axhline(material.stow_wind_m_s, color=RED, linestyle="--", label="stows from here on")
+        axes.set_ylabel("wind [m/s]")
+        axes.set_ylim(bottom=0.0)
+        _legend(axes, 2)
+        return _finished(figure, axes, drawing)
+
+
 def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool) -> Figure:
     """Draw a bar a day: what the planes received, and the gain over chronometric tracking."""
     with rc_context(_RC):
@@ -221,6 +241,7 @@ PICTURES = {
     "angles": Series("A and B, set and actual, and the sun's path", angles_picture),
     "received": Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
     "motion": Series("modes, moves and travel", motion_picture),
+    "wind": Series("wind and what it stows from", wind_picture),
     "power": Series("maximum power of the module by its I-V curves", power_picture),
 }
 """By the name that the command line gives it."""

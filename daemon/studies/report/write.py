@@ -60,6 +60,7 @@ def with_settings(material: Material, settings: Settings | None) -> Material:
         limits=own.limits.limits(),
         budget_deg=own.motion.travel_per_day_deg,
         budget_moves=own.motion.moves_per_day,
+        stow_wind_m_s=own.safety.stow_wind_m_s,
     )
 
 

@@ -152,9 +152,10 @@ def test_the_file_of_this_version_is_what_it_was():
     assert text.count("CREATE TABLE") == 9
     assert (
         "CREATE TABLE poses ( run INTEGER NOT NULL, number INTEGER NOT NULL, time REAL, time_monotonic_s REAL,"
-        " a_deg REAL, b_deg REAL, moving INTEGER, tracker TEXT, PRIMARY KEY (run, number) ) WITHOUT ROWID" in text
+        " a_deg REAL, b_deg REAL, moving INTEGER, tracker TEXT, wind_m_s REAL, PRIMARY KEY (run, number) )"
+        " WITHOUT ROWID" in text
     )
-    assert sha256(text.encode()).hexdigest()[:12] == "8c671477b73f"
+    assert sha256(text.encode()).hexdigest()[:12] == "c7f0fca24e1e"
 
 
 def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_path):
@@ -165,7 +166,20 @@ def test_the_tables_of_a_run_name_its_tracker_or_each_record_its_own(keep, tmp_p
     assert [row["tracker"] for row in rows(tmp_path / "out" / "decisions.csv")] == ["east", "west", "roof"]
 
 
-def test_a_store_of_the_version_before_gets_the_names_from_now_on(keep, tmp_path):
+def test_a_store_of_the_version_before_gets_the_wind_from_now_on(keep, tmp_path):
+    pose = Pose(T0, 1.0, 10.0, 60.0, moving=False, tracker="roof")
+    folder = keep(pose)
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        connection.execute("ALTER TABLE poses DROP COLUMN wind_m_s")
+        connection.execute("PRAGMA user_version = 6")
+    export(folder, tmp_path / "old", "csv", None, None, ["poses"])
+    assert [row["wind_m_s"] for row in rows(tmp_path / "old" / "poses.csv")] == [""]
+    keep(replace(pose, time_utc_s=T0 + 5, wind_m_s=12.5))
+    export(folder, tmp_path / "new", "csv", None, None, ["poses"])
+    assert [row["wind_m_s"] for row in rows(tmp_path / "new" / "poses.csv")] == ["", "12.5"]
+
+
+def test_a_store_of_the_version_two_before_gets_the_names_from_now_on(keep, tmp_path):
     folder = keep(decision())
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         for name in ("decisions", "moves", "poses", "modes", "events", "curves"):

@@ -53,6 +53,22 @@ def test_a_source_that_stows_does_not_hide_the_storm_of_another():
     assert rig.look(1795, field=3) == ("wind 25.0 m/s, stow from 15 m/s",)
 
 
+def test_the_strongest_wind_since_it_was_taken_is_that_of_every_poll_and_no_old_reading_twice():
+    rig = Rig()
+    assert math.isnan(rig.watch.take_gust()), "nothing was read yet"
+    rig.look(0, roof=2, field=3)
+    rig.look(1, roof=12, field=4)
+    rig.look(2, roof=5)
+    assert rig.watch.take_gust() == 12.0
+    rig.look(3, roof=1, field=None)
+    assert rig.watch.take_gust() == 1.0
+    for now in range(4, 20):
+        rig.look(now, roof=None, field=None)
+    assert math.isnan(rig.watch.take_gust()), "a reading of 16 s ago is no wind of now"
+    rig.look(20, roof=-1, field=7)
+    assert rig.watch.take_gust() == 7.0
+
+
 def test_a_sensor_that_died_while_another_stowed_is_silent_and_not_fresh():
     rig = Rig()
     rig.look(0, roof=20, field=3)

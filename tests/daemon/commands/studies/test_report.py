@@ -105,6 +105,9 @@ def test_the_figures_of_the_page_are_those_of_the_export(heliocube, store, the_p
     assert row(the_page, "Moves")[1:] == [str(len(moves)), "1 arrived"]
     travel = sum(abs(float(move["end_b_deg"]) - float(move["from_b_deg"])) for move in moves)
     assert row(the_page, "Travel of B")[1] == f"{travel:.1f} deg"
+    poses = exported(heliocube, store, tmp_path / "poses", "poses")
+    wind = max(float(pose["wind_m_s"]) for pose in poses if pose["wind_m_s"])
+    assert row(the_page, "Strongest wind")[1] == f"{wind:.1f} m/s"
     missing = (GAP[1] - GAP[0]) / 60.0
     flagged = (FLAGGED[1] - FLAGGED[0]) / 60.0
     assert row(the_page, "Reporting period")[1:] == [
@@ -149,7 +152,7 @@ def test_simulated_stands_on_the_page_and_on_every_picture(the_page, heliocube, 
     assert "<title>SIMULATED " in the_page
     assert "SIMULATED: no hardware is behind these figures." in the_page
     pictures = re.findall(r"<svg .*?</svg>", the_page, re.DOTALL)
-    assert len(pictures) == 4
+    assert len(pictures) == 5
     assert all("SIMULATED" in picture for picture in pictures)
     real = stored_days(tmp_path / "store", simulated=False)
     assert heliocube("report", "--store", real, "--day", "2022-10-14", "--out", tmp_path)[0] == 0
@@ -249,7 +252,10 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("moon", "--out", "x.png"), "there is no picture 'moon'; choose from light, angles, received, motion, power"),
+        (
+            ("moon", "--out", "x.png"),
+            "there is no picture 'moon'; choose from light, angles, received, motion, wind, power",
+        ),
         (("light", "--out", "x.gif"), "must end in .png or .svg"),
         (("power", "--out", "x.png"), "power: the store"),
     ],

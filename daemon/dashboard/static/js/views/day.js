@@ -126,6 +126,10 @@ export function day() {
       const [x, actual, set, sun] = uPlot.join([[poses.time, poses[key]], [decisions.time, decisions[`target_${key}`]], [sunTimes, angles.map((pair) => pair && pair[pick])]]);
       put(`Angle ${name}`, "degrees", x, [{ label: "the sun's", colour: "--sun", values: bridged(x, sun), dash: [3, 4] }, { label: "set", colour: "--accent", values: set, steps: true, width: 2 }, { label: "actual", colour: "--ink", values: actual, steps: true }], { width, range });
     }
+    if (poses.wind_m_s?.some((value) => value !== null)) {
+      const from = stowsFrom();
+      put("Wind, strongest since the reading before", "m/s", poses.time, [{ label: "wind", colour: "#0084c8", values: poses.wind_m_s, bridges: true }, ...(from === null ? [] : [{ label: "stows from (as set now)", colour: "--bad", values: poses.time.map(() => from), dash: [6, 4] }])], { width, height: 130 });
+    }
     if (curves.time.length) put("Power of the module", "W", curves.time, [{ label: "maximum power", colour: "#c2568f", values: curves.pmpp_w }], { width, height: 160 });
     const ends = [held.from / 1000, held.to / 1000];
     put("Modes, and moves below", "", ends, [{ label: "", colour: "--muted", values: [null, null] }], { width, height: 92, bare: true, range: [0, 1], draw: strip });
@@ -134,6 +138,12 @@ export function day() {
     else plots.zoom(...ends);
     setText(summary, inWords());
     list();
+  }
+
+  // The least wind that stows, of all sources that measure any.
+  function stowsFrom() {
+    const found = (context.tracker?.wind ?? []).map((source) => source.stow_from_m_s).filter((value) => value !== null);
+    return found.length ? Math.min(...found) : null;
   }
 
   function strip(plot) {

@@ -44,12 +44,12 @@ export class Plots {
       ],
       series: [
         { label: "Time", value: (_, at) => (at === null ? "–" : `${localTime(at * 1000)} local, ${utcTime(at * 1000)} UTC`) },
-        ...series.map(({ label, colour, dash, steps, width, digits = 1 }) => ({
+        ...series.map(({ label, colour, dash, steps, bridges, width, digits = 1 }) => ({
           label,
           stroke: colour.startsWith("--") ? css(colour) : colour,
           width: width ?? 1.5,
           dash,
-          spanGaps: Boolean(steps),
+          spanGaps: Boolean(steps || bridges),
           points: { show: false },
           paths: steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
           value: (_, value) => num(value, digits),
