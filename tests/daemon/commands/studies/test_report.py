@@ -254,7 +254,7 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
     [
         (
             ("moon", "--out", "x.png"),
-            "there is no picture 'moon'; choose from light, angles, received, motion, wind, power",
+            "'moon'; choose from light, angles, received, motion, wind, power",
         ),
         (("light", "--out", "x.gif"), "must end in .png or .svg"),
         (("power", "--out", "x.png"), "power: the store"),
