@@ -20,8 +20,7 @@ from drivers.scpi import POWER_ON, ScpiLine, ScpiSession, opening
 
 _DEVICE = "voltmeter"
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)(?:VDC)?", re.ASCII)
-_OVERFLOW = 9.9e37
-# The meter measures to 120 % of its range.
+# The meter measures to 120 % of its range, and answers 9.9E37 beyond.
 _BEYOND_RANGE = 1.21
 
 
@@ -142,7 +141,7 @@ class _Session(ScpiSession):
             raise ProtocolError(_DEVICE, f"answered {reply!r} where a reading was expected")
         self.in_doubt = False
         voltage_v, range_v = float(match[1]), self._settings.range_v
-        if abs(voltage_v) >= _OVERFLOW or not abs(voltage_v) <= _BEYOND_RANGE * range_v:
+        if not abs(voltage_v) <= _BEYOND_RANGE * range_v:
             raise OverRangeError(_DEVICE, f"the voltage is beyond the {range_v:g} V range")
         return voltage_v
 

@@ -90,7 +90,7 @@ def main() -> None:
     results = {}
     with multiprocessing.get_context("fork").Pool(arguments.jobs, _settle) as pool:
         reach = json.loads(arguments.reach.read_text()) if arguments.reach else {}
-        work = [(mutant, _that_enter(mutant, reach), arguments.limit) for mutant in chosen]
+        work = [(mutant, _tests_for(mutant, reach), arguments.limit) for mutant in chosen]
         for number, (mutant, verdict, note) in enumerate(pool.imap_unordered(_try, work), 1):
             results[mutant] = verdict
             if verdict == _ALIVE or arguments.verbose:
@@ -171,8 +171,8 @@ def _nearest(path: str) -> tuple[str, ...]:
     name = ".".join(module.with_suffix("").parts)
     imports = re.compile(rf"(?:from|import) {re.escape(name)}\b")
     own, importing, beside = [], [], []
-    for file in sorted((_tree / "tests").rglob("test_*.py")):
-        place = file.relative_to(_tree)
+    for file in sorted((ROOT / "tests").rglob("test_*.py")):
+        place = file.relative_to(ROOT)
         if place.parts[1] in _TOO_FAR:
             continue
         if place == folder / f"test_{module.name}":
@@ -184,11 +184,18 @@ def _nearest(path: str) -> tuple[str, ...]:
     return *own, *importing, *beside
 
 
-def _that_enter(mutant: Mutant, reach: dict[str, dict]) -> tuple[str, ...]:
-    """Return the tests that are known to enter the function of a change, the quickest first."""
+def _tests_for(mutant: Mutant, reach: dict[str, dict]) -> tuple[str, ...]:
+    """Return what to run for a change: the nearest test files, in the place of those that are known their own tests."""
+    nearest = _nearest(mutant.path)
     within = f"{mutant.path}:{mutant.function}"
-    tests = [test for test, entry in reach.items() if mutant.function and within in entry["functions"]]
-    return tuple(sorted(tests, key=lambda test: reach[test]["seconds"]))
+    entering = [test for test, entry in reach.items() if mutant.function and within in entry["functions"]]
+    if not entering:
+        return nearest
+    known = {test.partition("::")[0] for test in reach}
+    unknown = [file for file in nearest if file not in known]
+    # Those of its own module come first in any case.
+    first = int(unknown[:1] == list(nearest[:1]))
+    return *unknown[:first], *sorted(entering, key=lambda test: reach[test]["seconds"]), *unknown[first:]
 
 
 def _try(work: tuple[Mutant, tuple[str, ...], float]) -> tuple[Mutant, str, str]:
@@ -198,7 +205,7 @@ def _try(work: tuple[Mutant, tuple[str, ...], float]) -> tuple[Mutant, str, str]
     file.write_bytes(mutant.applied(source))
     began_s = time.monotonic()
     try:
-        red = _first_red(tests or _nearest(mutant.path), limit_s)
+        red = _first_red(tests, limit_s)
     finally:
         file.write_bytes(source)
         os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))

@@ -49,3 +49,38 @@ def test_many_planes_and_many_instants_broadcast():
     together = light.irradiance_on(NORMALS[:, None, :])
     assert together.shape == (4, 7)
     np.testing.assert_allclose(together[1], light.irradiance_on(np.broadcast_to(NORMALS[1], (7, 3))))
+
+
+# Two skies for each of the eight kinds of day: elevation [deg], DNI, DHI, and what the sky gives on planes that look
+# east, south, north and south at a tilt of 37 deg [W/m2]. The formula summed over patches of 1 deg, no polynomial,
+# gives the same within 1.6 %.
+SKIES = [
+    (20, 0, 40, 18.074, 18.281, 17.572, 35.465),
+    (50, 10, 300, 125.205, 149.231, 109.303, 281.497),
+    (25, 40, 110, 64.883, 137.329, 43.516, 155.811),
+    (55, 60, 260, 110.511, 182.170, 76.571, 287.013),
+    (20, 60, 90, 53.421, 118.846, 37.532, 130.999),
+    (60, 150, 260, 97.008, 169.343, 66.854, 283.982),
+    (30, 150, 130, 69.212, 157.087, 46.353, 182.505),
+    (50, 250, 230, 94.794, 186.100, 63.283, 272.240),
+    (25, 300, 120, 65.312, 153.527, 43.603, 173.501),
+    (60, 450, 220, 86.870, 146.516, 62.291, 240.390),
+    (30, 500, 110, 60.691, 137.374, 42.765, 156.929),
+    (55, 650, 150, 70.605, 123.187, 53.530, 177.075),
+    (25, 650, 90, 52.567, 123.876, 37.358, 134.951),
+    (60, 800, 130, 61.805, 99.682, 50.169, 148.842),
+    (15, 600, 50, 33.203, 77.764, 27.138, 79.094),
+    (65, 950, 90, 42.532, 62.904, 35.280, 98.778),
+]
+
+
+def test_every_kind_of_day_has_its_sky():
+    elevation, dni, dhi, *expected = np.array(SKIES).T
+    sun = direction_from_azimuth(np.full(len(SKIES), 180.0), elevation, 50.0)
+    planes = np.array([[0.0, 1, 0], [1, 0, 0], [-1, 0, 0], [0.6, 0, 0.8]])[:, None, :]
+    light = all_weather_sky(sun, dni, dhi, np.full(len(SKIES), 1360.0))
+    beam = dni * np.maximum((planes * sun).sum(axis=-1), 0.0)
+    np.testing.assert_allclose(light.irradiance_on(planes, 0.0) - beam, expected, rtol=1e-4)
+    ground = light.irradiance_on(planes, 0.5) - light.irradiance_on(planes, 0.0)
+    ghi = dhi + dni * np.sin(np.radians(elevation))
+    np.testing.assert_allclose(ground, 0.25 * ghi * np.array([1, 1, 1, 0.2])[:, None])

@@ -106,6 +106,21 @@ def test_its_gains_and_offsets_replace_those_of_the_faces_and_nothing_else():
     assert (cube.zenith.channel, cube.zenith.tilt_deg) == (3, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("left_s", "validity"),
+    [
+        (30 * 86_400.0 + 1.0, "valid"),
+        (30 * 86_400.0, "expires soon"),
+        (1.0, "expires soon"),
+        (0.0, "expired"),
+        (-1.0, "expired"),
+        (float("nan"), "expired"),
+    ],
+)
+def test_it_expires_soon_in_its_last_30_days_and_has_at_the_second(left_s, validity):
+    assert calibration().validity(EXPIRES.timestamp() - left_s) == validity
+
+
 def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
     told = []
     watch = ExpiryWatch(calibration(), told.append)

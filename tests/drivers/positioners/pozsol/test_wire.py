@@ -145,6 +145,16 @@ def test_what_is_no_number_or_beyond_what_the_field_can_say_is_refused(field):
             parse_number(field, value)
 
 
+@pytest.mark.parametrize("field", wire.DECIMALS)
+def test_each_field_has_its_range(field):
+    name = field.name.removeprefix("A_").removeprefix("B_")
+    low, high = {"ANGLE": (-360, 360), "CURRENT": (-50, 50), "SUPPLY": (-1, 100)}.get(name, (-99_999, 99_999))
+    assert [parse_number(field, f"{edge}".encode()) for edge in (low, high)] == [low, high]
+    for beyond in (f"{low}.01", f"{high}.01"):
+        with pytest.raises(ValueError, match="should be a number from"):
+            parse_number(field, beyond.encode())
+
+
 def test_a_quiet_status_says_nothing():
     status = parse_status("0000")
     assert status.faults == ()

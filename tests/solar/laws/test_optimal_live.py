@@ -1,0 +1,251 @@
+"""The law `optimal` as a tracker runs it, beside the law itself fed by hand with means, suns and days."""
+
+import math
+
+import numpy as np
+import pytest
+
+from solar.ephemeris import DAY_S, Site, sun_day, sun_direction, sun_position
+from solar.frames import Angles, Limits, azimuth_from_direction
+from solar.laws import optimal_live
+from solar.laws.law import Moment, Reading, TrackerFacts
+from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.site import Learned
+from solar.laws.words import weighed
+from solar.sky import sky
+
+SITE = Site(48.7176, 2.2090, 156.0)
+LIMITS = Limits()
+NOON = 1665576000.0  # 2022-10-12 12:00 UTC
+SCAN_S = 5.0
+SETTINGS = OptimalSettings()
+NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])
+
+
+def live(utc_s=NOON, site=SITE, kept=None, **settings):
+    tracker = TrackerFacts(site=site, limits=LIMITS, scan_every_s=SCAN_S, decide_every_s=300.0, utc_s=utc_s, kept=kept)
+    return optimal_live.build(optimal_live.SETTINGS(**settings), tracker)
+
+
+def faces_at(utc_s, dni=700.0, dhi=120.0, albedo=0.3):
+    return sky("isotropic", sun_direction(utc_s, *SITE), dni, dhi, 1360.0).irradiance_on(NORMALS, albedo)
+
+
+def scans(count, every_s=SCAN_S, start_s=NOON, **light):
+    for number in range(count):
+        utc_s = start_s + number * every_s
+        yield Reading(utc_s, utc_s - 1e9, tuple(map(float, faces_at(utc_s, **light))))
+
+
+def in_means(readings, per_mean, elapsed_s):
+    """Return the middles, lengths and faces of means of so many readings each."""
+    groups = [readings[at : at + per_mean] for at in range(0, len(readings) - per_mean + 1, per_mean)]
+    middles = np.array([np.mean([one.utc_s for one in group]) for group in groups])
+    with np.errstate(invalid="ignore"):
+        faces = np.array([np.nanmean([one.faces_w_m2 for one in group], axis=0) for group in groups])
+    return middles, np.full(len(groups), elapsed_s), faces
+
+
+def expected_aim(means, utc_s, heading, used=(0.0, 0), settings=SETTINGS):
+    law = OptimalLaw(settings, LIMITS)
+    law.resume(*used)
+    middles, elapsed_s, faces = means
+    law.observe(faces, sun_direction(middles, *SITE), elapsed_s)
+    day = sun_day(utc_s, *SITE)
+    left = (day.sunset_utc_s - utc_s) / (day.sunset_utc_s - day.sunrise_utc_s)
+    return law.choose(*heading, sun_direction(utc_s + settings.lead_s, *SITE), left), law
+
+
+def assert_alike(aim, expected):
+    choice, law = expected
+    azimuth, elevation = azimuth_from_direction(choice.vector, SITE.latitude_deg)
+    assert (aim.azimuth_deg, aim.elevation_deg) == (pytest.approx(float(azimuth)), pytest.approx(float(elevation)))
+    assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
+    assert (aim.target is not None) == bool(choice.move)
+    if aim.target is not None:
+        assert aim.target == (pytest.approx(float(choice.a_deg)), pytest.approx(float(choice.b_deg)))
+    assert aim.beam_w_m2 == pytest.approx(float(law.light.beam))
+    assert aim.diffuse_w_m2 == pytest.approx(float(law.light.uniform))
+
+
+@pytest.mark.parametrize(
+    ("every_s", "per_mean", "first_s"),
+    [(5.0, 3, 5.0), (15.0, 1, 5.0), (30.0, 1, 5.0), (60.0, 1, 5.0)],
+)
+def test_readings_become_means_of_a_quarter_of_a_minute_each_with_its_own_sun(every_s, per_mean, first_s):
+    law, readings = live(), list(scans(12, every_s))
+    for reading in readings:
+        law.observe(reading)
+    utc_s, heading = readings[-1].utc_s, Angles(0.0, 90.0)
+    # The first reading stands for the rhythm of the cube: it takes others to make up a mean.
+    lone = every_s > first_s
+    begin = min(1 + int((15.0 - first_s - 1e-3) // every_s), 3) if lone else 0
+    means = in_means(readings[begin + 1 if lone else 0 :], per_mean, per_mean * every_s)
+    if lone:
+        weights = np.array([first_s, *[every_s] * begin])
+        faces = np.array([one.faces_w_m2 for one in readings[: begin + 1]])
+        times = np.array([one.utc_s for one in readings[: begin + 1]])
+        means = (
+            np.append(weights @ times / weights.sum(), means[0]),
+            np.append(weights.sum(), means[1]),
+            np.vstack([weights @ faces / weights.sum(), means[2]]),
+        )
+    aim = law.aim(Moment(utc_s, None, heading))
+    assert_alike(aim, expected_aim(means, utc_s, heading))
+    assert aim.target is not None
+    assert aim.sun == pytest.approx(sun_position(utc_s, *SITE))
+
+
+def test_after_a_gap_a_reading_stands_for_the_rhythm_of_the_cube_and_no_longer():
+    law = live()
+    readings = [*scans(3), *scans(3, start_s=NOON + 110.0)]
+    for reading in readings:
+        law.observe(reading)
+    aim = law.aim(Moment(readings[-1].utc_s, None, Angles(0.0, 90.0)))
+    assert_alike(aim, expected_aim(in_means(readings, 3, 15.0), readings[-1].utc_s, (0.0, 90.0)))
+
+
+def test_a_face_that_is_missing_for_a_while_is_the_mean_of_what_there_is():
+    law, readings = live(), list(scans(6))
+    readings[1] = readings[1]._replace(faces_w_m2=(math.nan, *readings[1].faces_w_m2[1:]))
+    for at in (3, 4, 5):
+        readings[at] = readings[at]._replace(faces_w_m2=(*readings[at].faces_w_m2[:2], math.nan, 400.0))
+    for reading in readings:
+        law.observe(reading)
+    means = in_means(readings[:3], 3, 15.0)
+    late = in_means([one._replace(faces_w_m2=(*one.faces_w_m2[:2], 0.0, 400.0)) for one in readings[3:]], 3, 15.0)
+    late[2][:, 2] = math.nan
+    means = tuple(np.concatenate(pair) for pair in zip(means, late, strict=True))
+    aim = law.aim(Moment(readings[-1].utc_s, None, Angles(0.0, 90.0)))
+    assert_alike(aim, expected_aim(means, readings[-1].utc_s, (0.0, 90.0)))
+
+
+def test_what_waits_for_long_is_taken_in_all_the_same():
+    law, readings = live(), list(scans(3 * 41))
+    for reading in readings:
+        law.observe(reading)
+    aim = law.aim(Moment(readings[-1].utc_s, None, Angles(0.0, 90.0)))
+    assert_alike(aim, expected_aim(in_means(readings, 3, 15.0), readings[-1].utc_s, (0.0, 90.0)))
+
+
+def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left():
+    law, readings = live(), list(scans(3, start_s=NOON - 14_400.0))
+    for reading in readings:
+        law.observe(reading)
+    law.book(1000.0)
+    law.book(100.0)
+    assert (law.affords(200.0), law.affords(200.1)) == (True, False)
+    now = Moment(readings[-1].utc_s, None, Angles(0.0, 90.0))
+    expected = expected_aim(in_means(readings, 3, 15.0), now.utc_s, (0.0, 90.0), used=(1100.0, 2))
+    assert_alike(law.aim(now), expected)
+    assert float(expected[0].price_w_m2) > 1.5 * float(expected_aim(
+        in_means(readings, 3, 15.0), now.utc_s, (0.0, 90.0))[0].price_w_m2)  # fmt: skip
+
+
+def test_the_settings_reach_the_law():
+    law = live(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2, albedo=0.4)
+    readings = list(scans(3))
+    for reading in readings:
+        law.observe(reading)
+    assert law.learned.albedo == 0.4
+    assert (law.affords(50.0), law.affords(50.1)) == (True, False)
+    plan = OptimalSettings(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2)
+    with_albedo = OptimalLaw(plan, LIMITS, learned=Learned(0.4))
+    middles, elapsed_s, faces = in_means(readings, 3, 15.0)
+    with_albedo.observe(faces, sun_direction(middles, *SITE), elapsed_s)
+    aim = law.aim(Moment(readings[-1].utc_s, None, Angles(0.0, 90.0)))
+    assert aim.beam_w_m2 == pytest.approx(float(with_albedo.light.beam))
+    assert aim.albedo == 0.4
+
+
+def test_without_a_place_it_asks_for_nothing():
+    aim = live().aim(Moment(NOON, None, None))
+    assert aim.target is None
+    assert math.isnan(aim.azimuth_deg)
+    assert math.isnan(aim.elevation_deg)
+    assert aim.why == "where the tracker stands is not known"
+
+
+@pytest.mark.parametrize("longitude_deg", [0.0, 100.0, -150.0])
+def test_a_day_is_the_suns_from_midnight_to_midnight(longitude_deg):
+    midnight_s = 19_277 * DAY_S - longitude_deg * 240.0
+    law = live(utc_s=midnight_s - 3600.0, site=Site(40.0, longitude_deg, 0.0))
+    law.book(10.0)
+    assert not law.turn(midnight_s - 1.0)
+    assert law.shown()["today"] == {"travelled_deg": 10.0, "moves": 1}
+    assert law.turn(midnight_s + 1.0)
+    assert law.shown()["today"] == {"travelled_deg": 0.0, "moves": 0}
+    assert not law.turn(midnight_s + 3600.0)
+    assert law.to_dict()["day"] == 19_277
+
+
+def test_what_the_last_minutes_of_a_day_showed_belongs_to_that_day():
+    law, other = live(), live()
+    for reading in scans(3 * 39):
+        law.observe(reading)
+        other.observe(reading)
+    # Asked at the day's end, one of them has taken its means in before.
+    other.aim(Moment(NOON + 600.0, None, Angles(0.0, 90.0)))
+    assert law.turn(NOON + DAY_S)
+    assert other.turn(NOON + DAY_S)
+    assert law.learned != Learned()
+    assert law.to_dict() == pytest.approx(other.to_dict())
+
+
+def test_the_budget_of_today_goes_on_after_a_restart_and_that_of_yesterday_does_not():
+    law = live()
+    law.book(123.0)
+    kept = law.to_dict()
+    assert live(kept=kept).to_dict() == kept
+    assert live(kept=kept, utc_s=NOON + DAY_S).shown()["today"] == {"travelled_deg": 0.0, "moves": 0}
+    gains = {"gain_east": 1.02, "gain_south": 1 / 1.02}
+    learned = live(kept={**kept, **gains, "albedo": 0.5}, utc_s=NOON + DAY_S).learned
+    assert learned.to_dict() == pytest.approx({**gains, "albedo": 0.5, "gain_west": 1.0})
+
+
+def test_to_learn_anew_forgets_what_waits_too():
+    law = live(albedo=0.25, kept={"albedo": 0.5, "gain_west": 0.98, "day": 0})
+    for reading in scans(3 * 30):
+        law.observe(reading)
+    law.relearn()
+    assert law.learned == Learned(0.25)
+    law.turn(NOON + DAY_S)
+    assert law.learned.to_dict() == pytest.approx(Learned(0.25).to_dict())
+
+
+def test_where_the_sun_does_not_set_the_day_is_as_long_as_it_is():
+    site, noon_s = Site(80.0, 0.0, 0.0), 1687348800.0  # 2023-06-21 12:00 UTC
+    law = live(utc_s=noon_s, site=site, travel_per_day_deg=100.0)
+    law.book(75.0)
+    for hours, left in ((0.0, 0.5), (6.0, 0.25), (-6.0, 0.75)):
+        utc_s = noon_s + 3600.0 * hours
+        aim = law.aim(Moment(utc_s, None, Angles(0.0, 90.0)))
+        same = OptimalLaw(OptimalSettings(travel_per_day_deg=100.0), LIMITS)
+        same.resume(75.0, 1)
+        day = sun_day(utc_s, *site)
+        exact = (day.noon_utc_s + DAY_S / 2 - utc_s) / DAY_S
+        assert exact == pytest.approx(left, abs=0.01)
+        choice = same.choose(0.0, 90.0, sun_direction(utc_s + SETTINGS.lead_s, *site), exact)
+        assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
+
+
+def test_what_each_reading_shows_by_itself():
+    law = live()
+    faces = np.stack([faces_at(NOON, 600.0, 100.0, albedo=0.2)] * 4)
+    faces[1, 0] = math.nan
+    faces[2, :2] = math.nan
+    sun = np.stack([sun_direction(NOON, *SITE)] * 4)
+    sun[3, 2] = -0.1
+    found = law.estimates(faces, sun, Learned(0.2))
+    np.testing.assert_allclose(found.beam_w_m2[:2], 600.0, rtol=0.01)
+    np.testing.assert_allclose(found.diffuse_w_m2[:2], 100.0, rtol=0.05)
+    assert np.isnan([*found.beam_w_m2[2:], *found.diffuse_w_m2[2:]]).all()
+    np.testing.assert_array_equal(found.albedo, 0.2)
+    high = law.estimates(1.05 * faces[:1], sun[:1], Learned(0.2, 1.05, 1.05, 1.05))
+    assert float(high.beam_w_m2[0]) == pytest.approx(600.0, rel=0.02)
+
+
+def test_a_zenith_face_that_the_others_contradict_is_not_believed():
+    east, south, west, zenith = map(float, faces_at(NOON))
+    assert live().believes_zenith((east, south, west, zenith), NOON)
+    assert not live().believes_zenith((500.0, 600.0, 500.0, 5.0), NOON)
