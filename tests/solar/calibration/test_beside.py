@@ -5,7 +5,7 @@ from sim_drivers.scene import Scene
 from sim_drivers.weather import GeneratedWeather
 from solar.calibration.comparison import fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, clear_sky_ghi, night_offset
-from solar.ephemeris import Site
+from solar.ephemeris import Site, sun_position
 
 SIRTA = Site(48.717607, 2.209002, 156.0)
 MIDNIGHT = 1_647_302_400.0  # 2022-03-15
@@ -53,6 +53,44 @@ def test_the_night_offset_is_the_median_of_the_dark():
     offset, _, count = night_offset(utc_s[by_day], readings[by_day], SIRTA)
     assert np.isnan(offset).all()
     assert count == 0
+
+
+def test_readings_of_half_an_hour_at_night_count_as_one():
+    utc_s = MIDNIGHT + np.arange(0.0, 3 * 3600.0, 60.0)
+    strays = np.where(np.arange(utc_s.size) % 2, 0.01, -0.01)[:, None] * [1.0, 3.0]
+    _, error, _ = night_offset(utc_s, 0.05 + strays, SIRTA)
+    sigma = 1.4826 * np.array([0.01, 0.03])
+    np.testing.assert_allclose(error, 1.2533 * sigma / np.sqrt(6))
+
+
+@pytest.mark.parametrize(("share", "stable"), [(0.79, False), (0.81, True), (1.24, True), (1.26, False)])
+def test_a_sensor_may_be_a_quarter_wrong_and_no_more(share, stable):
+    utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
+    clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
+    assert clear_and_stable(utc_s, share * clear, SIRTA)[60:180].all() == stable
+
+
+@pytest.mark.parametrize(("percent", "stable"), [(0.95, True), (1.05, False)])
+def test_a_percent_of_spread_in_half_an_hour_is_the_most(percent, stable):
+    utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
+    clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
+    wave = 1.0 + percent / 100.0 * np.where(np.arange(utc_s.size) % 2, 1.0, -1.0)
+    assert clear_and_stable(utc_s, wave * clear, SIRTA)[60:180].all() == stable
+
+
+@pytest.mark.parametrize(("missing", "stable"), [(6, True), (8, False)])
+def test_four_fifths_of_half_an_hour_must_be_there(missing, stable):
+    utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
+    clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
+    clear[105 : 105 + missing] = np.nan
+    assert clear_and_stable(utc_s, clear, SIRTA)[[104, 105 + missing]].all() == stable
+
+
+def test_the_sun_must_be_ten_degrees_up():
+    utc_s = MIDNIGHT + np.arange(0.0, 86_400.0, 60.0)
+    clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
+    high = sun_position(utc_s, *SIRTA).elevation_deg[clear_and_stable(utc_s, clear, SIRTA)]
+    assert 10.0 <= high.min() < 12.0
 
 
 @pytest.mark.parametrize("ahead_s", [-90.0, -7.5, 0.0, 37.0, 200.0])
