@@ -19,9 +19,17 @@ class ExitCode(IntEnum):
     """Nothing answers there, or something that is not heliocube."""
     REFUSED = 6
     """The service answers, and does not do it: the token is not its own, or the tracker may not move like that now."""
+    INTERRUPTED = 130
+    """Ctrl-C ended it; what was done by then is kept where the last line says so. The same as of any program."""
 
 
 class UserError(Exception):
     """Bad input: one sentence with the place and the remedy; the command line ends with `exit_code`."""
 
     exit_code: ClassVar[ExitCode] = ExitCode.MISTYPED
+
+
+class InterruptedEarlyError(UserError):
+    """Ctrl-C has ended the work; the sentence says what is kept of it."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.INTERRUPTED

@@ -9,7 +9,7 @@ import typer
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json
-from daemon.commands.options import FILES, TableFormat
+from daemon.commands.options import FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
 
 app = typer.Typer()
@@ -47,6 +47,7 @@ def export(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write records of the store as tables, even while the service runs."""
@@ -61,6 +62,7 @@ def export(
         first,
         last,
         [one.value for one in kind or []],
+        force=force,
     )
     if as_json:
         print_json({"tables": out, "format": table_format, "rows": rows})

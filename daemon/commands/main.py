@@ -6,12 +6,14 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
-from daemon.base.errors import UserError
+from daemon.base.clock import iso_utc
+from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
 from daemon.commands.answers import JsonOption, print_json
@@ -43,7 +45,20 @@ if TYPE_CHECKING:
     # Help and completion must not wait for the science.
     from daemon.config.settings import Settings
 
+
+class _Commands(TyperGroup):
+    """All commands; what Ctrl-C ends with nothing to keep says so."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; raises `InterruptedEarlyError` for Ctrl-C that it does not take itself."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise InterruptedEarlyError("interrupted before its end; no result was written") from None
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
     "To see it work: heliocube run. To install it on a rig: docs/install.md.",
     no_args_is_help=True,
@@ -165,21 +180,24 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Run the service on the simulated rig for days in seconds, and write tables."""
-    from daemon.studies.simulate import simulate as run_simulation
+    from daemon.store.tables import check_tables
 
     settings = _settings(
         config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube, positioner=positioner
     )
     begin = instant(start, "--start")
+    check_tables(out, table_format.value, force=force)
     span = (begin.timestamp(), begin.timestamp() + days * 86400.0)
     local = checked_report(report_to, zone, settings, span, force=force)
+    from daemon.studies.simulate import simulate as run_simulation
+
     console = Console(stderr=True)
     with progress_bar(console) as progress:
-        summary = run_simulation(settings, begin, days, out, table_format.value, progress)
+        summary = run_simulation(settings, begin, days, out, table_format.value, progress, force=force)
     pages: Sequence[Path] = ()
     if not as_json:
         report(summary, settings, out, console, Console())
-    if report_to is not None:
+    if report_to is not None and summary.interrupted_utc_s is None:
         from daemon.studies.report.studies import report_simulation
 
         pages = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
@@ -187,6 +205,8 @@ def simulate(
         print_json(page_of(summary, settings, out, pages))
     else:
         tell_pages(pages)
+    if summary.interrupted_utc_s is not None:
+        raise InterruptedEarlyError(f"interrupted: the tables end at {iso_utc(summary.interrupted_utc_s)[:19]}Z")
 
 
 app.add_typer(dashboard.app)

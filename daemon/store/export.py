@@ -45,6 +45,8 @@ def export(
     start: datetime | None,
     end: datetime | None,
     kinds: Collection[str],
+    *,
+    force: bool = False,
 ) -> dict[str, int]:
     """Write what the store in `directory` holds from `start` up to, not including, `end`; return the rows of each kind.
 
@@ -62,6 +64,8 @@ def export(
         With their time zone; None is as far as the store goes.
     kinds
         Of `KINDS`; none of them is all.
+    force
+        Whether tables that are there are replaced.
 
     Raises
     ------
@@ -78,7 +82,7 @@ def export(
             tables = {name: _Table(name) for name in chosen}
             columns: dict[type[Row], tuple[str, list[Column]]]
             columns = {table.row: (table.name, table.columns) for table in tables.values()}
-            with TableWriter(out, table_format, columns) as writer:
+            with TableWriter(out, table_format, columns, force=force) as writer:
                 return {name: table.copy(connection, writer, start, end) for name, table in tables.items()}
         except sqlite3.Error as error:
             raise unreadable(directory / FILE_NAME, error) from None

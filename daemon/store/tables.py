@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Decision, Event, Irradiances, IvCurve, ModeChange, Move, Pose, Record, Scan
+from daemon.store.outputs import check_outputs
 
 Format = Literal["csv", "parquet"]
 # A record, or a named tuple with the columns' values.
@@ -125,6 +126,17 @@ def with_irradiances(record: Row) -> Row:
     return record
 
 
+def check_tables(
+    directory: Path,
+    table_format: Format,
+    columns: Mapping[type[Row], tuple[str, list[Column]]] = COLUMNS,
+    *,
+    force: bool,
+) -> None:
+    """Raise `UserError`, before the work, for tables that a `TableWriter` could not write or would overwrite."""
+    check_outputs([directory / f"{name}.{table_format}" for name, _ in columns.values()], "--out", force=force)
+
+
 class TableWriter:
     """Takes records as they come and writes each kind to a table of its own.
 
@@ -135,15 +147,17 @@ class TableWriter:
     Parameters
     ----------
     directory
-        Made if it is missing. What is already there is never overwritten.
+        Made if it is missing.
     format
         ``csv`` or ``parquet``, also the files' ending.
     columns
         Which kinds of records there are, with the name of their table and its columns.
+    force
+        Whether tables that are there are replaced, at the end.
 
     Raises
     ------
-    TableError
+    UserError
         When a table is already there, or the directory cannot be written to.
     """
 
@@ -152,15 +166,12 @@ class TableWriter:
         directory: Path,
         format: Format = "csv",  # noqa: A002 - the users' own word for it
         columns: Mapping[type[Row], tuple[str, list[Column]]] = COLUMNS,
+        *,
+        force: bool = False,
     ) -> None:
         self._directory = directory
         self._made = not directory.exists()
-        taken = [name for name, _ in columns.values() if (directory / f"{name}.{format}").exists()]
-        if taken:
-            raise TableError(
-                f"{directory} already holds {taken[0]}.{format}, which would be overwritten: name another directory"
-                " or move the old results away"
-            )
+        check_tables(directory, format, columns, force=force)
         self._tables: dict[type[Row], _Table] = {}
         make: Callable[[Path, list[Column]], _Table] = _CsvTable if format == "csv" else _ParquetTable
         try:

@@ -5,20 +5,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from daemon.base import plugins
-from daemon.base.errors import UserError
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.simulated import measured_weather, weather_notes
+from daemon.studies.energy_names import BOUND, FIXED, choice
 from solar.energy import (
     DAY_TYPES,
-    SKIES,
     DaylightWeather,
     Drive,
     Harvest,
@@ -31,11 +27,9 @@ from solar.energy import (
 )
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
-from solar.laws.law import Law, LawSettings, TrackerFacts
+from solar.laws.law import Law, TrackerFacts
 from solar.laws.steer import by_readings
 
-FIXED, BOUND = "fixed", "bound"
-"""What is no law and stands beside them: a plane of some tilt that never moves, and what no controller can beat."""
 IDEAL = Drive(np.inf, 0.0, 1)
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 
@@ -79,29 +73,15 @@ class Terms:
     drive: Drive
 
 
-def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
-    """Raise `UserError` for a sky or law that does not exist."""
-    for name in skies:
-        if name not in SKIES:
-            raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
-    for name in law_names:
-        _choice(name)
-
-
-def default_names() -> tuple[str, ...]:
-    """Return a fixed plane, every law that is installed, and the bound."""
-    return (f"{FIXED}:35", *plugins.names(plugins.LAWS), BOUND)
-
-
 def run_benchmark(
     weather: DaylightWeather,
     skies: Sequence[str],
     law_names: Sequence[str],
     terms: Terms,
     progress: Callable[[float], None],
-) -> list[EnergyRow]:
-    """Run every law under every sky, chronometric and bound first; `progress` is told the share that is done."""
-    rows: list[EnergyRow] = []
+) -> Iterator[EnergyRow]:
+    """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done."""
+    done = 0
     total = len(skies) * (len(law_names) + 1)
     types = weather.day_types()
     for sky_name in skies:
@@ -112,15 +92,15 @@ def run_benchmark(
         reference = run(IDEAL, _steer(FALLBACK_LAW, weather, faces, terms)).energy_kwh_m2
         summarise = partial(_row, sky_name, types=types, reference=reference, bound=bound)
         for name in law_names:
-            progress((len(rows) + 1) / total)
+            progress((done + 1) / total)
+            done += 1
             if name == BOUND:
                 nothing = np.full(len(bound), np.nan)
-                rows.append(summarise(name, Harvest(bound, nothing, nothing, nothing)))
+                yield summarise(name, Harvest(bound, nothing, nothing, nothing))
             else:
                 drive = IDEAL if name.startswith(FIXED) else terms.drive
-                rows.append(summarise(name, run(drive, _steer(name, weather, faces, terms))))
+                yield summarise(name, run(drive, _steer(name, weather, faces, terms)))
     progress(1.0)
-    return rows
 
 
 def write_csv(rows: Sequence[EnergyRow], path: Path) -> None:
@@ -209,57 +189,19 @@ def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
     return 100.0 * float(energy[chosen].sum() / reference[chosen].sum() - 1.0)
 
 
-class _Choice(NamedTuple):
-    """A law with its settings, or a plane of some tilt that never moves; neither for the bound."""
-
-    law: ModuleType | None = None
-    settings: LawSettings | None = None
-    tilt_deg: float | None = None
-
-
-def _choice(name: str) -> _Choice:
-    """Return what a name of the command line means; `UserError` for what does not exist."""
-    if name == BOUND:
-        return _Choice()
-    law, colon, text = name.partition(":")
-    try:
-        if law == FIXED:
-            tilt_deg = float(text)
-            if 0.0 <= tilt_deg <= 90.0:
-                return _Choice(tilt_deg=tilt_deg)
-        elif law in plugins.names(plugins.LAWS):
-            module = plugins.load(plugins.LAWS, law)
-            if not colon:
-                return _Choice(module, module.SETTINGS())
-            if module.SETTINGS.knob is not None:
-                return _Choice(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
-    except ValidationError as error:
-        raise UserError(f"--laws: {name}: {error.errors()[0]['msg'].lower()}") from None
-    except ValueError:
-        pass
-    known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))
-    knobs = [f"{each}:{module.SETTINGS.knob.upper()}" for each, module in _laws() if module.SETTINGS.knob is not None]
-    raise UserError(f"--laws: there is no law '{name}'; choose from {known}, {', '.join(knobs)}, DEG in 0..90")
-
-
 def _steer(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
-    choice = _choice(name)
-    if choice.law is None:
-        return fixed(weather, choice.tilt_deg or 0.0)
-    steer = getattr(choice.law, "steer", None)
+    asked = choice(name)
+    if asked.law is None:
+        return fixed(weather, asked.tilt_deg or 0.0)
+    steer = getattr(asked.law, "steer", None)
     if steer is not None:
-        return cast("Steer", steer(choice.settings, weather, faces, terms.limits))
-    build = choice.law.build
+        return cast("Steer", steer(asked.settings, weather, faces, terms.limits))
+    build = asked.law.build
 
     def law_of(tracker: TrackerFacts) -> Law:
-        return cast("Law", build(choice.settings, tracker))
+        return cast("Law", build(asked.settings, tracker))
 
     return by_readings(law_of, weather, faces, terms.limits)
-
-
-def _laws() -> Iterator[tuple[str, ModuleType]]:
-    for name in plugins.names(plugins.LAWS):
-        yield name, plugins.load(plugins.LAWS, name)
 
 
 def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:

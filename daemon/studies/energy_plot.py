@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from daemon.studies.energy import FIXED, EnergyRow
+from daemon.studies.energy import EnergyRow
+from daemon.studies.energy_names import FIXED
 from solar.energy import DAY_TYPES
 
 if TYPE_CHECKING:

@@ -48,6 +48,13 @@ def weather_choice(text: str) -> str | Path:
     return text if text in get_args(WeatherName) else Path(text)
 
 
+def check_weather_file(path: Path) -> None:
+    """Raise `UserError` where there is no such file, before anything is loaded that could read it."""
+    if not path.is_file():
+        known = ", ".join(get_args(WeatherName))
+        raise UserError(f"there is no weather file at {path}, and it is none of the built-in skies {known}")
+
+
 def settings_for(
     config: Path | None,
     *,
@@ -91,8 +98,11 @@ def settings_for(
     from daemon.config.plugged import CUBE, DRIVER, POSITIONER, ROTCTLD  # noqa: PLC0415 - as above
     from daemon.config.settings import Settings  # noqa: PLC0415 - as above
 
+    chosen = None if weather is None else weather_choice(weather)
+    if isinstance(chosen, Path):
+        check_weather_file(chosen)
     simulation = {
-        "weather": None if weather is None else weather_choice(weather),
+        "weather": chosen,
         "seed": seed,
         "speed": speed,
         "start_utc": start,

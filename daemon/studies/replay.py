@@ -1,6 +1,7 @@
 """Recorded cube data through the running service's own window, laws, modes, control and motion, under virtual time."""
 
 import asyncio
+import contextlib
 import csv
 import gc
 import gzip
@@ -50,8 +51,10 @@ _PROGRESS_EVERY_ROWS = 1000
 _ROWS_AT_ONCE = 50_000
 
 
-def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> None:
-    """Run the tracker's role on recorded readings and write one line per row to `out`.
+def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> int:
+    """Run the tracker's role on recorded readings, write one line per row to `out`, and return how many.
+
+    All of them, or those that were done by Ctrl-C.
 
     Parameters
     ----------
@@ -73,14 +76,17 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
     # A folder that cannot be written to is told before the work and not after it.
     part = out.with_name(f".{out.name}.part")
     try:
+        part.parent.mkdir(parents=True, exist_ok=True)
         with _opened(part, out.suffix) as file:
             log = _run(settings, rows, progress)
-            _write(file, settings, rows, log)
+            done = len(log.modes)
+            _write(file, settings, rows[:done], log)
         part.replace(out)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
     finally:
         part.unlink(missing_ok=True)
+    return done
 
 
 class _Log:
@@ -132,7 +138,9 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
             polling=_POLLING,
         )
         log = _Log(service.trackers[0].control.pointing)
-        runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
+        # What Ctrl-C leaves is what was done: as good as far as it goes.
+        with contextlib.suppress(KeyboardInterrupt):
+            runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
     return log
 
 

@@ -41,6 +41,8 @@ class Summary:
         Seconds in each mode, of all trackers.
     warning
         About the weather file, or None.
+    interrupted_utc_s
+        Until when it came before Ctrl-C, or None.
     """
 
     scans: int = 0
@@ -49,6 +51,7 @@ class Summary:
     travel_deg: float = 0.0
     mode_s: dict[Mode, float] = field(default_factory=lambda: dict.fromkeys(Mode, 0.0))
     warning: str | None = None
+    interrupted_utc_s: float | None = None
 
 
 def simulate(
@@ -58,15 +61,19 @@ def simulate(
     out: Path,
     table_format: Literal["csv", "parquet"],
     progress: Callable[[float], None],
+    *,
+    force: bool = False,
 ) -> Summary:
     """Run the service in both roles over `days` from `start` (UTC) and write its records to `out`.
 
-    The same settings and seed give byte-identical files.
+    The same settings and seed give byte-identical files. After Ctrl-C they hold what was done by then.
 
     Parameters
     ----------
     progress
         Called with the share done, 0..1.
+    force
+        Whether tables that are there are replaced.
 
     Raises
     ------
@@ -80,8 +87,9 @@ def simulate(
     weather, warning = build_weather(settings, start_utc_s, end_utc_s)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
+    interrupted_utc_s = None
     tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
-    with TableWriter(out, table_format) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with TableWriter(out, table_format, force=force) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         loop = runner.get_loop()
         clock = LoopClock(loop.time, start_utc_s)
         bus = Bus()
@@ -99,8 +107,13 @@ def simulate(
             calibration=calibration,
             polling=SIMULATED,
         )
-        runner.run(_until_end(service, days * DAY_S, progress))
-    return tally.close(end_utc_s, warning)
+        try:
+            runner.run(_until_end(service, days * DAY_S, progress))
+        except KeyboardInterrupt:
+            interrupted_utc_s = clock.utc()
+    summary = tally.close(end_utc_s if interrupted_utc_s is None else interrupted_utc_s, warning)
+    summary.interrupted_utc_s = interrupted_utc_s
+    return summary
 
 
 async def _until_end(service: Service, duration_s: float, progress: Callable[[float], None]) -> None:

@@ -68,6 +68,7 @@ def cube(
     ] = 730,
     plot: Annotated[Path | None, typer.Option(help="Draw scatter and residuals too: .png, .svg or .pdf.")] = None,
     out: OutOption = Path("calibration.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the figure; never the calibration.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate the four sensors, lying horizontally beside a reference pyranometer, in the manner of ISO 9847."""
@@ -76,7 +77,7 @@ def cube(
     from daemon.studies.calibrate.beside import compare
     from daemon.studies.calibrate.readings import read_reference
 
-    request.check_outputs(out, plot)
+    request.check_before(out, plot, force=force)
     serials = request.serials(serial or [])
     made_on = request.rig(config, site)
     first = None if start is None else instant(start, "--from")
@@ -141,7 +142,7 @@ def field(
     from daemon.studies.calibrate import report, request
     from daemon.studies.calibrate.in_field import calibrate_field
 
-    request.check_outputs(out, None)
+    request.check_before(out, None, force=False)
     serials = request.serials(serial or [])
     made_on = request.rig(config, site)
     first = None if start is None else instant(start, "--from")

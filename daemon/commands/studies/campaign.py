@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.commands.options import ForceOption
 
 
 def campaign(
@@ -31,12 +32,19 @@ def campaign(
     keep: Annotated[
         Path, typer.Option(metavar="DIR", help="Where each failure is written, reduced, as seed-N.json.")
     ] = Path("campaign-failures"),
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Attack the simulated rig with faults and commands from seeds, and hold every promise against the truth.
 
     The same seed and hours give the same run. A failure is reduced to what it takes. Exit code 1: a promise was broken.
     """
+    from daemon.store.outputs import check_outputs
+
+    if reliability is not None:
+        check_outputs([reliability], "--reliability", force=force)
+    elif schedule is None:
+        check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
     from daemon.commands.studies.simulate import progress_bar
     from daemon.studies.campaign.attack import Attack, chosen_schedules
     from daemon.studies.campaign.reliability import write_reliability

@@ -9,9 +9,10 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json
-from daemon.commands.options import TableFormat
+from daemon.commands.options import ForceOption, TableFormat
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
-from daemon.studies.inputs import instant, parse_site, site_values, weather_choice
+from daemon.store.outputs import check_outputs
+from daemon.studies.inputs import check_weather_file, instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,6 +59,7 @@ def simulate(
     site: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees north, east, metres.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, metavar="NUMBER", help="Of weather and noise.")] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of table.")] = TableFormat.csv,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
@@ -66,32 +68,37 @@ def simulate(
     from daemon.commands.studies.simulate import progress_bar
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings
-    from daemon.rigs.simulated import build_simulated_pair, build_weather
-    from daemon.studies.compare.measurements import writer
-    from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
-    from daemon.studies.compare.stored import keeping
-    from solar.ephemeris import DAY_S
 
     if out is None and store is None:
         raise UserError("compare simulate needs --out DIR for a table, --store DIR for a store, or both")
     names = _laws(laws)
+    if out is not None:
+        check_outputs([out / f"powers.{table_format.value}"], "--out", force=force)
     changes: dict[str, dict[str, Any]] = {"simulation": {}, "load": {"driver": "none"}}
     if store is not None:
         changes["load"] = {"driver": "simulated", "keep_curves": True}
     if weather is not None:
-        changes["simulation"]["weather"] = weather_choice(weather)
+        changes["simulation"]["weather"] = chosen = weather_choice(weather)
+        if isinstance(chosen, Path):
+            check_weather_file(chosen)
     if seed is not None:
         changes["simulation"]["seed"] = seed
     if site is not None:
         changes["site"] = site_values(site)
     settings = override(Settings() if config is None else load_settings(config), changes)
     begin_s = instant(start, "--start").timestamp()
+    from daemon.rigs.simulated import build_simulated_pair, build_weather
+    from daemon.studies.compare.measurements import writer
+    from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+    from daemon.studies.compare.stored import keeping
+    from solar.ephemeris import DAY_S
+
     sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S)
     console = Console(stderr=True)
     if warning:
         console.print(f"heliocube: warning: {warning}", markup=False, highlight=False, soft_wrap=True)
     with ExitStack() as stack:
-        tables = None if out is None else stack.enter_context(writer(out, table_format.value))
+        tables = None if out is None else stack.enter_context(writer(out, table_format.value, force=force))
         keep: Callable[[str, Record], None] = _forget
         if store is not None:
             keep = stack.enter_context(keeping(settings, (T_CUBE, T_CHRONO), store, begin_s))
@@ -137,9 +144,11 @@ def fit(
     end: Annotated[str | None, typer.Option("--to", metavar="UTC", help="To here, itself not included.")] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find the bias between the two measuring chains from a time in which both trackers lay flat."""
+    check_outputs([out, out.with_suffix(".png"), out.with_suffix(".svg")], "--out", force=force)
     from daemon.studies.compare import figures
     from daemon.studies.compare.fit import as_text, flat_pairs, write
     from daemon.studies.compare.fit import fit as fit_bias
@@ -176,9 +185,11 @@ def report(
     ] = None,
     cube: CubeOption = "T-Cube",
     chrono: ChronoOption = "T-Chrono",
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Tell what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
+    check_outputs([out / "report.html", out / "gains.csv"], "--out", force=force)
     from daemon.studies.compare.fit import flat_pairs, read
     from daemon.studies.compare.gains import as_text, parse_span
     from daemon.studies.compare.report import write_report
@@ -224,9 +235,11 @@ def paper(
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
     law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = DEFAULT_LAW,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
+    check_outputs([out / name for name in ("paper.html", "paper.txt", "paper.csv")], "--out", force=force)
     from typing import get_args
 
     from daemon.commands.studies.simulate import progress_bar

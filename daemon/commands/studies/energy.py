@@ -1,12 +1,20 @@
 """`heliocube energy`: what the laws harvest on measured weather."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
+from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.options import ForceOption
+from daemon.commands.studies.simulate import progress_bar
+from daemon.store.outputs import check_outputs
+
+if TYPE_CHECKING:
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.studies.energy import EnergyRow
 
 
 def energy(
@@ -28,42 +36,58 @@ def energy(
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
     speed: Annotated[float, typer.Option(min=0.01, max=90, help="Speed of each axis, deg/s.")] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
-    from daemon.base.errors import UserError
-    from daemon.commands.studies.simulate import progress_bar
-    from daemon.studies.energy import (
-        IDEAL,
-        Terms,
-        as_page,
-        as_text,
-        check_names,
-        default_names,
-        measured_minutes,
-        run_benchmark,
-        write_csv,
-    )
+    from daemon.studies.energy_names import check_names, default_names
+    from daemon.studies.inputs import check_weather_file, parse_site
+
+    skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
+    check_names(skies, names)
+    place = parse_site(site)
+    for path in weather:
+        check_weather_file(path)
+    check_outputs([out / f"energy.{ending}" for ending in ("txt", "csv", "png")], "--out", force=force)
+    _compare(weather, place, out, skies, names, albedo, None if ideal else speed, as_json=as_json)
+
+
+def _compare(
+    weather: list[Path],
+    place: tuple[float, float, float],
+    out: Path,
+    skies: list[str],
+    names: list[str],
+    albedo: float,
+    speed_deg_per_s: float | None,
+    *,
+    as_json: bool,
+) -> None:
+    from daemon.studies.energy import IDEAL, Terms, as_page, as_text, measured_minutes, run_benchmark, write_csv
     from daemon.studies.energy_plot import plot
-    from daemon.studies.inputs import parse_site
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
     from solar.frames import Limits
 
-    skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
-    check_names(skies, names)
-    place = Site(*parse_site(site))
-    console = Console(stderr=True)
-    utc_s, dni, dhi, warnings = measured_minutes(weather, place)
+    errors, done = Console(stderr=True), "all"
+    utc_s, dni, dhi, warnings = measured_minutes(weather, Site(*place))
     for warning in warnings:
-        console.print(f"warning: {warning}", markup=False, highlight=False)
+        errors.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
     try:
-        days = lay_out(utc_s, dni, dhi, place)
+        days = lay_out(utc_s, dni, dhi, Site(*place))
     except ValueError as error:
         raise UserError(f"the weather cannot be used: {error}") from error
-    terms = Terms(albedo, Limits(), IDEAL if ideal else Drive(speed))
-    with progress_bar(console, "comparing") as progress:
-        rows = run_benchmark(days, skies, names, terms, progress)
+    drive = IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s)
+    terms = Terms(albedo, Limits(), drive)
+    rows: list[EnergyRow] = []
+    with progress_bar(errors, "comparing") as progress:
+        try:
+            for row in run_benchmark(days, skies, names, terms, progress):
+                rows.append(row)  # noqa: PERF402 - what is there counts when the next one is interrupted
+        except KeyboardInterrupt:
+            done = f"{len(rows)} of {len(skies) * len(names)}"
+            if not rows:
+                raise
     text = as_text(rows, days, terms)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -71,11 +95,13 @@ def energy(
         write_csv(rows, out / "energy.csv")
         plot(rows, out / "energy.png")
     except OSError as error:
-        raise UserError(f"--out: {out} cannot be written to: {error}") from error
+        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
         print_json(as_page(rows, days, terms) | {"tables": out, "warnings": warnings})
-        return
-    Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
+    else:
+        Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
+    if done != "all":
+        raise InterruptedEarlyError(f"interrupted: {out} has {done} laws")
 
 
 def _words(text: str) -> list[str]:

@@ -9,6 +9,8 @@ from rich.progress import track
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.options import ForceOption
+from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
 
 if TYPE_CHECKING:
@@ -63,6 +65,7 @@ def gain(
         AnswerFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File for CSV or Parquet instead of standard output.")] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Tell how much more a dual-axis tracker receives than a static panel and single axes.
@@ -70,6 +73,10 @@ def gain(
     K is the ratio of energies in a day or a year: exact for a constant beam without an atmosphere, and with --weather
     under a real sky beside it.
     """
+    if out is not None:
+        check_outputs([out], "--out", force=force)
+    if plot is not None:
+        check_outputs([plot], "--plot", force=force)
     from daemon.studies.gain import output, request
     from daemon.studies.gain.evaluate import evaluate, evaluate_points
 

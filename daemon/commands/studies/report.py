@@ -58,10 +58,12 @@ def report(
     One file for each tracker, which needs nothing but itself: it can be opened, sent and printed anywhere.
     """
     from daemon.studies.report.span import Wanted
+
+    wanted = Wanted(day, start, end)
+    directory, settings = store_directory("report", store, config), _settings(config)
     from daemon.studies.report.write import check_output, with_settings, write_reports, zone_of
 
-    wanted, local = Wanted(day, start, end), zone_of(zone)
-    directory, settings = store_directory("report", store, config), _settings(config)
+    local = zone_of(zone)
     taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{tracker or '*'}.html")]
     check_output(out, taken, "--out", force=force)
     with progress_bar(Console(stderr=True), "reading and drawing") as progress:

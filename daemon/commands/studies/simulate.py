@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 
@@ -120,11 +121,9 @@ def replay(
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
     from rich.console import Console
 
-    from daemon.base.errors import UserError
     from daemon.config.settings import settings_of_one
+    from daemon.store.outputs import check_outputs
     from daemon.studies.inputs import settings_for, site_values
-    from daemon.studies.recorded import read_csv, rows_of_store
-    from daemon.studies.replay import replay as run_replay
 
     if (faces is None) is (store is None):
         raise UserError("replay needs either FACES.csv or --store DIR")
@@ -134,6 +133,12 @@ def replay(
     settings = settings_of_one(settings, tracker)
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
+    check_outputs([out], "--out", force=force)
+    if faces is not None and not faces.is_file():
+        raise UserError(f"{faces} is no file: name a CSV file with the columns time,east,south,west,zenith")
+    from daemon.studies.recorded import read_csv, rows_of_store
+    from daemon.studies.replay import replay as run_replay
+
     if faces is not None:
         recording = read_csv(faces)
         rows = recording.rows
@@ -146,14 +151,16 @@ def replay(
     span = (rows[0].time_utc_s, rows[-1].time_utc_s + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
-        run_replay(settings, rows, out, progress)
+        done = run_replay(settings, rows, out, progress)
     pages: Sequence[Path] = ()
-    if report_to is not None:
+    if report_to is not None and done == len(rows):
         from daemon.studies.report.studies import report_replay
 
         pages = report_replay(settings, span, rows, out, report_to, local, force=force)
     if as_json:
-        print_json({"rows": len(rows), "law": settings.law.driver, "table": out, "reports": pages})
-        return
-    typer.echo(f"{len(rows)} rows by {settings.law.driver}: {out}")
-    tell_pages(pages)
+        print_json({"rows": done, "law": settings.law.driver, "table": out, "reports": pages})
+    else:
+        typer.echo(f"{done} rows by {settings.law.driver}: {out}")
+        tell_pages(pages)
+    if done < len(rows):
+        raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}")

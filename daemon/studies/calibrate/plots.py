@@ -45,6 +45,7 @@ def draw_comparison(found: Comparison, path: Path) -> None:
     for panel, label in zip(axes[-1], ("reference [W/m2]", "time [UTC]", "angle of incidence [deg]"), strict=True):
         panel.set_xlabel(label)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110)
     except OSError as error:
         raise UserError(f"--plot: {path} cannot be written: {error.strerror}") from error

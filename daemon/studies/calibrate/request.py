@@ -10,6 +10,7 @@ from daemon.config.file import load_settings, override
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.calibration import CubeCalibration, calibrated_cube, calibration_in_force
+from daemon.store.outputs import check_outputs
 from daemon.studies.calibrate.readings import FaceReadings, read_csv, read_store
 from daemon.studies.inputs import site_values
 from solar.ephemeris import Site
@@ -94,11 +95,17 @@ def serials(given: list[str]) -> dict[str, str]:
     return found
 
 
-def check_outputs(out: Path, plot: Path | None) -> None:
-    """Refuse before a long evaluation what could not be written after it; raises `UserError`."""
+def check_before(out: Path, plot: Path | None, *, force: bool) -> None:
+    """Refuse before a long evaluation what could not be written after it; raises `UserError`.
+
+    A calibration is not overwritten by any option: what was measured under it bears its name.
+    """
     if out.exists():
         raise UserError(f"{out} is there already; a calibration is not overwritten, name another file with --out")
+    check_outputs([out], "--out", force=False)
     if not out.parent.is_dir():
         raise UserError(f"--out: there is no folder {out.parent}")
+    if plot is not None:
+        check_outputs([plot], "--plot", force=force)
     if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
         raise UserError(f"--plot: {plot} must end in {', '.join(PLOT_SUFFIXES[:-1])} or {PLOT_SUFFIXES[-1]}")

@@ -51,6 +51,7 @@ def write_reliability(path: Path, jobs: int, progress: Callable[[float], None]) 
     drills = declared()
     results = measure_drills(drills, jobs, progress)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page(drills, results), encoding="utf-8")
     except OSError as error:
         raise UserError(f"--reliability: {path} cannot be written: {error}") from error

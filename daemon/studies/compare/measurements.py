@@ -53,6 +53,6 @@ _COLUMNS = [
 ]
 
 
-def writer(directory: Path, table_format: Format) -> TableWriter:
-    """Return what writes measurements to ``powers.csv`` or ``powers.parquet`` in a folder; raises `TableError`."""
-    return TableWriter(directory, table_format, {Measurement: ("powers", _COLUMNS)})
+def writer(directory: Path, table_format: Format, *, force: bool) -> TableWriter:
+    """Return what writes measurements to ``powers.csv`` or ``powers.parquet`` in a folder; raises `UserError`."""
+    return TableWriter(directory, table_format, {Measurement: ("powers", _COLUMNS)}, force=force)

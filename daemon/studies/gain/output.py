@@ -34,6 +34,7 @@ def write(columns: Columns, kind: AnswerFormat, out: Path | None, console: Conso
         sys.stdout.buffer.flush()
         return
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("wb") as file:
             encode(columns, file)
     except OSError as error:

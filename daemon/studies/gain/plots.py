@@ -59,6 +59,7 @@ def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | No
     else:
         figure = printed_against_exact(request)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=130)
     except OSError as error:
         raise UserError(f"--plot: {path} cannot be written: {error.strerror}") from error

@@ -1,6 +1,5 @@
 """Where reports go: looked at before the work, and nothing overwritten unasked."""
 
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
+from daemon.store.outputs import check_folder, check_outputs
 from daemon.studies.report.material import Material
 from daemon.studies.report.page import findings_of, page_of
 
@@ -31,15 +31,12 @@ def check_output(out: Path, names: Sequence[str], option: str, *, force: bool) -
 
     Makes the folder if it is missing. To be called before the work whose results go there.
     """
+    check_folder(out, option)
+    check_outputs([out / name for name in names], option, force=force)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{option}: {out} cannot be a folder: {error.strerror}") from None
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise UserError(f"{option}: {out} cannot be written to: name another folder, or its owner gives leave")
-    taken = [name for name in names if (out / name).exists()]
-    if taken and not force:
-        raise UserError(f"{out / taken[0]} is there already: --force overwrites it, or name another {option}")
 
 
 def file_name(span_name: str, tracker: str) -> str:

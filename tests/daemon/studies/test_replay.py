@@ -58,7 +58,7 @@ def replayed(heliocube, tmp_path):
 
     def run(lines, law, *more, name="faces.csv"):
         source, out = write(tmp_path / name, lines), tmp_path / "positions.csv"
-        code, said = heliocube("replay", source, "--site", PLACE, "--law", law, "--out", out, *more)
+        code, said = heliocube("replay", source, "--site", PLACE, "--law", law, "--out", out, "--force", *more)
         assert code == 0, said
         with out.open(newline="") as file:
             reader = csv.DictReader(file)
@@ -234,11 +234,11 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(heliocube, tmp_pa
     out = tmp_path / "positions.csv"
     code, said = heliocube("replay", tmp_path / "no.csv", "--site", PLACE, "--law", "flat", "--out", out)
     assert code == 2
-    assert "does not exist" in said
+    assert "no.csv is no file: name a CSV file" in said
     source = write(tmp_path / "faces.csv", GOOD)
-    code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", tmp_path / "no" / "x.csv")
+    code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", source / "x.csv")
     assert code == 2
-    assert "cannot be written" in said
+    assert "faces.csv is a file" in said
     code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", source)
     assert code == 2
     assert "name another" in said

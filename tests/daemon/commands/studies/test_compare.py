@@ -123,7 +123,7 @@ def test_parquet_and_gzip_are_read_too(compare, day, tmp_path):
     frame.set_index("time").to_parquet(tmp_path / "day.parquet")
     tables = []
     for name in ("day.csv", "day.csv.gz", "day.parquet"):
-        _, out, err = compare("report", tmp_path / name, "--site", SITE, "--out", tmp_path / "out")
+        _, out, err = compare("report", tmp_path / name, "--site", SITE, "--out", tmp_path / "out", "--force")
         assert err == ""
         tables.append(out)
     assert tables[0] == tables[1] == tables[2]

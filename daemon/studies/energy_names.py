@@ -1,0 +1,67 @@
+"""What `heliocube energy` can be asked for by name, checked before the science is loaded."""
+
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import NamedTuple
+
+from pydantic import ValidationError
+
+from daemon.base import plugins
+from daemon.base.errors import UserError
+from solar.energy import SKIES
+from solar.laws.law import LawSettings
+
+FIXED, BOUND = "fixed", "bound"
+"""What is no law and stands beside them: a plane of some tilt that never moves, and what no controller can beat."""
+
+
+def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
+    """Raise `UserError` for a sky or law that does not exist."""
+    for name in skies:
+        if name not in SKIES:
+            raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
+    for name in law_names:
+        choice(name)
+
+
+def default_names() -> tuple[str, ...]:
+    """Return a fixed plane, every law that is installed, and the bound."""
+    return (f"{FIXED}:35", *plugins.names(plugins.LAWS), BOUND)
+
+
+class AskedLaw(NamedTuple):
+    """A law with its settings, or a plane of some tilt that never moves; neither for the bound."""
+
+    law: ModuleType | None = None
+    settings: LawSettings | None = None
+    tilt_deg: float | None = None
+
+
+def choice(name: str) -> AskedLaw:
+    """Return what a name of the command line means; `UserError` for what does not exist."""
+    if name == BOUND:
+        return AskedLaw()
+    law, colon, text = name.partition(":")
+    try:
+        if law == FIXED:
+            tilt_deg = float(text)
+            if 0.0 <= tilt_deg <= 90.0:
+                return AskedLaw(tilt_deg=tilt_deg)
+        elif law in plugins.names(plugins.LAWS):
+            module = plugins.load(plugins.LAWS, law)
+            if not colon:
+                return AskedLaw(module, module.SETTINGS())
+            if module.SETTINGS.knob is not None:
+                return AskedLaw(module, module.SETTINGS(**{module.SETTINGS.knob: float(text)}))
+    except ValidationError as error:
+        raise UserError(f"--laws: {name}: {error.errors()[0]['msg'].lower()}") from None
+    except ValueError:
+        pass
+    known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))
+    knobs = [f"{each}:{module.SETTINGS.knob.upper()}" for each, module in _laws() if module.SETTINGS.knob is not None]
+    raise UserError(f"--laws: there is no law '{name}'; choose from {known}, {', '.join(knobs)}, DEG in 0..90")
+
+
+def _laws() -> Iterator[tuple[str, ModuleType]]:
+    for name in plugins.names(plugins.LAWS):
+        yield name, plugins.load(plugins.LAWS, name)

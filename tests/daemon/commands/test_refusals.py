@@ -1,0 +1,87 @@
+"""What is wrong on the command line is refused before anything is loaded that only the work needs."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+# Half a second each on a quick machine, several on a Raspberry Pi.
+HEAVY = ("matplotlib", "pandas", "pvlib", "pyarrow", "scipy")
+IN_ONE_PROCESS = """
+import contextlib, io, json, sys
+from daemon.commands.main import main
+found = []
+for words in json.load(sys.stdin):
+    sys.argv, told = ["heliocube", *words], io.StringIO()
+    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(told), contextlib.suppress(SystemExit):
+        main()
+    found.append([words, told.getvalue(), sorted(set(HEAVY) & set(sys.modules))])
+print(json.dumps(found))
+"""
+THERE = "is there already: --force overwrites it, or name another "
+WRONG = {
+    "run --weather nonsense": "no weather file at nonsense, and it is none of the built-in skies clear",
+    "run --law nonsense": "nonsense",
+    "run --site 100,200": "not on Earth",
+    "run --start noon": "'noon' is no date or time",
+    "run --config none.toml": "there is no such file",
+    "simulate --out new --start noon": "'noon' is no date or time",
+    "simulate --out new --start 2022-10-12 --weather nonsense": "no weather file at nonsense",
+    "simulate --out new --start 2022-10-12 --law nonsense": "nonsense",
+    "simulate --out file --start 2022-10-12": "--out: file cannot be a folder",
+    "simulate --out there --start 2022-10-12": "there/scans.csv " + THERE + "--out",
+    "replay none.csv --out new.csv --site 48,2": "none.csv is no file",
+    "replay file --out new.csv --site 48": "'48' is not LAT,LON",
+    "replay file --out there/out.csv --site 48,2": "there/out.csv " + THERE + "--out",
+    "energy none.csv --site 48,2 --out new": "there is no weather file at none.csv",
+    "energy file --site 48 --out new": "'48' is not LAT,LON",
+    "energy file --site 48,2 --out new --laws none": "there is no law 'none'",
+    "energy file --site 48,2 --out new --sky none": "there is no sky 'none'",
+    "energy file --site 48,2 --out there": "there/energy.txt " + THERE + "--out",
+    "gain --lat 48 --format csv --out there/out.csv": "there/out.csv " + THERE + "--out",
+    "gain --lat 48 --plot there/out.png": "there/out.png " + THERE + "--plot",
+    "compare simulate --start 2022-10-12 --out there": "there/powers.csv " + THERE + "--out",
+    "compare simulate --start 2022-10-12 --out new --weather none": "there is no weather file at none",
+    "compare fit a.csv --out there/out.csv": "there/out.csv " + THERE + "--out",
+    "compare report a.csv --out there": "there/gains.csv " + THERE + "--out",
+    "compare paper --out there": "there/paper.txt " + THERE + "--out",
+    "campaign --from 3 --seeds 2 --keep there": "there/seed-4.json " + THERE + "--keep",
+    "campaign --reliability there/out.csv": "there/out.csv " + THERE + "--reliability",
+    "bench --dir new --weather nonsense": "no weather file at nonsense",
+    "report --store there": "name either --day DAY, or --from and --to",
+    "export --out new": "export needs either --store DIR or --config FILE",
+}
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory):
+    """What each of the commands says, and what it has loaded by then, by its words."""
+    folder = tmp_path_factory.mktemp("refused")
+    (folder / "file").write_text("mine")
+    (folder / "there").mkdir()
+    names = ("scans.csv", "out.csv", "out.png", "energy.txt", "powers.csv", "gains.csv", "paper.txt", "seed-4.json")
+    for name in names:
+        (folder / "there" / name).write_text("mine")
+    program = f"HEAVY = {HEAVY!r}\n{IN_ONE_PROCESS}"
+    words = json.dumps([each.split() for each in WRONG])
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        input=words,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+        cwd=folder,
+    )
+    assert {path.read_text() for path in (folder / "there").iterdir()} == {"mine"}
+    assert not (folder / "new").exists()
+    return {" ".join(each): (told, heavy) for each, told, heavy in json.loads(done.stdout)}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_it_is_one_sentence_at_once(refused, words):
+    told, heavy = refused[words]
+    assert WRONG[words] in told
+    assert told.startswith("heliocube: ")
+    assert heavy == []
