@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import math
+import signal
 from datetime import UTC, datetime, timedelta
 
 import pandas as pd
@@ -207,3 +208,19 @@ def test_a_weather_file_that_ends_before_the_simulation_is_refused_at_the_start(
     with pytest.raises(UserError, match="it runs from"):
         day(tmp_path / "out", "2022-10-14", weather, "flat")
     assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_leaves_whole_tables_of_what_was_done(tmp_path):
+    def interrupt(share):
+        if share > 0.3:
+            signal.raise_signal(signal.SIGINT)
+
+    settings = Settings.model_validate({"cube": {"scan_every_s": 10}, "safety": {"scan_stale_s": 20.0}})
+    start = datetime(2022, 10, 14, 9, tzinfo=UTC)
+    summary = simulate(settings, start, 0.04, tmp_path / "out", "csv", interrupt)
+    assert start.timestamp() + 1000.0 < summary.interrupted_utc_s < start.timestamp() + 3000.0
+    scans = rows(tmp_path / "out" / "scans.csv")
+    assert len(scans) == summary.scans > 50
+    assert 0.0 <= summary.interrupted_utc_s - utc_s(scans[-1]) < 30.0
+    assert sum(summary.mode_s.values()) == pytest.approx(summary.interrupted_utc_s - start.timestamp())
+    assert not list((tmp_path / "out").glob("*.part"))

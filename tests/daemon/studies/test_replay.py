@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import signal
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,7 +12,9 @@ from daemon.base.clock import SystemClock, iso_utc
 from daemon.base.records import FaceReading, Pose, Quality, Scan
 from daemon.commands.main import main
 from daemon.store.store import Origin, Store
-from daemon.studies.replay import COLUMNS
+from daemon.studies.inputs import settings_for, site_values
+from daemon.studies.recorded import read_csv
+from daemon.studies.replay import COLUMNS, replay
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from solar.sky import sky
@@ -242,3 +245,18 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(heliocube, tmp_pa
     code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", source)
     assert code == 2
     assert "name another" in said
+
+
+def test_ctrl_c_leaves_the_rows_that_were_done(tmp_path):
+    source = read_csv(write(tmp_path / "faces.csv", readings(NOON + np.arange(0, 20000, 5.0)))).rows
+    asked = iter([False, False, True])
+
+    def interrupt(_share):
+        if next(asked, False):
+            signal.raise_signal(signal.SIGINT)
+
+    settings = settings_for(None, law="flat", site=site_values(PLACE))
+    done = replay(settings, source, tmp_path / "out.csv", interrupt)
+    assert 2000 < done < len(source)
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert (len(lines), lines[-1].split(",")[0]) == (done + 1, iso_utc(source[done - 1].time_utc_s))

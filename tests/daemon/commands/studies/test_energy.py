@@ -79,3 +79,14 @@ def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, ca
     assert any("does not fit" in warning for warning in page["warnings"])
     (row,) = (row for row in page["rows"] if row["law"] == "flat")
     assert f"{row['energy_kwh_m2']:9.1f}" in (tmp_path / "o" / "energy.txt").read_text()
+
+
+def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, capsys):
+    def interrupted(*_weather):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("solar.laws.flat.steer", interrupted)
+    code = energy(monkeypatch, weather, "--site", SITE, "--laws", "fixed:35,flat,bound", "--out", tmp_path / "o")
+    assert code == 130
+    assert capsys.readouterr().err.endswith(f"heliocube: interrupted: {tmp_path / 'o'} has 1 of 3 laws\n")
+    assert [row["law"] for row in csv.DictReader((tmp_path / "o" / "energy.csv").open())] == ["fixed:35"]
