@@ -89,4 +89,6 @@ def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, c
     code = energy(monkeypatch, weather, "--site", SITE, "--laws", "fixed:35,flat,bound", "--out", tmp_path / "o")
     assert code == 130
     assert capsys.readouterr().err.endswith(f"heliocube: interrupted: {tmp_path / 'o'} has 1 of 3 laws\n")
-    assert [row["law"] for row in csv.DictReader((tmp_path / "o" / "energy.csv").open())] == ["fixed:35"]
+    assert [row["law"] for row in csv.DictReader((tmp_path / "o" / "energy.csv").read_text().splitlines())] == [
+        "fixed:35"
+    ]

@@ -220,7 +220,7 @@ def test_figures_show_the_sky_too(heliocube, tmp_path):
         (["--lat-range", "0:9", "--weather", "w.csv"], "a weather file belongs to one site; give its latitude"),
         (["--lat", "1", "--lon", "2"], "--lon and --altitude say where the weather was measured; add --weather"),
         (["--lat", "1", "--plot", "figure.doc"], "--plot: figure.doc must end in .png, .svg or .pdf"),
-        (["--lat", "1", "--plot", "no/such/figure.png"], "--plot: no/such/figure.png cannot be written: No such file"),
+        (["--lat", "1", "--plot", "/dev/null/figure.png"], "--plot: /dev/null cannot be a folder: /dev/null is a file"),
         (["--lat", "1", "--plot", "f.png", "--plot-kind", "map"], "the map needs several latitudes and at least three"),
         (
             ["--lat", "1", "--plot", "f.png", "--plot-kind", "best-tilt"],
@@ -229,7 +229,10 @@ def test_figures_show_the_sky_too(heliocube, tmp_path):
         (["--lat-range", "0:2", "--printed", "--plot", "f.png"], "the comparison with the paper is drawn for one lat"),
         (["--lat", "1", "--plot-kind", "map"], "--plot-kind needs a file to draw in; add --plot FILE"),
         (["--lat", "1", "--out", "x.csv"], "--out takes a CSV or a Parquet file; add --format csv or --format parquet"),
-        (["--lat", "1", "--format", "csv", "--out", "no/x.csv"], "--out: no/x.csv cannot be written: No such file"),
+        (
+            ["--lat", "1", "--format", "csv", "--out", "/dev/null/x.csv"],
+            "--out: /dev/null cannot be a folder: /dev/null is a file",
+        ),
         (["--points", "none.csv"], "there is no points file at none.csv"),
         (["--points", "none.csv", "--lat", "1"], "--points answers its own rows; leave out --lat"),
     ],
