@@ -1,9 +1,8 @@
-import importlib
+import importlib.util
 import socket
 
 import pytest
 
-from daemon.base import process as sd_notify
 from daemon.base.process import Notifier
 
 
@@ -76,4 +75,8 @@ def test_a_watchdog_of_another_process_or_without_a_time_is_not_ours(environment
 
 def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch):
     monkeypatch.delattr(socket, "AF_UNIX")
-    importlib.reload(sd_notify).Notifier({"NOTIFY_SOCKET": "/run/x"}, pid=7).ready()
+    # A copy: to load the module anew gave all tests after this one two names for what lines of the log say of trackers.
+    found = importlib.util.find_spec(Notifier.__module__)
+    copy = importlib.util.module_from_spec(found)
+    found.loader.exec_module(copy)
+    copy.Notifier({"NOTIFY_SOCKET": "/run/x"}, pid=7).ready()
