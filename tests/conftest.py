@@ -12,6 +12,7 @@ from tests.firmware.peer import missing
 from tests.support import SHARED
 from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
+from tests.support.dealing import dealt
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
 
@@ -74,6 +75,9 @@ def pytest_collection_modifyitems(config, items):
         gone = set(left_out)
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in gone]
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    if config.getoption("--live") == "only" and workers > 1:
+        items[:] = dealt(items, workers)
 
 
 def _is_asked_for(config, item):

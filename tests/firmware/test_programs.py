@@ -35,6 +35,7 @@ def free_port():
         return one.getsockname()[1]
 
 
+@pytest.mark.long
 def test_the_probe_identifies_compares_and_moves_both_axes_and_back(start_firmware, tmp_path):
     firmware = start_firmware(10.0, 60.0)
     before = firmware.pose_deg()
@@ -114,6 +115,7 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
         assert abs(firmware.pose_deg()[0]) < 15.0
 
 
+@pytest.mark.long
 def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
     firmware = start_firmware(-50.0, 16.0)
     with tracker(firmware, tmp_path, 240) as config:

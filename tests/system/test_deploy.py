@@ -249,6 +249,7 @@ def files_in(tree, but=()):
 @pytest.mark.timeout(600)
 @pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
+@pytest.mark.long
 def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_path, checkout):
     tree = tmp_path / "tree"
     tree.mkdir()

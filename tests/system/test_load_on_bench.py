@@ -79,6 +79,7 @@ def test_an_unplugged_load_is_told_once_and_leaves_tracking_alone(tmp_path, star
     assert rig.lines("the load is down") == 1, rig.service.log()
 
 
+@pytest.mark.long
 def test_a_hanging_load_a_tripped_one_and_another_instrument_are_survived(tmp_path, start_bench, start_service):
     rig = start(tmp_path, start_bench, start_service, "agilent6063b")
     wait_until(lambda: sweeps(rig) >= 1, SETTLES_WITHIN_S, rig.service.log)

@@ -44,6 +44,7 @@ def url(tmp_path):
         service.wait(30)
 
 
+@pytest.mark.long
 def test_the_interface_keeps_to_its_description(url, tmp_path):
     done = subprocess.run(
         [

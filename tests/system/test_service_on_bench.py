@@ -53,6 +53,7 @@ def test_a_configured_geometry_is_that_of_the_bench_and_of_the_service(tmp_path,
 
 
 @pytest.mark.parametrize("devices", [("positioner",), ("voltmeter", "multiplexer")], ids="-".join)
+@pytest.mark.long
 def test_a_pulled_plug_is_survived_while_the_service_runs(start_rig, devices):
     rig = start_rig()
     stored = rig.bench.state()["positioner"]["stored"]
@@ -84,6 +85,7 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
     assert rig.lines(" is down: ") == rig.lines(" is back") == 2, rig.service.log()
 
 
+@pytest.mark.long
 def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
     config = brisk(tmp_path)
     config.write_text(
@@ -182,6 +184,7 @@ Task.__init__ = hanging(Task.__init__)
 """
 
 
+@pytest.mark.long
 def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_keep_the_service_from_ending(
     tmp_path, start_bench, start_service, monkeypatch
 ):

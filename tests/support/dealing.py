@@ -1,0 +1,31 @@
+"""Which of the tests that wait runs where: the longest first, and dear ones not everywhere."""
+
+LONG_S, DEAR_S, SHORT_S = 40, 12, 2
+"""What a test is taken to last: by its mark `long`; with processes or firmware of its own; on a port or a broker."""
+
+_DEAR = {"system", "campaign", "firmware"}
+
+
+def lasts_s(item):
+    """Return what a test is taken to last [s]."""
+    marks = {mark.name for mark in item.iter_markers()}
+    return LONG_S if "long" in marks else DEAR_S if marks & _DEAR else SHORT_S
+
+
+def dealt(items, workers, length_s=lasts_s):
+    """Return the items in the order in which `--dist worksteal` deals them well: to each worker as many, in one piece.
+
+    Each piece begins with its longest, so that what is taken from its end later is short; one worker in three gets dear
+    ones only when there is nothing else left.
+    """
+    room = [len(items) // workers + (worker >= workers - len(items) % workers) for worker in range(workers)]
+    pieces = [[] for _ in range(workers)]
+    spent_s = [0.0] * workers
+    for item in sorted(items, key=length_s, reverse=True):
+        free = [worker for worker in range(workers) if len(pieces[worker]) < room[worker]]
+        if length_s(item) >= DEAR_S:
+            free = [worker for worker in free if worker % 3 != 2] or free
+        worker = min(free, key=spent_s.__getitem__)
+        pieces[worker].append(item)
+        spent_s[worker] += length_s(item)
+    return [item for piece in pieces for item in piece]

@@ -1,0 +1,28 @@
+import pytest
+
+from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt
+
+
+def pieces_of(order, workers):
+    # As xdist's worksteal cuts them.
+    left = list(order)
+    for worker in range(workers):
+        size = len(left) // (workers - worker)
+        yield left[:size]
+        del left[:size]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 5])
+def test_each_worker_begins_with_its_longest_and_none_has_all_of_them(workers):
+    lengths = [SHORT_S] * 31 + [LONG_S] * 7 + [DEAR_S] * 17
+    order = dealt(range(len(lengths)), workers, lengths.__getitem__)
+    assert sorted(order) == list(range(len(lengths)))
+    pieces = [[lengths[number] for number in piece] for piece in pieces_of(order, workers)]
+    assert all(piece == sorted(piece, reverse=True) for piece in pieces)
+    assert max(piece.count(LONG_S) for piece in pieces) <= 7 // max(1, workers - workers // 3) + 1
+
+
+def test_one_worker_of_three_has_short_ones_alone_as_long_as_there_are_enough():
+    lengths = [SHORT_S] * 20 + [DEAR_S] * 10
+    order = dealt(range(30), 3, lengths.__getitem__)
+    assert {lengths[number] for number in order[20:]} == {SHORT_S}
