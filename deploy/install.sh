@@ -26,8 +26,6 @@ fail() {
   exit 2
 }
 
-say() { printf '%s\n' "$1"; }
-
 role=both from='' python=python3 root='' remove=no lock=runtime
 while [ $# -gt 0 ]; do
   case $1 in
@@ -59,47 +57,16 @@ if [ -n "$root" ]; then
 fi
 
 here=$(cd "$(dirname "$0")" && pwd)
-opt=$root/opt/heliocube
-etc=$root/etc/heliocube
+# shellcheck source=deploy/steps.sh
+. "$here/steps.sh"
 [ ! -e "$etc/notify.people" ] || lock=notify
-live=no
-if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
 
-# The files outside of /opt/heliocube that belong to the program.
-system_files="
-/etc/systemd/system/heliocube-cube.service
-/etc/systemd/system/heliocube-dashboard.service
-/etc/systemd/system/heliocube-report.service
-/etc/systemd/system/heliocube-report.timer
-/etc/systemd/system/heliocube-notify.service
-/etc/systemd/system/heliocube-tracker.service
-/etc/udev/rules.d/70-heliocube.rules
-/etc/modules-load.d/heliocube.conf
-/etc/sysusers.d/heliocube.conf
-/etc/tmpfiles.d/heliocube.conf
-/etc/profile.d/heliocube.sh
-/usr/local/bin/heliocube
-"
-
-reload() {
-  [ $live = yes ] || return 0
-  systemctl daemon-reload
-  if command -v udevadm >/dev/null 2>&1; then
-    if udevadm control --reload 2>/dev/null; then
-      udevadm trigger --subsystem-match=tty --action=change
-    else
-      say 'note: udev does not run here; its rules hold from the next boot'
-    fi
-  fi
-}
+[ ! -e "$opt/package" ] || fail 'heliocube is here as a Debian package: install a newer one of those, or apt-get remove heliocube first'
 
 if [ $remove = yes ]; then
-  for unit in cube.service tracker.service dashboard.service notify.service report.timer; do
-    unit=heliocube-$unit
-    [ $live = no ] || [ ! -e "/etc/systemd/system/$unit" ] || systemctl disable --quiet --now "$unit"
-    rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit" "$root/etc/systemd/system/timers.target.wants/$unit"
-  done
-  for file in $system_files; do rm -f "$root$file"; done
+  end_units
+  remove_checkout_files
+  rm -f "$root/etc/profile.d/heliocube.sh"
   rm -rf "$opt"
   reload
   say "heliocube is removed; $etc, $root/var/lib/heliocube and the user heliocube are left"
@@ -172,21 +139,7 @@ if [ ! -e "$release/.complete" ]; then
   touch "$release/.complete"
 fi
 
-link() { # TARGET LINK: replaces a link in one step
-  ln -sfn "$1" "$2.new"
-  mv -fT "$2.new" "$2"
-}
-
-before=''
-if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
-link "releases/$id" "$opt/current"
-# The release that was current until now may still be running.
-for old in "$opt/releases"/*; do
-  case $(basename "$old") in
-    "$id" | "$before") ;;
-    *) rm -rf "$old" ;;
-  esac
-done
+use_release "$id"
 
 # --- its place in the system
 
@@ -216,30 +169,7 @@ systemd-sysusers ${root:+--root="$root"} heliocube.conf
 
 # --- configuration: only what is missing
 
-umask 027
-mkdir -p "$etc"
-for role in $roles dashboard notify; do
-  [ -e "$etc/$role.toml" ] || install -m 0640 "$here/examples/$role.toml" "$etc/$role.toml"
-done
-# The trackers' machines have the key of the cube's.
-case " $roles " in
-  *' cube '*) key=$etc/bridge.key ;;
-  *) key= ;;
-esac
-"$release/bin/python" -I - "$etc/api.token" ${key:+"$key"} <<'PYTHON'
-import sys
-from pathlib import Path
-
-from daemon.api.token import generate_token, write_token
-from daemon.bridge.signing import generate_key, write_key
-
-token, *keys = (Path(argument) for argument in sys.argv[1:])
-if not token.exists():
-    write_token(token, generate_token())
-for key in keys:
-    if not key.exists():
-        write_key(key, generate_key())
-PYTHON
+configure "$here/examples" "$roles"
 systemd-tmpfiles ${root:+--root="$root"} --create heliocube.conf
 reload
 

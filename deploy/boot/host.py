@@ -1,0 +1,73 @@
+"""Commands that run on the machine itself, and what it must have."""
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+ROOT = Path(__file__).resolve().parents[2]
+Found = TypeVar("Found")
+
+TOOLS = {
+    "mmdebstrap": "mmdebstrap",
+    "systemd-nspawn": "systemd-container",
+    "nsenter": "util-linux",
+    "ip": "iproute2",
+    "git": "git",
+}
+"""Programs, and the packages of Debian that have them."""
+
+
+class LeftOut(Exception):  # noqa: N818 -- nothing is wrong: this machine cannot show it
+    """Nothing is wrong, but this machine cannot show it; the words say why."""
+
+
+class NotSeen(Exception):  # noqa: N818 -- what a point says when what it waits for does not come
+    """A point is not as it should be; the words say what was seen."""
+
+
+def need_tools() -> None:
+    """Raise `LeftOut` unless this is root on a Linux with the tools."""
+    if os.geteuid() != 0:
+        raise LeftOut("a boot needs root")
+    missing = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
+    if missing:
+        raise LeftOut(f"a boot needs what is not installed: apt-get install {' '.join(missing)}")
+
+
+def run(*command: object, within_s: float = 600.0, **options: object) -> str:
+    """Run a command on this machine and return its standard output; what it says goes into the error.
+
+    Raises
+    ------
+    NotSeen
+        It failed, or took longer than `within_s`.
+    """
+    words = [str(part) for part in command]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=within_s, **options)  # type: ignore[call-overload]  # noqa: S603
+    except subprocess.TimeoutExpired:
+        raise NotSeen(f"{' '.join(words)[:120]} took longer than {within_s:g} s") from None
+    if done.returncode != 0:
+        said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-15:])
+        raise NotSeen(f"{' '.join(words)[:120]} ended with {done.returncode}: {said}")
+    return str(done.stdout)
+
+
+def wait(found: Callable[[], Found], within_s: float, what: Callable[[], str] | str, pause_s: float = 0.2) -> Found:
+    """Call `found` until it returns something true and return that; the limit is for a broken program.
+
+    Raises
+    ------
+    NotSeen
+        With `what`, after `within_s`.
+    """
+    deadline_s = time.monotonic() + within_s
+    while not (seen := found()):
+        if time.monotonic() > deadline_s:
+            raise NotSeen(f"not within {within_s:g} s: {what() if callable(what) else what}")
+        time.sleep(pause_s)
+    return seen

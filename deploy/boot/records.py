@@ -1,0 +1,74 @@
+"""Points about what is kept: the stores of both roles, and the journal."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from boot.host import NotSeen
+from boot.machine import Machine
+from boot.rig import TRACKER, UNITS
+
+ROLES = ("cube", "tracker")
+
+
+class Records:
+    """The stores, read as files, and the journal, read with all its fields.
+
+    Parameters
+    ----------
+    machine
+        Booted.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+
+    def scans(self, role: str) -> set[tuple[str, int]]:
+        """Return session and number of every scan in a role's store."""
+        path = self._machine.root / "var/lib/heliocube" / role / "heliocube.sqlite"
+        with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=20)) as store:
+            rows = store.execute("SELECT session, sequence FROM scans").fetchall()
+        return {(str(session), int(number)) for session, number in rows}
+
+    def survive(self, before: dict[str, set[tuple[str, int]]]) -> str:
+        """See that no scan that stood in a store before is gone, and that SQLite finds the files whole."""
+        for role in ROLES:
+            path = self._machine.root / "var/lib/heliocube" / role / "heliocube.sqlite"
+            with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=20)) as store:
+                (word,) = store.execute("PRAGMA integrity_check").fetchone()
+            if word != "ok":
+                raise NotSeen(f"the {role}'s store: {word}")
+            if gone := before[role] - self.scans(role):
+                raise NotSeen(f"{len(gone)} scans are gone from the {role}'s store")
+        now = {role: self.scans(role) for role in ROLES}
+        sessions = len({session for session, _ in now["cube"]})
+        return ", ".join(f"{role} {len(now[role])} scans" for role in ROLES) + f", {sessions} sessions, files whole"
+
+    def have_fields(self) -> str:
+        """See that the journal knows whose a line is and how urgent, and has the fields in it."""
+        entries = self._machine.entries(f"_SYSTEMD_UNIT={TRACKER}")
+        urgencies = {str(entry["PRIORITY"]) for entry in entries}
+        owners = {str(entry.get("SYSLOG_IDENTIFIER")) for entry in entries}
+        with_fields = [str(entry["MESSAGE"]) for entry in entries if "a_deg=" in str(entry["MESSAGE"])]
+        if not {"4", "6"} <= urgencies or owners != {"heliocube"} or not with_fields:
+            raise NotSeen(f"urgencies {sorted(urgencies)}, of {sorted(owners)}, {len(with_fields)} lines with a_deg=")
+        if any(str(entry["MESSAGE"]).startswith("<") for entry in entries):
+            raise NotSeen("a line begins with its urgency, which systemd has not read")
+        urgency = "".join(sorted(urgencies))
+        return f'{len(entries)} lines of {owners.pop()}, urgencies {urgency}, "{with_fields[0][:90]}"'
+
+    def stay_quiet(self) -> str:
+        """See that no line of ours was thrown away for there being too many."""
+        said = self._machine.entries("_COMM=systemd-journal")
+        dropped = [str(entry["MESSAGE"]) for entry in said if "uppressed" in str(entry["MESSAGE"])]
+        if dropped:
+            raise NotSeen("; ".join(dropped[:3]))
+        lines = {unit: len(self._machine.entries(f"_SYSTEMD_UNIT={unit}")) for unit in UNITS}
+        return ", ".join(
+            ["nothing suppressed", *(f"{unit.split('.')[0]} {count} lines" for unit, count in lines.items())]
+        )
+
+
+def store_files(root: Path) -> list[Path]:
+    """Return the files of the records in a tree."""
+    return sorted(path for path in (root / "var/lib/heliocube").rglob("*") if path.is_file())

@@ -1,0 +1,179 @@
+"""Points about starting and coming back: after a boot, a kill, a freeze and a storm."""
+
+import threading
+import time
+from functools import partial
+
+from boot.host import NotSeen, wait
+from boot.machine import Machine
+from boot.rig import CALM_M_S, CUBE, STORM_M_S, TRACKER, UNITS, Rig
+
+STARTS_WITHIN_S = 60.0
+# The units say 5 s from an end to the next start.
+BACK_WITHIN_S = 5.0 + STARTS_WITHIN_S
+# A frozen process is asked to abort after WatchdogSec, which it cannot hear, and killed after TimeoutStopSec.
+FREEZE_ENDS_WITHIN_S = 30.0 + 15.0 + BACK_WITHIN_S
+TRACKS_WITHIN_S = 60.0
+KILLS = 10
+
+
+class Restarts:
+    """What the units do when they start, and after whatever ends them.
+
+    Parameters
+    ----------
+    machine, rig
+        Booted and started.
+    """
+
+    def __init__(self, machine: Machine, rig: Rig) -> None:
+        self._machine = machine
+        self._rig = rig
+        self._old: dict[str, int] = {}
+        self._killing: threading.Thread | None = None
+        self._killed_in_s = 0.0
+        self._frozen_pose = (0.0, 0.0)
+        self._frozen_at_s = 0.0
+
+    def become_active(self) -> str:
+        """See that both units say by notify that they are ready."""
+        self._machine.systemctl("enable", "--now", "--no-block", *UNITS)
+        took = {unit: self._machine.wait_active(unit, STARTS_WITHIN_S) for unit in UNITS}
+        kinds = {self._machine.show(unit, "Type")["Type"] for unit in UNITS}
+        if kinds != {"notify"}:
+            raise NotSeen(f"the units are of type {', '.join(sorted(kinds))}")
+        return f"active by notify after {max(took.values()):.1f} s"
+
+    def wait_for_wind(self) -> str:
+        """See that nothing is tracked before the wind has been heard."""
+        return self._hold_until_wind(self._rig.pose())
+
+    def _hold_until_wind(self, before: tuple[float, float]) -> str:
+        wait(self._waits_for_wind, TRACKS_WITHIN_S, lambda: f"waiting for the wind; {self._rig.mode()}")
+        _, reason = self._rig.mode()
+        self._rig.must_not_move(before)
+        self._rig.wind(CALM_M_S)
+        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        return f'held with "{reason}", tracks since the wind was heard'
+
+    def _waits_for_wind(self) -> bool:
+        mode, reason = self._rig.mode()
+        if mode not in {"", "starting"}:
+            raise NotSeen(f"before the wind was heard the mode is {mode}: {reason}")
+        return "wind" in reason and self._has_readings()
+
+    def _has_readings(self) -> bool:
+        return (self._rig.status().get("scan") or {}).get("stale") is False
+
+    def tell_status(self) -> str:
+        """See the words of the service in `systemctl status`."""
+        words = {CUBE: "", TRACKER: "tracking"}
+        for unit, word in words.items():
+            text = wait(partial(self._status_text, unit, word), TRACKS_WITHIN_S, f"a word of {unit}")
+            if f'Status: "{text[:20]}' not in self._machine.try_to("systemctl", "status", unit).stdout:
+                raise NotSeen(f"{unit} says {text!r}, and systemctl status does not")
+            words[unit] = text
+        return "; ".join(f'"{text}"' for text in words.values())
+
+    def _status_text(self, unit: str, word: str) -> str:
+        text = self._machine.show(unit, "StatusText")["StatusText"]
+        return text if text.startswith(word) else ""
+
+    def survive_kill(self) -> str:
+        """See each unit back after kill -9; the tracker holds until it has readings and has heard the wind."""
+        before = self._rig.rest()
+        took = self._kill_and_wait(*UNITS)
+        held = self._hold_until_wind(before)
+        return ", ".join(f"{unit.split('.')[0]} back after {s:.1f} s" for unit, s in took.items()) + f", {held}"
+
+    def _kill_and_wait(self, *units: str) -> dict[str, float]:
+        """Kill the processes of units at once and return how long it took until the next ones were ready [s]."""
+        old = {unit: self._restarts(unit) for unit in units}
+        began_s = time.monotonic()
+        self._machine.systemctl("kill", "--kill-whom=main", "--signal=KILL", *units)
+        for unit in units:
+            self._wait_restarted(unit, old[unit], BACK_WITHIN_S)
+        return {unit: self._active_since_s(unit) - began_s for unit in units}
+
+    def _wait_restarted(self, unit: str, old: int, within_s: float) -> None:
+        wait(
+            lambda: self._restarts(unit) > old and self._machine.is_active(unit),
+            within_s,
+            lambda: f"{unit} back; {self._machine.journal(unit, 8)}",
+        )
+
+    def _restarts(self, unit: str) -> int:
+        return int(self._machine.show(unit, "NRestarts")["NRestarts"])
+
+    def stay_stowed(self) -> str:
+        """See that a storm outlives the process: it comes back stowing, stands still, and lets go only in calm."""
+        self._rig.wind(STORM_M_S)
+        self._rig.wait_mode("stow", TRACKS_WITHIN_S)
+        wait(self._is_stowed, TRACKS_WITHIN_S, lambda: f"the stow position; it stands at {self._rig.pose()}")
+        before = self._rig.rest()
+        took_s = self._kill_and_wait(TRACKER)[TRACKER]
+        reason = self._rig.wait_mode("stow", BACK_WITHIN_S)
+        wait(self._has_readings, TRACKS_WITHIN_S, lambda: f"good readings; {self._rig.mode()}")
+        mode, _ = self._rig.mode()
+        if mode != "stow":
+            raise NotSeen(f"with readings again the mode is {mode}")
+        self._rig.must_not_move(before)
+        self._rig.wind(CALM_M_S)
+        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        return f'back after {took_s:.1f} s, stowed ("{reason}"), released once it was calm'
+
+    def _is_stowed(self) -> bool:
+        a_deg, b_deg = self._rig.pose()
+        return abs(a_deg) < 1.0 and abs(b_deg - 90.0) < 1.0
+
+    def freeze(self) -> str:
+        """Freeze the tracker and begin to kill the cube, and go on: what systemd does about it is looked at later."""
+        self._old = {unit: self._restarts(unit) for unit in UNITS}
+        self._frozen_pose = self._rig.rest()
+        self._frozen_at_s = time.monotonic()
+        self._machine.systemctl("kill", "--kill-whom=main", "--signal=STOP", TRACKER)
+        self._killing = threading.Thread(target=self._kill_often, args=(CUBE,), daemon=True)
+        self._killing.start()
+        return "the tracker's process is stopped, and the cube's is killed again and again; see below"
+
+    def thaw(self) -> str:
+        """See that the watchdog has ended what was frozen, and that it then holds as after a kill."""
+        self._wait_restarted(TRACKER, self._old[TRACKER], FREEZE_ENDS_WITHIN_S)
+        entries = self._machine.entries(f"UNIT={TRACKER}", "_PID=1", "--lines=20")
+        said = " / ".join(str(entry["MESSAGE"]) for entry in entries)
+        if "Watchdog timeout" not in said:
+            raise NotSeen(f"no watchdog ended it: {said}")
+        took_s = self._active_since_s(TRACKER) - self._frozen_at_s
+        return f"heliocube-tracker ready again after {took_s:.0f} s, {self._hold_until_wind(self._frozen_pose)}"
+
+    def _active_since_s(self, unit: str) -> float:
+        """Return when a unit became active, by the clock of `time.monotonic`, which systemd's stamp has too [s]."""
+        name = "ActiveEnterTimestampMonotonic"
+        return int(self._machine.show(unit, name)[name]) / 1e6
+
+    def outlive_kills(self) -> str:
+        """See that neither of the units is left in `failed` for good by ten kills in a minute."""
+        if self._killing is None:
+            raise NotSeen("nothing was killed")
+        self._killing.join(KILLS * BACK_WITHIN_S)
+        self._machine.wait_active(CUBE, BACK_WITHIN_S)
+        if (count := self._restarts(CUBE) - self._old[CUBE]) < KILLS:
+            raise NotSeen(f"{CUBE} was started again {count} times only; {self._machine.journal(CUBE, 8)}")
+        name = "StartLimitIntervalUSec"
+        limits = {unit: self._machine.show(unit, name)[name] for unit in UNITS}
+        if set(limits.values()) != {"0"}:
+            raise NotSeen(f"systemd gives up after some starts: {limits}")
+        return f"heliocube-cube killed {KILLS} times in {self._killed_in_s:.0f} s, active again; no limit for either"
+
+    def _kill_often(self, unit: str) -> None:
+        """Kill a unit's process as often as there is a new one."""
+        began_s, last = time.monotonic(), "0"
+        for _ in range(KILLS):
+
+            def process(last: str = last) -> str:
+                pid = self._machine.show(unit, "MainPID")["MainPID"]
+                return pid if pid not in {"0", last} else ""
+
+            last = wait(process, BACK_WITHIN_S, f"a process of {unit}")
+            self._machine.try_to("systemctl", "kill", "--kill-whom=main", "--signal=KILL", unit)
+        self._killed_in_s = time.monotonic() - began_s

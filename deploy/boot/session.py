@@ -1,0 +1,82 @@
+"""One run of test-boot, from the tree to the last point."""
+
+import signal
+from pathlib import Path
+
+from boot.companions import Companions
+from boot.machine import Machine
+from boot.records import ROLES, Records
+from boot.report import Report
+from boot.restarts import Restarts
+from boot.rig import Rig
+from boot.sandbox import Sandbox
+from boot.tree import CHECKOUT, Tree
+
+
+class Session:
+    """The points in their order: what takes long waits while others are looked at.
+
+    Parameters
+    ----------
+    cache
+        Of the tree.
+    report
+        Where each point goes.
+    """
+
+    def __init__(self, cache: Path, report: Report) -> None:
+        self._tree = Tree(cache)
+        self._report = report
+
+    def run(self) -> None:
+        """Do all of it, and leave nothing behind whatever happens; `LeftOut` where no container boots."""
+        machine = None
+        try:
+            if not self._report.point("the tree", self._tree.make):
+                return
+            if not self._report.point("installing", self._install):
+                return
+            machine = Machine(self._tree.root, self._tree.machine)
+            said = machine.boot()
+            self._report.point("booting", lambda: said)
+            self._look(machine)
+        finally:
+            # Who asks twice for an end gets it no sooner, and nothing is left behind.
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, signal.SIG_IGN)
+            if machine is not None:
+                machine.stop()
+            self._tree.remove()
+
+    def _install(self) -> str:
+        self._tree.run("sh", f"{CHECKOUT}/deploy/install.sh", "--role", "both", "--notify")
+        return "install.sh, from hashes and without a network"
+
+    def _look(self, machine: Machine) -> None:
+        rig, point = Rig(machine), self._report.point
+        restarts, records = Restarts(machine, rig), Records(machine)
+        if not point("the bench", rig.start_bench):
+            return
+        if not point("starting both units", restarts.become_active):
+            return
+        point("the first readings and the wind", restarts.wait_for_wind)
+        point("systemctl status", restarts.tell_status)
+        sandbox, companions = Sandbox(machine), Companions(machine)
+        before = {role: records.scans(role) for role in ROLES}
+        point("kill -9", restarts.survive_kill)
+        point("a storm across a restart", restarts.stay_stowed)
+        point("dashboard and alarms", companions.start)
+        point("the dashboard's page", companions.show_page)
+        point("a freeze and kills", restarts.freeze)
+        point("systemd-analyze security", sandbox.rate)
+        sandbox.prepare()
+        point("the sandbox", sandbox.refuse)
+        point("a foreign address", sandbox.refuse_addresses)
+        point("a foreign device", sandbox.refuse_devices)
+        point("silence reaches people", companions.tell_people)
+        point("the nightly report", companions.report_nightly)
+        point("the watchdog", restarts.thaw)
+        point("ten kills in a minute", restarts.outlive_kills)
+        point("the stores", lambda: records.survive(before))
+        point("the journal's fields", records.have_fields)
+        point("the journal's limits", records.stay_quiet)

@@ -1,0 +1,117 @@
+"""A small Debian in a folder, with what a rig's machine has; made once and kept, and copied for each run."""
+
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from boot.host import ROOT, LeftOut, NotSeen, run
+
+PACKAGES = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
+CHECKOUT, WHEELS = "/srv/checkout", "/srv/wheels"
+# The lock with the alarms holds all that the lock without them does.
+LOCKS = ("notify", "build")
+
+
+class Tree:
+    """The folder of one run.
+
+    Parameters
+    ----------
+    cache
+        Where what takes long is kept from run to run: the Debian without heliocube, and the wheels of the locks.
+
+    Attributes
+    ----------
+    root
+        The root of its file system.
+    """
+
+    def __init__(self, cache: Path) -> None:
+        self._cache = cache
+        self._work = Path()
+        self.root = Path()
+
+    def make(self) -> str:
+        """Make the tree, from the cache where it is there, and return what was done in words."""
+        self._cache.mkdir(parents=True, exist_ok=True)
+        base, made = self._base()
+        fetched = self._fetch_wheels()
+        self._work = Path(tempfile.mkdtemp(prefix="run-", dir=self._cache))
+        self.root = self._work / "root"
+        run("cp", "-a", "--reflink=auto", base, self.root)
+        for name in (CHECKOUT, WHEELS):
+            (self.root / name.lstrip("/")).mkdir(parents=True)
+        return f"{made}, {fetched}"
+
+    def _base(self) -> tuple[Path, str]:
+        suite = _suite()
+        key = hashlib.sha256(repr((suite, PACKAGES)).encode()).hexdigest()[:12]
+        base = self._cache / f"debian-{suite}-{key}"
+        if base.exists():
+            return base, f"{base.name} as kept"
+        building = Path(tempfile.mkdtemp(prefix="building-", dir=self._cache))
+        # Without a mirror named it takes this machine's own.
+        try:
+            run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(PACKAGES)}", suite, building)
+        except NotSeen as error:
+            shutil.rmtree(building, ignore_errors=True)
+            raise LeftOut(f"no Debian tree could be made here: {error}") from None
+        building.rename(base)
+        return base, f"{base.name} made anew"
+
+    def _fetch_wheels(self) -> str:
+        """Fetch what the locks name with this machine's pip and its settings; the tree itself has no network."""
+        locks = [ROOT / "deploy" / "lock" / f"{name}.txt" for name in LOCKS]
+        key = hashlib.sha256(b"".join(lock.read_bytes() for lock in locks)).hexdigest()
+        wheels, mark = self._cache / "wheels", self._cache / "wheels" / ".complete"
+        if mark.exists() and mark.read_text() == key:
+            return "wheels as kept"
+        shutil.rmtree(wheels, ignore_errors=True)
+        wheels.mkdir()
+        run(
+            *(_python_with_pip(), "-m", "pip", "download", "--quiet", "--disable-pip-version-check"),
+            *("--no-deps", "--only-binary", ":all:", "--require-hashes", "--dest", wheels),
+            *(part for lock in locks for part in ("--requirement", lock)),
+        )
+        mark.write_text(key)
+        return "wheels fetched"
+
+    def run(self, *command: str, sources: Path = ROOT) -> str:
+        """Run a command in the tree before its boot, without a network; it sees a checkout and the wheels."""
+        return run(
+            *("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--pipe", "--private-network"),
+            *("-D", self.root, f"--machine={self.machine}"),
+            *(f"--bind-ro={sources}:{CHECKOUT}", f"--bind-ro={self._cache / 'wheels'}:{WHEELS}"),
+            *("--setenv=PIP_NO_INDEX=1", f"--setenv=PIP_FIND_LINKS={WHEELS}"),
+            *command,
+        )
+
+    @property
+    def machine(self) -> str:
+        """A name of its own, since runs may stand side by side."""
+        return f"heliocube-test-{os.getpid()}"
+
+    def remove(self) -> None:
+        """Remove what this run has made, but for the cache."""
+        if self._work != Path():
+            shutil.rmtree(self._work)
+
+
+def _suite() -> str:
+    """Return the Debian that this machine is, whose packages its apt knows; on another system the oldest supported."""
+    lines = Path("/etc/os-release").read_text(encoding="utf-8").splitlines()
+    release = dict(line.partition("=")[::2] for line in lines if "=" in line)
+    return release.get("VERSION_CODENAME", "bookworm") if release.get("ID") == "debian" else "bookworm"
+
+
+def _python_with_pip() -> str:
+    for python in (ROOT / ".venv" / "bin" / "python", Path(sys.executable), Path("/usr/bin/python3")):
+        try:
+            run(python, "-m", "pip", "--version")
+        except (NotSeen, OSError):
+            continue
+        return str(python)
+    raise LeftOut("no Python here has pip: apt-get install python3-pip, or make test once")

@@ -1,0 +1,95 @@
+# shellcheck shell=sh
+# What install.sh and the Debian package do alike; both source it. It works on the tree `$root`, empty for this machine.
+
+opt=${root:=}/opt/heliocube
+etc=$root/etc/heliocube
+live=no
+if [ -z "$root" ] && [ -d /run/systemd/system ]; then live=yes; fi
+
+# The files outside of /opt/heliocube that install.sh has laid down.
+checkout_files="
+/etc/systemd/system/heliocube-cube.service
+/etc/systemd/system/heliocube-dashboard.service
+/etc/systemd/system/heliocube-report.service
+/etc/systemd/system/heliocube-report.timer
+/etc/systemd/system/heliocube-notify.service
+/etc/systemd/system/heliocube-tracker.service
+/etc/udev/rules.d/70-heliocube.rules
+/etc/modules-load.d/heliocube.conf
+/etc/sysusers.d/heliocube.conf
+/etc/tmpfiles.d/heliocube.conf
+/usr/local/bin/heliocube
+"
+
+say() { printf '%s\n' "$1"; }
+
+link() { # TARGET LINK: replaces a link in one step
+  ln -sfn "$1" "$2.new"
+  mv -fT "$2.new" "$2"
+}
+
+# The release that was current until now may still be running; those before it go.
+use_release() { # ID
+  before=''
+  if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
+  link "releases/$1" "$opt/current"
+  for old in "$opt/releases"/*; do
+    case $(basename "$old") in
+      "$1" | "$before") ;;
+      *) rm -rf "$old" ;;
+    esac
+  done
+}
+
+# Only what is missing; a machine of the cube makes the key that the trackers' machines get from it.
+configure() { # EXAMPLES ROLES
+  (
+    umask 027
+    mkdir -p "$etc"
+    for role in $2 dashboard notify; do
+      [ -e "$etc/$role.toml" ] || install -m 0640 "$1/$role.toml" "$etc/$role.toml"
+    done
+    case " $2 " in
+      *' cube '*) key=$etc/bridge.key ;;
+      *) key= ;;
+    esac
+    "$opt/current/bin/python" -I - "$etc/api.token" ${key:+"$key"} <<'PYTHON'
+import sys
+from pathlib import Path
+
+from daemon.api.token import generate_token, write_token
+from daemon.bridge.signing import generate_key, write_key
+
+token, *keys = (Path(argument) for argument in sys.argv[1:])
+if not token.exists():
+    write_token(token, generate_token())
+for key in keys:
+    if not key.exists():
+        write_key(key, generate_key())
+PYTHON
+  )
+}
+
+reload() {
+  [ $live = yes ] || return 0
+  systemctl daemon-reload
+  if command -v udevadm >/dev/null 2>&1; then
+    if udevadm control --reload 2>/dev/null; then
+      udevadm trigger --subsystem-match=tty --action=change
+    else
+      say 'note: udev does not run here; its rules hold from the next boot'
+    fi
+  fi
+}
+
+end_units() {
+  for unit in cube.service tracker.service dashboard.service notify.service report.timer; do
+    unit=heliocube-$unit
+    [ $live = no ] || ! systemctl cat "$unit" >/dev/null 2>&1 || systemctl disable --quiet --now "$unit"
+    rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit" "$root/etc/systemd/system/timers.target.wants/$unit"
+  done
+}
+
+remove_checkout_files() {
+  for file in $checkout_files; do rm -f "$root$file"; done
+}
