@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 
 # Told apart by those who see no red or green, and in print without colour by their brightness (Okabe and Ito).
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#000000")
+# What is left of a colour in grey.
+_HATCHES = ("", "//", "\\\\", "..", "xx", "++", "--")
 _BOUND = "0.65"
 _MARKERS = ("o", "s", "^", "D")
 _LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
+_GAIN_TICKS = (-5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20, 50, 100)
 _MOVING_WORST_PCT = -5.0
 _LOWEST_SHARE_PCT = -60.0
 
@@ -34,16 +37,20 @@ def plot(rows: Sequence[EnergyRow], path: Path) -> None:
     bars, wear = figure.subplots(1, 2)
     laws = list(dict.fromkeys(_law_of(row) for row in rows if _is_drawn(row)))
     colours = {law: _COLOURS[index % len(_COLOURS)] for index, law in enumerate(laws)} | {"bound": _BOUND}
-    _draw_bars(bars, [row for row in rows if row.sky == rows[0].sky], colours)
+    hatches = {law: _HATCHES[index % len(_HATCHES)] for index, law in enumerate(laws)} | {"bound": ""}
+    _draw_bars(bars, [row for row in rows if row.sky == rows[0].sky], colours, hatches)
     left_out: list[str] = []
     skies = list(dict.fromkeys(row.sky for row in rows))
     for index, name in enumerate(skies):
         left_out += _draw_wear(wear, [row for row in rows if row.sky == name], colours, index)
     wear.axhline(100.0, color=_BOUND, linewidth=1.5)
     wear.axhline(0.0, color="black", linewidth=0.8)
-    wear.margins(y=0.08)
+    wear.margins(x=0.12, y=0.08)
     wear.set_xlim(left=0.0)
     wear.set_ylim(top=108.0)
+    wear.annotate(
+        "the bound", (0.02, 100.0), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points"
+    )
     wear.set_xlabel("travel, A and B added [deg/day]")
     wear.set_ylabel("share of what the bound gains [%]")
     wear.set_title("Harvest against wear")
@@ -54,7 +61,9 @@ def plot(rows: Sequence[EnergyRow], path: Path) -> None:
             (0.02, 0.02),
             xycoords="axes fraction",
         )
-    shown: list[Artist] = [Patch(color=colours[law], label=law) for law in (*laws, "bound")]
+    shown: list[Artist] = [
+        Patch(facecolor=colours[law], hatch=hatches[law], edgecolor="white", label=law) for law in (*laws, "bound")
+    ]
     if len(skies) > 1:
         shown += [
             Line2D([], [], color="0.3", marker=_MARKERS[index % 4], linestyle=_LINES[index % 4], label=f"sky {name}")
@@ -76,16 +85,26 @@ def _law_of(row: EnergyRow) -> str:
     return row.law if row.law.startswith(FIXED) else row.law.partition(":")[0]
 
 
-def _draw_bars(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]) -> None:
+def _draw_bars(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str], hatches: Mapping[str, str]) -> None:
     shown = [row for row in rows if row.gain_pct > _MOVING_WORST_PCT and ":" not in row.law]
     width = 0.8 / max(len(shown), 1)
-    places = np.arange(len(DAY_TYPES) + 1)
-    for index, row in enumerate(shown):
-        heights = (*row.gain_by_type_pct, row.gain_pct)
-        axes.bar(places + (index - (len(shown) - 1) / 2) * width, heights, width, color=colours[row.law])
-    axes.set_xticks(places, [*DAY_TYPES, "all days"])
+    # A type of which there was no day has no gain.
+    heights = np.array([(*row.gain_by_type_pct, row.gain_pct) for row in shown]).reshape(-1, len(DAY_TYPES) + 1)
+    there = np.isfinite(heights).any(axis=0)
+    places = np.arange(np.count_nonzero(there))
+    for index, (row, own) in enumerate(zip(shown, heights[:, there], strict=True)):
+        axes.bar(
+            places + (index - (len(shown) - 1) / 2) * width, own, width, color=colours[row.law],
+            hatch=hatches[row.law], edgecolor="white", linewidth=0.0,
+        )  # fmt: skip
+    axes.set_xticks(places, [name for name, known in zip((*DAY_TYPES, "all days"), there, strict=True) if known])
     axes.set_yscale("symlog", linthresh=1.0)
-    axes.set_yticks([-1, -0.5, 0, 0.5, 1, 2, 5, 10, 20], ["-1", "-0.5", "0", "0.5", "1", "2", "5", "10", "20"])
+    lowest, highest = np.nanmin(heights, initial=0.0), np.nanmax(heights, initial=1.0)
+    axes.set_ylim(1.3 * lowest if lowest < 0.0 else -0.1, 1.4 * highest)
+    low, high = axes.get_ylim()
+    ticks = [tick for tick in _GAIN_TICKS if low <= tick <= high]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
     axes.axhline(0.0, color="black", linewidth=0.8)
     axes.set_ylabel("gain over ideal chronometric [%]\n(linear up to 1, logarithmic beyond)")
     axes.set_title(f"Gain by type of day, sky {rows[0].sky}")
@@ -112,4 +131,6 @@ def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]
             linestyle=_LINES[sky % 4],
             markersize=6,
         )
+        if sky == 0:
+            axes.annotate(law, points[-1], xytext=(0, 8), textcoords="offset points", ha="center")
     return left_out

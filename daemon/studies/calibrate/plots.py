@@ -21,12 +21,12 @@ def draw_comparison(found: Comparison, path: Path) -> None:
     top = 1.05 * float(np.max(found.reference_w_m2))
     for place, (row, (name, face)) in enumerate(zip(axes, found.faces.items(), strict=True)):
         scatter, in_time, by_angle = row
-        for label, values, colour in (
-            ("before", found.before_w_m2[:, place], _BEFORE),
-            ("after", found.irradiance_w_m2[:, place], _AFTER),
+        for label, values, colour, marker in (
+            ("before", found.before_w_m2[:, place], _BEFORE, "x"),
+            ("after", found.irradiance_w_m2[:, place], _AFTER, "o"),
         ):
             left = values - found.reference_w_m2
-            dots = {"s": 5.0, "color": colour, "alpha": 0.5, "linewidths": 0.0, "rasterized": True}
+            dots = {"s": 7.0, "marker": marker, "color": colour, "alpha": 0.5, "linewidths": 0.5, "rasterized": True}
             scatter.scatter(found.reference_w_m2, values, label=label, **dots)
             in_time.scatter(times, left, **dots)
             by_angle.scatter(found.incidence_deg, left, **dots)

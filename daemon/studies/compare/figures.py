@@ -20,6 +20,8 @@ from solar.frames import Array, azimuth_from_direction, normal_from_angles
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _CUBE, _CHRONO, _SUN, _SKY = "#D55E00", "#0072B2", "#E69F00", "0.55"
+# What is left of a colour in grey.
+_CHRONO_LINE = (0, (4.0, 1.5))
 _SIZE = (9.0, 4.6)
 _MOST_POINTS = 4000
 # Of a plane this near to horizontal nobody can tell the azimuth.
@@ -33,8 +35,8 @@ def curve_figure(voltage_v: Array, current_a: Array, title: str) -> Figure:
     right = left.twinx()
     power = voltage_v * current_a
     best = int(np.argmax(power))
-    (current,) = left.plot(voltage_v, current_a, ".-", color=_CHRONO, markersize=3)
-    (watts,) = right.plot(voltage_v, power, ".-", color=_CUBE, markersize=3)
+    (current,) = left.plot(voltage_v, current_a, "o-", color=_CHRONO, markersize=3)
+    (watts,) = right.plot(voltage_v, power, "x--", color=_CUBE, markersize=4)
     right.plot(voltage_v[best], power[best], "o", color="black", markersize=6, fillstyle="none")
     right.annotate(
         f"Pmpp {power[best]:.1f} W at {voltage_v[best]:.1f} V",
@@ -80,14 +82,14 @@ def power_figure(day: Pairs, bias: ChainBias | None, title: str) -> Figure:
     left = figure.subplots()
     time = _times(day.utc_s)
     cube, chrono = day.names
-    left.plot(time, day.chrono.pmpp_w, color=_CHRONO, linewidth=0.9, label=chrono)
+    left.plot(time, day.chrono.pmpp_w, color=_CHRONO, linewidth=0.9, linestyle=_CHRONO_LINE, label=chrono)
     left.plot(time, corrected_power(day, bias), color=_CUBE, linewidth=0.9, label=cube)
     left.set(ylabel="Pmpp [W]", title=title)
     left.set_ylim(bottom=0.0)
     if np.isfinite(day.diffuse_fraction).any():
         right = left.twinx()
-        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="--", label="diffuse fraction")
-        right.set(ylabel="diffuse fraction", ylim=(0.0, 1.05))
+        right.plot(time, day.diffuse_fraction, color=_SKY, linewidth=0.8, linestyle="-.", label="diffuse fraction")
+        right.set(ylabel="diffuse fraction [-]", ylim=(0.0, 1.05))
     _clock(left, time)
     figure.legend(frameon=False, loc="outside lower center", ncols=3)
     return figure
@@ -99,12 +101,13 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True)
     time = _times(day.utc_s)
     sun = sun_position(day.utc_s, *site)
-    upper.plot(time, 90.0 - sun.elevation_deg, color=_SUN, linewidth=1.2, label="sun")
-    lower.plot(time, sun.azimuth_deg, color=_SUN, linewidth=1.2, label="sun")
-    for name, side, colour in zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), strict=True):
+    upper.plot(time, 90.0 - sun.elevation_deg, color=_SUN, linewidth=1.6, linestyle=":", label="sun")
+    lower.plot(time, sun.azimuth_deg, color=_SUN, linewidth=1.6, linestyle=":", label="sun")
+    sides = zip(day.names, (day.cube, day.chrono), (_CUBE, _CHRONO), ("-", _CHRONO_LINE), strict=True)
+    for name, side, colour, line in sides:
         tilt, azimuth = _facing(side, site)
-        upper.plot(time, tilt, color=colour, linewidth=1.0, label=name)
-        lower.plot(time, azimuth, color=colour, linewidth=1.0, label=name)
+        upper.plot(time, tilt, color=colour, linewidth=1.0, linestyle=line, label=name)
+        lower.plot(time, azimuth, color=colour, linewidth=1.0, linestyle=line, label=name)
     upper.set(ylabel="inclination, zenith angle [deg]", ylim=(0.0, 95.0), title=title)
     lower.set(ylabel="azimuth [deg]")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)

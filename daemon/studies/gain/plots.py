@@ -22,6 +22,9 @@ from solar.gain.real_sky import best_tilt_vertical_sky
 SUFFIXES = (".png", ".svg", ".pdf")
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _COLOURS = {Device.STATIC: "#0072B2", Device.VERTICAL: "#D55E00", Device.HORIZONTAL: "#009E73"}
+# What is left of a colour in grey.
+_LINES = {Device.STATIC: "-", Device.VERTICAL: "--", Device.HORIZONTAL: "-."}
+_DOTS = {Device.STATIC: "o", Device.VERTICAL: "x", Device.HORIZONTAL: "^"}
 _NAMES = {
     Device.STATIC: "static panel",
     Device.VERTICAL: "vertical axis",
@@ -119,8 +122,9 @@ def best_tilts(request: Request, sky: SkySource | None) -> Figure:
     figure = Figure(figsize=(8.0, 8.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for device in request.against:
-        upper.plot(latitudes, exact[device].tilt_deg, color=_COLOURS[device], label=_NAMES[device])
-        lower.plot(latitudes, 100.0 * (dual / exact[device].energy_h - 1.0), color=_COLOURS[device])
+        style = {"color": _COLOURS[device], "linestyle": _LINES[device]}
+        upper.plot(latitudes, exact[device].tilt_deg, label=_NAMES[device], **style)
+        lower.plot(latitudes, 100.0 * (dual / exact[device].energy_h - 1.0), **style)
     if Device.VERTICAL in request.against:
         tilt, width = exact[Device.VERTICAL].tilt_deg, gain.tilt_tolerance_deg(_LOSS)
         upper.fill_between(
@@ -151,9 +155,10 @@ def daily_gain(request: Request, sky: SkySource | None) -> Figure:
     )
     for device in request.against:
         colour, tilt = _COLOURS[device], _tilt(tilts, device)
-        panel.plot(gain.DAYS, _percent(energies, device), color=colour, label=f"{_NAMES[device]}, tilt {tilt:.1f}°")
+        name = f"{_NAMES[device]}, tilt {tilt:.1f}°"
+        panel.plot(gain.DAYS, _percent(energies, device), color=colour, linestyle=_LINES[device], label=name)
         if real is not None:
-            panel.plot(gain.DAYS, _percent(real, device), ".", color=colour, markersize=4, alpha=0.6)
+            panel.plot(gain.DAYS, _percent(real, device), _DOTS[device], color=colour, markersize=4, markevery=6)
     _months(panel)
     shown = np.concatenate([line.get_ydata() for line in panel.lines])
     finite = shown[np.isfinite(shown)]
@@ -202,13 +207,13 @@ def printed_against_exact(request: Request) -> Figure:
     figure = Figure(figsize=(9.5, 1.0 + 2.9 * len(request.against)), layout="constrained")
     axes = figure.subplots(len(request.against), 1, sharex=True, squeeze=False)[:, 0]
     for panel, device in zip(axes, request.against, strict=True):
-        styles = ("-", "-", "--") if device is Device.STATIC else ("-", "--", ":")
-        colours = ("black", "#999999", "#CC3311") if device is Device.STATIC else ("black", "#CC3311", "#0077BB")
+        styles = ("-", "-.", "--") if device is Device.STATIC else ("-", "--", ":")
+        colours = ("black", "#7a828a", "#D55E00") if device is Device.STATIC else ("black", "#D55E00", "#0072B2")
         for (name, ratio), style, colour in zip(panels[device].items(), styles, colours, strict=True):
             finite = np.where(np.isfinite(ratio), ratio, np.nan).ravel()
             panel.plot(days, finite, style, color=colour, label=name, linewidth=1.6)
         panel.set_yscale("log")
-        panel.set_ylabel(f"K against\n{_NAMES[device].partition(' (')[0]}")
+        panel.set_ylabel(f"dual axis over\n{_NAMES[device].partition(' (')[0]}")
         panel.set_title(f"tilt {_tilt(tilts, device):.1f}°", fontsize=10, loc="left")
         panel.legend(fontsize=9, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
         panel.grid(alpha=0.3, which="both")
