@@ -23,17 +23,18 @@ help:
 
 $(BIN)/.runtime: deploy/lock/runtime.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "heliocube needs Python 3.11 or newer: make run PYTHON=python3.11"; exit 2; }
+	@echo "setting up $(VENV): once, a minute or two; what is fetched stands below"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/lock/runtime.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r deploy/lock/runtime.txt
+	$(BIN)/python -m pip install --disable-pip-version-check --no-deps -e .
 	@touch $@
 
 $(BIN)/.dev: deploy/lock/dev.txt $(BIN)/.runtime
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/lock/dev.txt
+	$(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r deploy/lock/dev.txt
 	@touch $@
 
 $(BIN)/.docs: deploy/lock/docs.txt $(BIN)/.runtime
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/lock/docs.txt
+	$(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r deploy/lock/docs.txt
 	@touch $@
 
 run: $(BIN)/.runtime

@@ -1,7 +1,7 @@
 """`heliocube config`: check a configuration file, write a commented one, bring an older one into today's form."""
 
 import contextlib
-import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ from rich.text import Text
 
 from daemon.base.records import FACES
 from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.file_check import check_file, lacking_by_role
 from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
 
 if TYPE_CHECKING:
@@ -36,14 +37,18 @@ def check(
     role: Annotated[
         RoleChoice | None, typer.Option(help="What the process will do; without it, one role has to be able to run.")
     ] = None,
+    probe: Annotated[
+        bool, typer.Option("--probe", help="Also open the real instruments, without changing anything.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check FILE and print what it sets up, or everything that is wrong with it."""
     from daemon.config.file import ConfigError
     from daemon.config.stuck_lines import self_test_gaps
 
+    answers: dict[str, str] = {}
     try:
-        settings = check_file(file, role)
+        settings = check_file(file, role, partial(_probe, role, answers) if probe else None)
     except ConfigError as error:
         if as_json:
             print_json({"file": file, "good": False, "problems": error.problems})
@@ -52,7 +57,8 @@ def check(
     gaps: Iterable[str] = ()
     if settings.real:
         gaps = self_test_gaps(settings)
-        summary["runs as"] = ", ".join(each for each, sentences in _lacking(settings).items() if not sentences)
+        summary["runs as"] = ", ".join(each for each, sentences in lacking_by_role(settings).items() if not sentences)
+    summary |= answers
     if as_json:
         print_json({"file": file, "good": True, "problems": (), "sets_up": summary, "warnings": tuple(gaps)})
         return
@@ -89,97 +95,21 @@ def migrate(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML 
     typer.echo(bring_up_to_date(file))
 
 
-def check_file(path: Path, role: RoleChoice | None = None) -> "Settings":
-    """Read a file like `load_settings`, but look for everything too that `heliocube run` would need.
+def _probe(role: RoleChoice | None, answers: dict[str, str], settings: "Settings") -> list[str]:
+    """Open what a role needs, fill in who answered, and return a sentence for each instrument that does not."""
+    import asyncio
 
-    Parameters
-    ----------
-    path
-        The file.
-    role
-        What the process will do; with None it is enough that one of the roles can run.
-
-    Raises
-    ------
-    ConfigError
-        Everything that is wrong, and what the role lacks.
-    """
-    from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
-    from daemon.bridge.signing import KeyFileError, load_key
-    from daemon.commands.kept import with_place
-    from daemon.config.file import ConfigError, load_settings_with_topics
-    from daemon.cube.calibration import calibration_in_force
-    from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
-    from daemon.mqtt.topics import unusable
-    from daemon.notify.recipients import recipients_of
-
-    settings = with_place(load_settings_with_topics(path, unusable), path, os.environ)
-    problems = []
-    try:
-        calibration_in_force(settings.cube)
-    except UserError as error:
-        problems.append(f"cube.calibration_file: {error}")
-    if settings.bridge.key_file is not None:
-        try:
-            load_key(settings.bridge.key_file)
-        except KeyFileError as error:
-            problems.append(f"bridge.key_file: {error}")
-    if settings.api.token_file is not None:
-        try:
-            load_token(settings.api.token_file)
-        except TokenError as error:
-            problems.append(f"api.token_file: {error}")
-    mqtt = settings.mqtt
-    try:
-        if mqtt.credentials_file is not None:
-            load_user(mqtt.credentials_file)
-        if mqtt.tls:
-            tls_context(mqtt)
-    except CredentialsError as error:
-        problems.append(str(error))
-    if settings.notify.people_file is not None:
-        try:
-            recipients_of(settings.notify.people_file)
-        except UserError as error:
-            problems.append(str(error))
-    weather = settings.simulation.weather
-    if isinstance(weather, Path) and not weather.is_file():
-        problems.append(f"simulation.weather: there is no file {weather}")
-    if settings.store.directory is not None:
-        problems += _unwritable(settings.store.directory)
-    # On the simulated rig every file runs in the role of both; to ask takes longer than all else together.
-    if not problems and (settings.real or role is not None):
-        found = _lacking(settings)
-        asked = list(found) if role is None else [role]
-        if all(found[each] for each in asked):
-            problems += [f"as {each}: {sentence}" for each in asked for sentence in found[each]]
-    if problems:
-        raise ConfigError(str(path), problems)
-    return settings
-
-
-def _lacking(settings: "Settings") -> dict[RoleChoice, list[str]]:
-    """Return for each role why it cannot run with these settings; nothing for one that can."""
-    from daemon.commands.run import lacking
+    from daemon.commands.upgrade.instruments import instruments
     from daemon.service.rig import Role
 
-    return {role: lacking(settings, Role(role.value)) for role in RoleChoice}
-
-
-def _unwritable(directory: Path) -> list[str]:
-    try:
-        there = next(each for each in (directory, *directory.absolute().parents) if each.exists())
-    except OSError as error:
-        return [f"store.directory: {error.strerror}; name another folder"]
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return []
-    why = "may not be written to by this user" if there.is_dir() else "is no folder"
-    sentence = (
-        f"store.directory: {there} {why}, so nothing would be kept in {directory}; check as the user that the service"
-        " runs as, or name another folder"
-    )
-    return [sentence]
+    if not settings.real:
+        raise UserError("--probe: these instruments are simulated (instruments.kind), and there is nothing to open")
+    lacking = lacking_by_role(settings)
+    able = next((each for each in (RoleChoice.both, *lacking) if not lacking[each]), RoleChoice.both)
+    found = asyncio.run(instruments(settings, Role((role or able).value)))
+    answers |= {each.subject: each.text for each in found if each.ok}
+    return [f"{each.subject}: {each.text}; {each.remedy}" for each in found if not each.ok]
 
 
 def write_example(

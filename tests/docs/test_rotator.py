@@ -4,7 +4,7 @@ import re
 
 import heliocube
 from daemon.base.clock import SystemClock
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.rigs.real import build_positioner
 from drivers.positioners.rotctld.positioner import RotctldPositioner
 from tests.support import DOCS

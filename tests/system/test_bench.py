@@ -14,7 +14,7 @@ import serial
 
 from daemon.base.clock import SystemClock
 from daemon.base.records import FACES
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.rigs.real import build_cube
 from drivers.errors import DeviceError
 from drivers.positioners.pozsol.wire import TokenStream

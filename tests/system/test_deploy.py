@@ -17,7 +17,7 @@ from daemon.base.process import Notifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.signing import generate_key, write_key
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.config.file import load_settings
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather

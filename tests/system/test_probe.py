@@ -62,6 +62,11 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert "USB-6008" in multiplexer.stdout
     assert bench.state()["multiplexer"]["writes"] == 0
 
+    good = subprocess.run(
+        [str(HELIOCUBE), "config", "check", "--probe", bench.config], capture_output=True, timeout=90, check=False
+    )
+    assert good.returncode == 0, good.stderr
+    assert all(each in good.stdout for each in (b": KEITHLEY", b"NI USB-6008", b" 36A1 ", b": CHROMA")), good.stdout
     checked = subprocess.run(
         [str(HELIOCUBE), "self-check", "--json", "-c", bench.config], capture_output=True, timeout=90, check=False
     )

@@ -4,7 +4,7 @@ import subprocess
 
 import pytest
 
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from drivers.positioners.rotctld.mount import angles
 from tests.system.processes import HELIOCUBE, wait_until
 from tests.system.rig import HIGH_SUN, SETTLES_WITHIN_S, WITHIN_DEG, Rig, brisk, law_says

@@ -10,7 +10,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.installation import damage, release
 from daemon.base.kernel_clock import synchronised
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.commands.options import RoleChoice
 from daemon.commands.upgrade.finding import CONFIGURATION, Finding
 from daemon.config.file import ConfigError

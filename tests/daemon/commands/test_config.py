@@ -6,7 +6,8 @@ import pytest
 from daemon.api.token import load_token
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
-from daemon.commands.config import check_file, write_example
+from daemon.commands.config import write_example
+from daemon.commands.file_check import check_file
 from daemon.commands.main import main
 from daemon.config.settings import Settings
 
@@ -178,3 +179,20 @@ def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
     code, _, err = heliocube("config", "check", path)
     assert code == 2
     assert f"store.directory: {tmp_path / 'file'} is no folder" in err
+
+
+def test_probe_tells_every_instrument_that_does_not_answer_and_what_else_is_wrong_at_once(heliocube, tmp_path):
+    path = tmp_path / "heliocube.toml"
+    (tmp_path / "records").write_text("no folder")
+    path.write_text(
+        '[instruments]\nkind = "real"\n[instruments.positioner]\nport = "/dev/no-such-positioner"\n'
+        '[load]\ndriver = "chroma63600"\nresource = "ASRL/dev/no-such-load::INSTR"\n[bridge]\ninsecure = true\n'
+    )
+    code, out, err = heliocube("config", "check", "--role", "tracker", "--probe", path)
+    assert (code, out) == (2, "")
+    assert f"store.directory: {tmp_path / 'records'} is no folder" in err
+    assert "positioner: there is no /dev/no-such-positioner: is it plugged in and powered?; cable" in err
+    assert "load: there is no /dev/no-such-load" in err
+    path.write_text("")
+    code, _, err = heliocube("config", "check", "--probe", path)
+    assert (code, "there is nothing to open" in err) == (2, True)

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.keys import tables
 from daemon.config.links import BridgeSettings

@@ -8,7 +8,8 @@ from random import Random
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.commands.config import check_file, write_example
+from daemon.commands.config import write_example
+from daemon.commands.file_check import check_file
 from daemon.commands.main import main
 from daemon.config.file import ConfigError, load_settings
 from daemon.config.migrate import migrate

@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.bridge.refusals import ScanRefusedError
 from daemon.bridge.senml import decode, encode
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibration, read_calibration, write_calibration

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from daemon.base.records import Decision, Event, Mode
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.service.rig import Role
 from tests.support.broker import CERTIFICATES

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Quality, Scan
-from daemon.commands.config import check_file
+from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError
 from daemon.service.rig import Role
 from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for, until

@@ -1,0 +1,118 @@
+"""Everything that is wrong with a configuration file, as far as `heliocube run` would meet it."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daemon.commands.options import RoleChoice
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.config.settings import Settings
+
+
+def check_file(
+    path: Path, role: RoleChoice | None = None, look: "Callable[[Settings], list[str]] | None" = None
+) -> "Settings":
+    """Read a file like `load_settings`, but look for everything too that `heliocube run` would need.
+
+    Parameters
+    ----------
+    path
+        The file.
+    role
+        What the process will do; with None it is enough that one of the roles can run.
+    look
+        Looks for more that is wrong, and returns a sentence for each.
+
+    Raises
+    ------
+    ConfigError
+        Everything that is wrong, and what the role lacks.
+    """
+    from daemon.api.token import TokenError, load_token
+    from daemon.base.errors import UserError
+    from daemon.bridge.signing import KeyFileError, load_key
+    from daemon.commands.kept import with_place
+    from daemon.config.file import ConfigError, load_settings_with_topics
+    from daemon.cube.calibration import calibration_in_force
+    from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
+    from daemon.mqtt.topics import unusable
+    from daemon.notify.recipients import recipients_of
+
+    settings = with_place(load_settings_with_topics(path, unusable), path, os.environ)
+    problems = []
+    try:
+        calibration_in_force(settings.cube)
+    except UserError as error:
+        problems.append(f"cube.calibration_file: {error}")
+    if settings.bridge.key_file is not None:
+        try:
+            load_key(settings.bridge.key_file)
+        except KeyFileError as error:
+            problems.append(f"bridge.key_file: {error}")
+    if settings.api.token_file is not None:
+        try:
+            load_token(settings.api.token_file)
+        except TokenError as error:
+            problems.append(f"api.token_file: {error}")
+    mqtt = settings.mqtt
+    try:
+        if mqtt.credentials_file is not None:
+            load_user(mqtt.credentials_file)
+        if mqtt.tls:
+            tls_context(mqtt)
+    except CredentialsError as error:
+        problems.append(str(error))
+    if settings.notify.people_file is not None:
+        try:
+            recipients_of(settings.notify.people_file)
+        except UserError as error:
+            problems.append(str(error))
+    weather = settings.simulation.weather
+    if isinstance(weather, Path) and not weather.is_file():
+        problems.append(f"simulation.weather: there is no file {weather}")
+    if settings.store.directory is not None:
+        problems += _unwritable(settings.store.directory)
+    # On the simulated rig every file runs in the role of both; to ask takes longer than all else together.
+    if settings.real or role is not None:
+        found = lacking_by_role(settings)
+        asked = list(found) if role is None else [role]
+        if all(found[each] for each in asked):
+            missing = [(f"as {each}: ", sentence) for each in asked for sentence in found[each]]
+            problems += [f"{who}{sentence}" for who, sentence in missing if not _told(sentence, problems)]
+    if look is not None:
+        problems += [sentence for sentence in look(settings) if not _told(sentence, problems)]
+    if problems:
+        raise ConfigError(str(path), problems)
+    return settings
+
+
+def lacking_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
+    """Return for each role why it cannot run with these settings; nothing for one that can."""
+    from daemon.commands.run import lacking
+    from daemon.service.rig import Role
+
+    return {role: lacking(settings, Role(role.value)) for role in RoleChoice}
+
+
+def _told(sentence: str, problems: list[str]) -> bool:
+    """Whether that stands in the list already, under another heading."""
+    return any(sentence in problem for problem in problems)
+
+
+def _unwritable(directory: Path) -> list[str]:
+    try:
+        there = next(each for each in (directory, *directory.absolute().parents) if each.exists())
+    except OSError as error:
+        return [f"store.directory: {error.strerror}; name another folder"]
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return []
+    why = "may not be written to by this user" if there.is_dir() else "is no folder"
+    sentence = (
+        f"store.directory: {there} {why}, so nothing would be kept in {directory}; check as the user that the service"
+        " runs as, or name another folder"
+    )
+    return [sentence]
