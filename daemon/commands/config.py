@@ -88,11 +88,16 @@ def init(
 
 
 @app.command()
-def migrate(file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)]) -> None:
+def migrate(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The TOML file.", show_default=False)],
+    keys_only: Annotated[
+        bool, typer.Option("--keys-only", help="Leave a tracker without a name as it is, as an upgrade does.")
+    ] = False,
+) -> None:
     """Bring FILE into today's form; the old one is kept beside it."""
     from daemon.config.migrate import migrate as bring_up_to_date
 
-    typer.echo(bring_up_to_date(file))
+    typer.echo(bring_up_to_date(file, keys_only=keys_only))
 
 
 def _probe(role: RoleChoice | None, answers: dict[str, str], settings: "Settings") -> list[str]:

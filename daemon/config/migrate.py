@@ -11,6 +11,7 @@ import tomli_w
 
 from daemon.base.errors import UserError
 from daemon.base.files import toml_text
+from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.plugged import DRIVER, SECTIONS
 from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
@@ -22,10 +23,18 @@ _HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]")
 _KEY = re.compile(r"(\s*)([A-Za-z0-9_-]+)(\s*=.*)", re.DOTALL)
 
 
-def migrate(path: Path) -> str:
+def migrate(path: Path, *, keys_only: bool = False) -> str:
     """Bring a file into today's form, keep the old one beside it, and return in a sentence what was done.
 
-    Comments and order stay, but where the text is laid out in a way that its lines do not show, such as inline tables.
+    The old one has the name of this release at the end of its own, so that it is known who has replaced it. Comments
+    and order stay, but where the text is laid out in a way that its lines do not show, such as inline tables.
+
+    Parameters
+    ----------
+    path
+        The file.
+    keys_only
+        Leave a tracker without a name as it is: what it is known by is for people to say.
 
     Raises
     ------
@@ -36,7 +45,7 @@ def migrate(path: Path) -> str:
     text = toml_text(path)
     before = tomllib.loads(text)
     renamed = [key for key in RENAMED if _has(before, key)]
-    names = [] if settings.tracker else [settings.trackers[0].name]
+    names = [] if settings.tracker or keys_only else [settings.trackers[0].name]
     if names and re.fullmatch(NAME_FORM, names[0]) is None:
         raise UserError(f"mqtt.name = {names[0]!a}: a tracker's name is {NAME_IN_WORDS}; change it and try again")
     if not renamed and not names:
@@ -53,11 +62,18 @@ def migrate(path: Path) -> str:
     return f"{path} is in today's form: {', '.join(done)}; the old one is {old}{kept_text}"
 
 
+def before(path: Path) -> Path:
+    """Return where a file is kept as it was before this release first brought it into its form."""
+    return path.with_name(f"{path.name}.before-{release()}")
+
+
 def _replace(path: Path, text: str) -> Path:
     """Write the file and keep the old one; the owner and the mode of the file stay as they are."""
-    old = path.with_name(f"{path.name}.before")
-    if old.exists():
-        raise UserError(f"{old} is there already and is not overwritten; move it away and try again")
+    first = old = before(path)
+    again = 1
+    while old.exists():
+        again += 1
+        old = first.with_name(f"{first.name}-{again}")
     try:
         shutil.copy2(path, old)
         with path.open("w", encoding="utf-8", newline="\n") as file:

@@ -75,7 +75,8 @@ JSON paths do not keep it from starting
 keeps the tracker stowed.
 
 `heliocube config migrate FILE` brings a file into today's form: its tracker gets a table of its own, keys get their
-present names. The old file is kept beside it. A file of an earlier version works without that.
+present names. The old file is kept beside it, as `FILE.before-RELEASE`. A file of an earlier version works without
+that; an upgrade does it with `--keys-only`, which leaves a tracker without a name as it is.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
 `_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry

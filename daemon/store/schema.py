@@ -181,9 +181,9 @@ def _bring_up_to_date(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
-def columns_of(connection: sqlite3.Connection, table: str) -> set[str]:
+def columns_of(connection: sqlite3.Connection, table: str, database: str = "main") -> set[str]:
     """Return the names of a table's columns, which in a store of an older version are fewer; none without the table."""
-    return {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
+    return {row[1] for row in connection.execute(f"PRAGMA {database}.table_info({table})")}
 
 
 def tracker_sql(connection: sqlite3.Connection, table: str, alias: str) -> str:

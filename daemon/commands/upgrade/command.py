@@ -1,12 +1,13 @@
-"""`heliocube self-check`: whether all is well around the service, after an upgrade above all."""
+"""`heliocube self-check` and `heliocube rollback`: after an upgrade, whether all is well, and the way back."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from daemon.base.errors import UserError
-from daemon.commands.options import OPERATION, ConfigOption, RoleChoice
+from daemon.base.errors import ExitCode, UserError
+from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.commands.options import FILES, OPERATION, ConfigOption, RoleChoice
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from daemon.commands.upgrade.finding import Finding
     from daemon.config.settings import Settings
     from daemon.service.rig import Role
+
+# As deploy/ lays them down.
+_INSTALLED = tuple(Path("/etc/heliocube") / f"{role}.toml" for role in ("tracker", "cube"))
 
 app = typer.Typer()
 
@@ -25,21 +29,22 @@ def self_check(
     role: Annotated[
         RoleChoice | None, typer.Option(help="What the process does; without it, what the file is enough for.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Look at program, configuration, store, instruments, wind source, clock and disk: a line each.
 
     Nothing is written and nothing moves. While the service runs it is asked, and not its instruments. Ends with 0, with
     4 where something is to be looked at, and with 2 where the configuration cannot be used.
     """
-    import json
-
     from daemon.commands.upgrade.finding import exit_code, lines, page
 
     if config is None:
         raise UserError("self-check needs the service's configuration: name it with --config or in HELIOCUBE_CONFIG")
     found = list(_findings(config, role))
-    typer.echo(json.dumps(page(found), indent=2) if as_json else "\n".join(lines(found)))
+    if as_json:
+        print_json(page(found))
+    else:
+        typer.echo("\n".join(lines(found)))
     raise typer.Exit(exit_code(found))
 
 
@@ -95,3 +100,52 @@ def _alone(settings: "Settings", role: "Role") -> "Iterator[Finding]":
     yield from asyncio.run(instruments(settings, role))
     if role is not Role.CUBE:
         yield from wind_source(settings)
+
+
+@app.command(rich_help_panel=FILES)
+def rollback(
+    config: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--config", "-c", help="A configuration whose service goes back; once for each.", show_default=False
+        ),
+    ] = None,
+    to: Annotated[
+        Path | None,
+        typer.Option(metavar="PROGRAM", help="The heliocube of the release before, where it was installed by hand."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go back to the release before the last upgrade, with the records that came since; every tracker is held.
+
+    The units are stopped and started again. What only the newer release can use is kept beside it.
+    """
+    import os
+
+    from daemon.commands.upgrade import installed
+    from daemon.commands.upgrade.installed import Program
+    from daemon.commands.upgrade.rollback import roll_back
+
+    installation = installed.installed() if to is None else None
+    program = Program.at(to) if installation is None else installation.before
+    configs = config or [path for path in _INSTALLED if path.exists()]
+    if not configs:
+        raise UserError("there is no configuration in /etc/heliocube: name it with --config")
+    tell, done = teller(as_json=as_json), []
+    units = installed.stop_units() if installation is not None else []
+    try:
+        for path in configs:
+            for sentence in roll_back(path, program, os.environ):
+                tell(sentence)
+                done.append(sentence)
+        if installation is not None:
+            installation.switch()
+    finally:
+        failed = installed.start_units(units)
+    for unit in failed:
+        tell(f"{unit} does not start: see 'systemctl status {unit}'")
+    where = "is in use" if installation is not None else "can be started"
+    tell(f"{program.name} {where}: look at the tracker, then 'heliocube auto'")
+    if as_json:
+        print_json({"release": program.name, "in_use": installation is not None, "done": done, "not_started": failed})
+    raise typer.Exit(ExitCode.NOT_SEEN if failed else ExitCode.GOOD)

@@ -6,9 +6,11 @@ import tomllib
 import pytest
 
 from daemon.base.errors import UserError
+from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.migrate import migrate
 
+BEFORE = f"heliocube.toml.before-{release()}"
 OLDER = """\
 # The roof.
 [mqtt]
@@ -37,7 +39,7 @@ def file(tmp_path):
 def test_comments_and_order_stay_and_the_old_file_too(file):
     path = file(OLDER)
     before = load_settings(path)
-    old = path.with_name("heliocube.toml.before")
+    old = path.with_name(BEFORE)
     told = migrate(path)
     assert told == (
         f"{path} is in today's form: its tracker is named roof, law.name is law.driver now; the old one is {old}"
@@ -53,10 +55,10 @@ def test_a_file_that_is_in_todays_form_is_left_alone(file):
     path = file(OLDER)
     migrate(path)
     text = path.read_text()
-    path.with_name("heliocube.toml.before").unlink()
+    path.with_name(BEFORE).unlink()
     assert migrate(path) == f"{path} needs nothing: it is in today's form"
     assert path.read_text() == text
-    assert not path.with_name("heliocube.toml.before").exists()
+    assert not path.with_name(BEFORE).exists()
 
 
 def test_the_tables_of_trackers_are_brought_up_to_date_as_well(file):
@@ -75,9 +77,19 @@ def test_what_cannot_be_is_told_and_nothing_is_written(file):
     path = file('[mqtt]\nname = "two words"\n')
     with pytest.raises(UserError, match="a tracker's name is 1 to 32 letters"):
         migrate(path)
-    path.write_text(OLDER)
-    path.with_name("heliocube.toml.before").write_text("precious")
-    with pytest.raises(UserError, match="is not overwritten"):
-        migrate(path)
-    assert path.read_text() == OLDER
-    assert path.with_name("heliocube.toml.before").read_text() == "precious"
+    assert not path.with_name(BEFORE).exists()
+
+
+def test_an_old_file_that_is_kept_already_is_not_overwritten(file):
+    path = file(OLDER)
+    path.with_name(BEFORE).write_text("precious")
+    assert migrate(path).endswith(f"; the old one is {path.with_name(BEFORE)}-2")
+    assert path.with_name(BEFORE).read_text() == "precious"
+    assert path.with_name(f"{BEFORE}-2").read_text() == OLDER
+
+
+def test_an_upgrade_gives_keys_their_names_and_a_tracker_none(file):
+    path = file(OLDER)
+    assert migrate(path, keys_only=True).startswith(f"{path} is in today's form: law.name is law.driver now; ")
+    assert path.read_text() == OLDER.replace('name = "flat"', 'driver = "flat"')
+    assert migrate(path, keys_only=True) == f"{path} needs nothing: it is in today's form"

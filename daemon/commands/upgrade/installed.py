@@ -1,0 +1,128 @@
+"""The releases of an installed heliocube, as deploy/steps.sh lays them down, and the units that run them."""
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from daemon.base.errors import UserError
+
+_UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify"))
+_SYSTEMD = Path("/run/systemd/system")
+_WITHIN_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """The heliocube of another release.
+
+    Attributes
+    ----------
+    name
+        What people know it by.
+    folder
+        Of its commands.
+    """
+
+    name: str
+    folder: Path
+
+    @classmethod
+    def at(cls, command: Path | None) -> "Program":
+        """Return the one of a command; raises `UserError` where there is none."""
+        if command is None or not command.is_file():
+            raise UserError(f"--to {command}: there is no such program; name the heliocube of the release before")
+        folder = command.resolve().parent
+        return cls(folder.parent.name, folder)
+
+    def accepts(self, config: Path) -> bool:
+        """Return whether it finds nothing wrong with a configuration."""
+        return self._run("heliocube", "config", "check", str(config)).returncode == 0
+
+    def store_version(self) -> int | None:
+        """Return which version of a store it writes, or None where it does not say."""
+        done = self._run("python", "-c", "from daemon.store.schema import VERSION; print(VERSION)")
+        return int(done.stdout) if done.returncode == 0 and done.stdout.strip().isdecimal() else None
+
+    def _run(self, name: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
+        # Not from where somebody stands: a folder named 'daemon' there would be taken for ours.
+        return subprocess.run(  # noqa: S603 - the release that a person names, or that was installed before
+            [str(self.folder / name), *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd="/",
+            timeout=_WITHIN_S,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Installation:
+    """Two releases side by side, one of which is in use.
+
+    Attributes
+    ----------
+    current
+        The link to the one in use.
+    before
+        The other one.
+    """
+
+    current: Path
+    before: Program
+
+    @classmethod
+    def of(cls, prefix: Path) -> "Installation":
+        """Return that to which an environment belongs; raises `UserError` where there is no way back in it."""
+        releases = prefix.resolve().parent
+        current = releases.parent / "current"
+        if releases.name != "releases" or not current.is_symlink():
+            raise UserError(
+                "this heliocube was installed by hand: name the one of the release before with --to"
+                " VENV/bin/heliocube, and the configuration with --config"
+            )
+        others = [folder for folder in releases.iterdir() if folder != prefix.resolve() and _whole(folder)]
+        if current.resolve() != prefix.resolve() or len(others) != 1:
+            raise UserError(f"{releases} has no release before the one in use: install the one that is wanted")
+        return cls(current, Program(others[0].name, others[0] / "bin"))
+
+    def switch(self) -> None:
+        """Let the release before be the one in use, in one step."""
+        new = self.current.with_name("current.new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(Path("releases") / self.before.name)
+        new.replace(self.current)
+
+
+def _whole(folder: Path) -> bool:
+    return (folder / "bin" / "heliocube").is_file()
+
+
+def installed() -> Installation:
+    """Return the installation of this process; raises `UserError` where there is no way back in it."""
+    found = Installation.of(Path(sys.prefix))
+    if os.name == "posix" and os.geteuid() != 0:
+        raise UserError("to go back changes what is installed: run it with sudo")
+    return found
+
+
+def stop_units() -> list[str]:
+    """Stop the units that run, and return them; none where there is no systemd."""
+    if shutil.which("systemctl") is None or not _SYSTEMD.is_dir():
+        return []
+    running = [unit for unit in _UNITS if _systemctl("is-active", "--quiet", unit).returncode == 0]
+    for unit in running:
+        if _systemctl("stop", unit).returncode != 0:
+            raise UserError(f"{unit} does not stop: see 'systemctl status {unit}'; nothing has been changed")
+    return running
+
+
+def start_units(units: list[str]) -> list[str]:
+    """Start units again, and return those that do not."""
+    return [unit for unit in units if _systemctl("start", unit).returncode != 0]
+
+
+def _systemctl(*arguments: str) -> "subprocess.CompletedProcess[bytes]":
+    return subprocess.run(["systemctl", *arguments], capture_output=True, check=False)  # noqa: S603, S607 - our own

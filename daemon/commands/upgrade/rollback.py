@@ -1,0 +1,122 @@
+"""Back to the release before: tracker held, store and file as that release can use them, what is newer kept."""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
+from daemon.base.files import StateFolder, toml_text
+from daemon.base.installation import release
+from daemon.commands.kept import records_of
+from daemon.commands.upgrade.installed import Program
+from daemon.config.file import load_settings
+from daemon.config.migrate import before as file_before
+from daemon.config.settings import Settings
+from daemon.store.copies import copies_of, copy_path, version_of
+from daemon.store.place import claimed
+from daemon.store.schema import FILE_NAME, VERSION
+from daemon.store.way_back import go_back, set_aside, version_in
+from daemon.tracker.wishes import FILE_NAME as WISHES_NAME
+from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
+
+
+def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iterator[str]:
+    """Bring what belongs to one configuration to where the release before can use it, and yield what was done.
+
+    The hold comes first, then the store, then the file: whoever is interrupted does it again.
+
+    Parameters
+    ----------
+    config
+        The configuration of the service, which may not run.
+    to
+        The program of the release before.
+    environment
+        Of the process.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, its service runs, or the disk does not let it.
+    """
+    settings = load_settings(config)
+    directory = records_of(settings, config, environment)
+    try:
+        if directory is not None:
+            with claimed(directory, ("cube", "tracker")):
+                yield from _held(settings, to)
+                yield from _store(directory, to)
+                for name, _ in settings.trackers:
+                    _give_to_owner(directory / name)
+                _give_to_owner(directory)
+        yield from _file(config, to)
+    except OSError as error:
+        raise UserError(f"{error.filename or directory}: {error.strerror}; do it again when that is mended") from None
+
+
+def _held(settings: Settings, to: Program) -> Iterator[str]:
+    """Hold each tracker for which nobody has asked for anything: a release before may not hold by itself."""
+    for name, own in settings.trackers:
+        folder = StateFolder(own.store.directory)
+        file = WishFile(folder)
+        wishes = file.load()
+        if wishes == Wishes():
+            why = f"the program was changed back from {release()} to {to.name}, and nobody has looked yet"
+            file.save(Wishes(hold=Wish(why=why, by=PROGRAM, since_utc_s=SystemClock().utc())))
+            if folder.unsaved is not None:
+                raise UserError(folder.unsaved)
+        if wishes == Wishes() or wishes.held_by_program:
+            yield f"{name} is held until 'heliocube auto'"
+        else:
+            yield f"{name} stays as persons have asked"
+
+
+def _store(directory: Path, to: Program) -> Iterator[str]:
+    path, now_utc_s = directory / FILE_NAME, SystemClock().utc()
+    wanted, copies = to.store_version(), copies_of(directory)
+    if wanted is None:
+        # The copy is that of the release before, unless it has run for a day.
+        wanted = version_of(copies[-1]) if copies else None
+    copy = copy_path(path, VERSION if wanted is None else wanted)
+    if not path.exists() and copy.exists():
+        # Of a way back that was interrupted.
+        copy.rename(path)
+    if not path.exists() or wanted is None or version_in(path) <= wanted:
+        yield f"{path}: {to.name} can use it as it is"
+    elif copy.exists():
+        done = go_back(path, copy, now_utc_s)
+        since = f"with {done.records} records that came since" if not done.left_out else "WITHOUT what came since"
+        yield f"{path}: as it was before the upgrade, {since}; all of it is in {done.newer}"
+        if done.left_out:
+            yield f"{done.newer} cannot be read: {done.left_out}"
+    else:
+        newer = set_aside(path, now_utc_s)
+        yield f"{path}: there is no copy of it any more; a new one begins, and all that was kept is in {newer}"
+
+
+def _file(config: Path, to: Program) -> Iterator[str]:
+    """Put a configuration back that the upgrade has rewritten, if the release before cannot read what is there."""
+    if to.accepts(config):
+        yield f"{config}: {to.name} can use it as it is"
+        return
+    old = file_before(config)
+    if not old.exists():
+        yield f"{config}: {to.name} finds mistakes in it; see 'heliocube config check {config}' then"
+        return
+    newer = config.with_name(f"{config.name}.newer-{release()}")
+    newer.write_text(toml_text(config), encoding="utf-8", newline="\n")
+    newer.chmod(config.stat().st_mode & 0o777)
+    # In place, so that owner and rights stay.
+    config.write_text(toml_text(old), encoding="utf-8", newline="\n")
+    yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
+
+
+def _give_to_owner(directory: Path) -> None:
+    """Give what was written here to the user of the service, whose folder it is."""
+    if os.name != "posix" or os.geteuid() != 0:
+        return
+    for path in (directory / WISHES_NAME, *directory.glob(".*-in-use")):
+        if path.exists():
+            owner = directory.stat()
+            os.chown(path, owner.st_uid, owner.st_gid)

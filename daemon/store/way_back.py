@@ -1,0 +1,109 @@
+"""The way back of a store to the version before: the copy in its place again, with the records that came since."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from daemon.store.aside import companions
+from daemon.store.schema import StoreError, check_is_store, columns_of, open_for_reading
+from daemon.store.tables import COLUMNS
+
+
+@dataclass(frozen=True, slots=True)
+class WentBack:
+    """What became of a store.
+
+    Attributes
+    ----------
+    records
+        How many of those that came since the copy are in it now.
+    newer
+        Where the store as the newer release had it lies now.
+    left_out
+        Why none or not all of them could be taken over; empty where they were.
+    """
+
+    records: int
+    newer: Path
+    left_out: str = ""
+
+
+def version_in(path: Path) -> int:
+    """Return the version of a store that is there; raises `StoreError` where it cannot be read."""
+    with closing(open_for_reading(path)) as connection:
+        found: int = connection.execute("PRAGMA user_version").fetchone()[0]
+    return found
+
+
+def set_aside(path: Path, utc_s: float) -> Path:
+    """Give a store that an older release cannot use another name in its folder, and return that; raises `OSError`."""
+    stamp = datetime.fromtimestamp(utc_s, UTC).strftime("%Y%m%dT%H%M%SZ")
+    newer = path.with_name(f"{path.stem}.newer-{stamp}{path.suffix}")
+    for beside in companions(path):
+        beside.rename(f"{newer}{str(beside).removeprefix(str(path))}")
+    path.rename(newer)
+    return newer
+
+
+def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
+    """Put the copy of an older version in a store's place; the newer one stays in the folder under another name.
+
+    Both have the same runs up to the copy, so what came since is known by the number of its run. What only the newer
+    version has, a table or a column, stays behind in its store. Whoever is interrupted does it again.
+
+    Parameters
+    ----------
+    path
+        The store, which is there; no service may be at work on it.
+    copy
+        Of an older version, as `daemon.store.copies` keeps it.
+    utc_s
+        Now [s].
+
+    Raises
+    ------
+    StoreError
+        The copy cannot be used; everything is as it was.
+    OSError
+        The disk does not let it.
+    """
+    try:
+        with closing(sqlite3.connect(copy, isolation_level=None)) as connection:
+            check_is_store(connection, copy)
+            records, left_out = _taken_over(connection, path)
+    except sqlite3.Error as error:
+        raise StoreError(f"the copy {copy} cannot be used: {error}; the store {path} is as it was") from None
+    newer = set_aside(path, utc_s)
+    copy.rename(path)
+    return WentBack(records, newer, left_out)
+
+
+def _taken_over(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
+    before = connection.total_changes
+    try:
+        connection.execute("ATTACH DATABASE ? AS newer", (str(path),))
+        connection.execute("BEGIN IMMEDIATE")
+        for name in [*(name for name, _ in COLUMNS.values()), "runs"]:
+            _take_over(connection, name)
+        records = connection.total_changes - before
+        connection.execute("INSERT OR IGNORE INTO main.days SELECT day FROM newer.days")
+        connection.execute("COMMIT")
+    except sqlite3.Error as error:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        return 0, str(error)
+    connection.execute("DETACH DATABASE newer")
+    return records, ""
+
+
+def _take_over(connection: sqlite3.Connection, name: str) -> None:
+    """Copy the rows of one table whose run is later than all of the copy's; the runs themselves come last."""
+    there, here = (columns_of(connection, name, schema) for schema in ("newer", "main"))
+    columns = ", ".join(sorted(there & here))
+    if columns:
+        connection.execute(
+            f"INSERT OR IGNORE INTO main.{name} ({columns}) SELECT {columns} FROM newer.{name}"  # noqa: S608 - our own
+            " WHERE run > (SELECT COALESCE(MAX(run), 0) FROM main.runs)"
+        )

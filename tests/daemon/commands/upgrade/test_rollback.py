@@ -1,0 +1,231 @@
+"""The way back to the release before: held, with the records that came since, and nothing that is newer lost."""
+
+import json
+import os
+import shutil
+import sqlite3
+import sys
+from contextlib import closing
+
+import pytest
+
+from daemon.base.installation import release
+from daemon.config.migrate import before
+from daemon.store.copies import copies_of, copy_path
+from daemon.store.place import claimed
+from daemon.store.schema import FILE_NAME, VERSION
+from tests.daemon.commands.upgrade.test_self_check import heliocube
+from tests.daemon.store.test_copies import OLDER, made_older, opened
+from tests.daemon.store.test_store import count
+from tests.daemon.store.test_tables import ALL, scan
+
+__all__ = ["heliocube"]
+
+
+@pytest.fixture
+def config(tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text("[store]\ndirectory = 'records'\n")
+    return file
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Lay down a heliocube of another release, which knows a version of stores and accepts files or does not."""
+
+    def make(version=OLDER, *, accepts=True, prefix=None):
+        folder = (prefix or tmp_path / "0.0.9") / "bin"
+        folder.mkdir(parents=True, exist_ok=True)
+        told = {"heliocube": f"exit {0 if accepts else 2}", "python": f"echo {version}"}
+        for name, does in told.items():
+            (folder / name).write_text(f"#!/bin/sh\n{does}\n")
+            (folder / name).chmod(0o755)
+        return folder / "heliocube"
+
+    return make
+
+
+@pytest.fixture
+def upgraded(tmp_path):
+    """A store that was of the version before, and in which this release has kept records since; returns its folder."""
+    folder = tmp_path / "records"
+    store = opened(folder)
+    for number in range(5):
+        store.keep(scan(number))
+    store.close()
+    made_older(folder)
+    store = opened(folder)
+    for record in (*ALL, *(scan(number) for number in range(100, 110))):
+        store.keep(record)
+    store.close()
+    assert copies_of(folder) == [copy_path(folder / FILE_NAME, OLDER)]
+    return folder
+
+
+def tables(folder):
+    with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        return version, {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+
+
+def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_one_is_kept(
+    heliocube, config, program, upgraded
+):
+    scans, decisions = count(upgraded, "scans"), count(upgraded, "decisions")
+    code, out, err = heliocube("rollback", "-c", config, "--to", program())
+    assert (code, err) == (0, "")
+    version, names = tables(upgraded)
+    assert (version, "curves" in names) == (OLDER, False)
+    assert (count(upgraded, "scans"), count(upgraded, "decisions")) == (scans, decisions)
+    with closing(sqlite3.connect(upgraded / FILE_NAME)) as connection:
+        assert connection.execute("SELECT run, version FROM runs").fetchall() == [(1, "0.1.0"), (2, "0.1.0")]
+        assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
+    (newer,) = upgraded.glob("heliocube.newer-*.sqlite")
+    assert str(newer) in out
+    with closing(sqlite3.connect(newer)) as connection:
+        assert connection.execute("SELECT count(*) FROM curves").fetchone()[0] == 1
+    assert copies_of(upgraded) == []
+
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program())
+    assert code == 0
+    assert "records/heliocube.sqlite: 0.0.9 can use it as it is" in out
+
+
+def test_after_it_an_upgrade_brings_all_of_it_up_again(heliocube, config, program, upgraded):
+    scans = count(upgraded, "scans")
+    heliocube("rollback", "-c", config, "--to", program())
+    store = opened(upgraded)
+    store.keep(scan(200))
+    store.close()
+    assert tables(upgraded)[0] == VERSION
+    assert count(upgraded, "scans") == scans + 1
+
+
+def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube, tmp_path, program):
+    file = tmp_path / "heliocube.toml"
+    file.write_text("[store]\ndirectory = 'records'\n[[tracker]]\nname = 'east'\n[[tracker]]\nname = 'west'\n")
+    (tmp_path / "records" / "east").mkdir(parents=True)
+    stop = {"stop": {"why": "repair", "by": "ana"}}
+    (tmp_path / "records" / "east" / "operator.json").write_text(json.dumps(stop))
+    code, out, _ = heliocube("rollback", "-c", file, "--to", program(VERSION))
+    assert code == 0
+    assert "east stays as persons have asked" in out
+    assert "west is held until 'heliocube auto'" in out
+    assert json.loads((tmp_path / "records" / "east" / "operator.json").read_text()) == stop
+    hold = json.loads((tmp_path / "records" / "west" / "operator.json").read_text())["hold"]
+    assert (hold["by"], "changed back from" in hold["why"]) == ("heliocube", True)
+
+
+def test_without_a_copy_a_new_store_can_begin_and_nothing_is_lost(heliocube, config, program, upgraded):
+    copy_path(upgraded / FILE_NAME, OLDER).unlink()
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program())
+    assert code == 0
+    assert "a new one begins" in out
+    assert not (upgraded / FILE_NAME).exists()
+    assert len(list(upgraded.glob("heliocube.newer-*.sqlite"))) == 1
+
+
+def test_one_that_was_interrupted_is_done_again(heliocube, config, program, upgraded):
+    scans = count(upgraded, "scans")
+    shutil.copy(upgraded / FILE_NAME, upgraded / "kept")
+    heliocube("rollback", "-c", config, "--to", program())
+    # As a power cut leaves it before each of the two names is changed.
+    shutil.move(upgraded / FILE_NAME, copy_path(upgraded / FILE_NAME, OLDER))
+    assert heliocube("rollback", "-c", config, "--to", program())[0] == 0
+    assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, scans)
+
+    shutil.move(upgraded / FILE_NAME, copy_path(upgraded / FILE_NAME, OLDER))
+    shutil.move(upgraded / "kept", upgraded / FILE_NAME)
+    assert heliocube("rollback", "-c", config, "--to", program())[0] == 0
+    assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, scans)
+
+
+def test_a_newer_store_that_is_damaged_is_said_and_the_copy_is_there_all_the_same(heliocube, config, program, upgraded):
+    path = upgraded / FILE_NAME
+    content = bytearray(path.read_bytes())
+    content[4096 * 2 :] = b"\xff" * (len(content) - 4096 * 2)
+    path.write_bytes(content)
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program())
+    assert code == 0
+    assert "WITHOUT what came since" in out
+    assert (tables(upgraded)[0], count(upgraded, "scans")) == (OLDER, 5)
+
+
+def test_a_file_that_the_release_before_cannot_read_is_put_back_and_the_newer_one_is_kept(heliocube, config, program):
+    config.write_text("[law]\nname = 'flat' # for now\n")
+    config.chmod(0o640)
+    heliocube_before = config.read_text()
+    heliocube("config", "migrate", "--keys-only", config)
+    migrated = config.read_text() + "# mine\n"
+    config.write_text(migrated)
+
+    heliocube("rollback", "-c", config, "--to", program(VERSION))
+    assert config.read_text() == migrated, "one that it can read is left as it is"
+
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, accepts=False))
+    assert code == 0
+    newer = config.with_name(f"{config.name}.newer-{release()}")
+    assert f"what you have changed since is in {newer} alone" in out
+    assert (config.read_text(), newer.read_text()) == (heliocube_before, migrated)
+    assert config.stat().st_mode == newer.stat().st_mode == before(config).stat().st_mode
+
+
+def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, upgraded):
+    with claimed(upgraded, ("tracker",)):
+        code, _, err = heliocube("rollback", "-c", config, "--to", program())
+    assert code == 2
+    assert "which runs" in err
+    assert not (upgraded / "operator.json").exists()
+    assert tables(upgraded)[0] == VERSION
+
+
+@pytest.mark.parametrize("to", [(), ("--to", "/nowhere/bin/heliocube")])
+def test_without_a_release_before_it_is_one_sentence(heliocube, config, to):
+    code, out, err = heliocube("rollback", "-c", config, *to)
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert "--to" in err
+
+
+@pytest.fixture
+def installation(program, tmp_path, monkeypatch):
+    """Two releases side by side, the newer of which runs this, and a manager of two units of which one is active."""
+    releases = tmp_path / "opt" / "releases"
+    for name in ("older", "newer"):
+        program(VERSION, prefix=releases / name)
+    (releases.parent / "current").symlink_to("releases/newer")
+    monkeypatch.setattr(sys, "prefix", str(releases / "newer"))
+    monkeypatch.setattr("os.geteuid", lambda: 0)
+
+    manager = tmp_path / "path" / "systemctl"
+    manager.parent.mkdir()
+    answers = '[ "$1" != is-active ] || [ "$3" = heliocube-tracker ]'
+    manager.write_text(f'#!/bin/sh\necho "$*" >>{tmp_path}/asked\n{answers}\n')
+    manager.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{manager.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr("daemon.commands.upgrade.installed._SYSTEMD", tmp_path)
+    return releases
+
+
+def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube, config, installation, tmp_path):
+    code, out, err = heliocube("rollback", "--json", "-c", config)
+    assert code == 0
+    assert err.splitlines()[-1] == "older is in use: look at the tracker, then 'heliocube auto'"
+    page = json.loads(out)
+    assert (page["release"], page["in_use"], page["not_started"]) == ("older", True, [])
+    assert page["done"] == err.splitlines()[:-1]
+    assert (installation.parent / "current").resolve() == installation / "older"
+    asked = [line for line in (tmp_path / "asked").read_text().splitlines() if not line.startswith("is-active")]
+    assert asked == ["stop heliocube-tracker", "start heliocube-tracker"]
+
+    code, _, err = heliocube("rollback", "-c", config)
+    assert code == 2
+    assert "has no release before the one in use" in err
+
+
+def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, config, installation, tmp_path):
+    config.write_text("[site]\nlatitude_deg = 95\n")
+    code, _, err = heliocube("rollback", "-c", config)
+    assert code == 2
+    assert "latitude_deg" in err
+    assert (installation.parent / "current").resolve() == installation / "newer"
+    assert (tmp_path / "asked").read_text().splitlines()[-1] == "start heliocube-tracker"
