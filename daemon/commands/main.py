@@ -32,6 +32,7 @@ from daemon.commands.options import (
     TableFormat,
     ZoneOption,
 )
+from daemon.commands.setup import command as setup_command
 from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
@@ -69,6 +70,7 @@ app.add_typer(status_command.app)
 app.add_typer(upgrade_command.app)
 app.add_typer(operate.app)
 app.add_typer(alarms.app, name="alarms", rich_help_panel=OPERATION)
+app.add_typer(setup_command.app)
 app.add_typer(config_commands.app, name="config", rich_help_panel=FILES)
 app.add_typer(tools.app, name="bridge", rich_help_panel=FILES)
 app.add_typer(calibrate.app, name="calibrate", rich_help_panel=SCIENCE)

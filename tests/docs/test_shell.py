@@ -59,6 +59,7 @@ ONLY_READ = {
     "heliocube dashboard": "tests/system/test_dashboard.py",
     "heliocube hold": "tests/system/test_operation.py",
     "heliocube probe": "tests/system/test_probe.py",
+    "heliocube setup": "asks a person; tests/system/test_setup.py answers it",
     "heliocube run": "the tutorials run it; so does tests/system/test_run.py",
     "heliocube status": "the tutorials run it; so does tests/system/test_operation.py",
     "heliocube store salvage": "asks for a damaged store; tests/daemon/store damages one",

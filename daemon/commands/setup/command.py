@@ -1,0 +1,217 @@
+"""`heliocube setup`: from a bare machine to a checked configuration and a first move, with a person at each step."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from daemon.base.errors import UserError
+from daemon.commands.options import FILES, RoleChoice
+
+if TYPE_CHECKING:
+    from daemon.commands.setup.dialogue import SetupDialogue
+    from daemon.commands.setup.screen import SetupScreen
+    from daemon.commands.setup.steps import SetupStep
+
+# What a shell ends with where Ctrl-C ended a program.
+LEFT = 130
+
+app = typer.Typer()
+
+
+@app.command(rich_help_panel=FILES)
+def setup(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The configuration to write, such as /etc/heliocube/tracker.toml.")
+    ],
+    role: Annotated[RoleChoice | None, typer.Option(help="What the machine will do; asked unless given.")] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="Forget what was answered before.")] = False,
+) -> None:
+    """Set a new rig up: ask for its site, look at its instruments, make the first move, write its configuration.
+
+    It may be left at any time with Ctrl-C and is taken up again with the same command. Nothing moves but in the first
+    move, which a person confirms, any key stops and telemetry judges. Ends with 130 where it was left.
+    """
+    from rich.console import Console
+
+    from daemon.commands.setup.dialogue import SetupDialogue
+    from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
+    from daemon.commands.setup.screen import SetupScreen
+    from daemon.commands.setup.steps import A_BENCH, RIG, ROLE
+
+    file = file.absolute()
+    place = place_of_answers(file)
+    kept = SetupAnswers() if anew else load_answers(place)
+    dialogue = SetupDialogue(kept, file)
+    screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
+    _greet(screen, file, place, len(kept.answers))
+    if role is not None and ROLE not in kept.answers:
+        dialogue.take(role.value)
+    keep_answers(place, dialogue.kept)
+    try:
+        while (step := dialogue.step()) is not None:
+            screen.simulated = dialogue.kept.answers.get(RIG) == A_BENCH
+            screen.head(dialogue, step)
+            _one(dialogue, screen, step)
+            keep_answers(place, dialogue.kept)
+        _finish(dialogue, screen, file)
+    except (KeyboardInterrupt, EOFError):
+        screen.say("")
+        screen.say(f"Left. What was answered is in {place}; go on with: heliocube setup {file}")
+        raise typer.Exit(LEFT) from None
+    place.unlink(missing_ok=True)
+
+
+def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> None:
+    screen.say(f"Setting up {file}.", "bold")
+    screen.say("Enter takes what stands in brackets, 'back' takes the latest answer back, Ctrl-C leaves.")
+    if answered:
+        screen.say(f"{answered} answers are there from before, in {place}.")
+
+
+def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:
+    """Ask one step, and take the answer or say why it is none."""
+    from daemon.commands.setup.steps import MOVE, SUN
+
+    if step.name == SUN:
+        from daemon.commands.setup.looks import sun_sentence
+
+        screen.say(f"  {sun_sentence(dialogue.settings(), _now_s())}")
+    if step.name == MOVE and screen.first_time(step):
+        _before_the_move(dialogue, screen)
+    said = screen.prompt("type", "move, or skip") if step.name == MOVE else screen.ask(dialogue, step)
+    try:
+        _take(dialogue, screen, step, said)
+    except UserError as error:
+        screen.refuse(str(error))
+
+
+def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", said: str) -> None:
+    """Take what was typed; raises `UserError` where it is no answer, or what it asked for could not be done."""
+    from daemon.commands.setup.steps import MOVE, SKIPPED
+
+    word, go = said.strip().lower(), "move" if step.name == MOVE else ""
+    if word == "back":
+        if not dialogue.back():
+            raise UserError("this is the first question")
+    elif step.kind != "action":
+        dialogue.take(said)
+    elif word == "skip":
+        dialogue.settle(SKIPPED)
+    elif word == go:
+        dialogue.settle(_act(dialogue, screen, step))
+    else:
+        raise UserError(f"say {go or 'Enter'}, skip or back")
+
+
+def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> float | str:
+    """Do what an action stands for, and return what came of it; raises `UserError`."""
+    from daemon.base.clock import SystemClock
+    from daemon.commands.setup import looks, steps
+
+    settings, clock = dialogue.settings(), SystemClock()
+
+    def say(text: str) -> None:
+        screen.say(f"    {text}")
+
+    look: dict[str, Callable[[], Coroutine[Any, Any, None]]] = {
+        steps.LOOK_CUBE: lambda: looks.look_at_cube(settings, clock, say),
+        steps.LOOK_POSITIONER: lambda: looks.look_at_positioner(settings, clock, say),
+        steps.LOOK_LOAD: lambda: looks.look_at_load(settings, clock, say),
+    }
+    if step.name in look:
+        _run(look[step.name]())
+        return "done"
+    return _move(dialogue, say)
+
+
+def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | str:
+    from daemon.base.clock import SystemClock
+    from daemon.commands.setup.any_key import any_key
+    from daemon.commands.setup.first_move import Bounds, first_move
+    from daemon.commands.setup.looks import require_movable
+    from daemon.rigs.real import build_positioner
+
+    settings, clock = dialogue.settings(), SystemClock()
+    require_movable(settings)
+    bounds = Bounds(
+        settings.limits.limits(), settings.motion.tolerance_deg, settings.instruments.positioner.slowest_deg_per_s
+    )
+    with any_key() as pressed:
+        if pressed is None:
+            raise UserError("nothing is moved without a terminal, whose keys stop it: run this in one")
+        try:
+            speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, pressed))
+        except KeyboardInterrupt:
+            say("the axes were halted, and stand")
+            raise
+    return round(speed, 3) or "done"
+
+
+def _before_the_move(dialogue: "SetupDialogue", screen: "SetupScreen") -> None:
+    settings = dialogue.settings()
+    for line in (
+        f"A and B will move by two degrees and back, one by one, inside {settings.limits.limits()};",
+        "then A moves once more for you to stop it with a key. Before that, all of this has to be so:",
+        "- somebody stands at the mechanics with a hand on the SUPPLY SWITCH OF THE MOTORS",
+        "- nobody is within reach of the arms; no tools, no cables lie across their way",
+        "- the wind is below 5 m/s, and the motors' supply is on",
+        "A key stops the axes as long as this program and the cable live: it is no emergency stop.",
+    ):
+        screen.say(f"  {line}")
+
+
+def _run(work: Coroutine[Any, Any, Any]) -> Any:
+    """Run to the end; what goes wrong with the instrument is one sentence."""
+    from drivers.errors import DeviceError
+
+    try:
+        return asyncio.run(work)
+    except DeviceError as error:
+        raise UserError(str(error)) from error
+
+
+def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
+    from daemon.commands.config import check_file
+    from daemon.commands.setup.finish import finish
+    from daemon.commands.setup.steps import LATER, SKIPPED
+
+    written = finish(dialogue, file)
+    screen.say("")
+    screen.say("Written:", "bold")
+    for line in written:
+        screen.say(f"  {line}")
+    try:
+        check_file(file, RoleChoice(dialogue.role()))
+    except UserError as error:
+        screen.refuse(str(error))
+    open_ends = [step.open_end for step in dialogue.steps() if dialogue.kept.answers[step.name] in (SKIPPED, LATER)]
+    if open_ends:
+        screen.say("Not done yet:", "bold")
+        for sentence in open_ends:
+            screen.say(f"  - {sentence}")
+    _next(dialogue, screen, file)
+
+
+def _next(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
+    from daemon.commands.setup.dialogue import NEW_KEY
+    from daemon.commands.setup.steps import KEY
+
+    role = dialogue.role()
+    screen.say("Next:", "bold")
+    if role != "both":
+        path = file.parent / dialogue.key_file()
+        verb = "carry it to" if dialogue.kept.answers.get(KEY) == NEW_KEY else "compare it on"
+        screen.say(f"  the key {path} has to be the same on both machines: {verb} the other one, then sha256sum both")
+    if role != "cube":
+        screen.say("  widen [limits] step by step: docs/install.md, section 7")
+        screen.say("  let the tracker hear of the wind: docs/mqtt.md")
+    screen.say(f"  heliocube run --role {role} --config {file}")
+
+
+def _now_s() -> float:
+    from daemon.base.clock import SystemClock
+
+    return SystemClock().utc()

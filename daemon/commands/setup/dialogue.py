@@ -1,0 +1,258 @@
+"""The course of a setup: which step is next, and whether an answer to it is one. Pure: it shows and moves nothing."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daemon.base.errors import UserError
+from daemon.bridge.signing import load_key
+from daemon.commands.setup.kept import Answer, SetupAnswers
+from daemon.commands.setup.steps import A_BENCH, BENCH, KEY, RIG, ROLE, Known, SetupStep, plan
+from daemon.config import keys
+from daemon.config.file import ConfigError, load_settings, override
+from daemon.config.migrate import RENAMED
+from daemon.config.section import read_tables
+from daemon.config.settings import Settings
+from daemon.config.template import FILE_NAME
+
+KEY_NAME, TOKEN_NAME = "bridge.key", "api.token"
+NEW_KEY = "new"
+_NONE = ("none", "-")
+_YES = {"y": "yes", "n": "no"}
+
+
+class SetupDialogue:
+    """Asks step by step, from what is known.
+
+    Parameters
+    ----------
+    kept
+        The answers so far.
+    file
+        The configuration that will be written. One that is there already is the basis of the defaults.
+    """
+
+    def __init__(self, kept: SetupAnswers, file: Path) -> None:
+        self._kept = kept
+        self._file = file
+        own: dict[str, Any] = {}
+        if file.exists():
+            load_settings(file)
+            own = _values_of(file)
+        if "tracker" in own:
+            raise UserError(f"{file} has tables of trackers, which a setup does not ask for: change that file by hand")
+        self._own = own
+        self._of_bench: dict[str, Any] = {}
+        self._read_bench()
+
+    @property
+    def kept(self) -> SetupAnswers:
+        """The answers so far."""
+        return self._kept
+
+    @property
+    def known(self) -> Known:
+        """What the steps follow from."""
+        return Known(self._kept.answers, self._of_bench or self._own)
+
+    def steps(self) -> list[SetupStep]:
+        """Return every step that the answers lead to, the answered ones too."""
+        return plan(self.known)
+
+    def step(self) -> SetupStep | None:
+        """Return the first step without an answer; None when there is none left."""
+        return next((step for step in self.steps() if step.name not in self._kept.answers), None)
+
+    def place(self) -> tuple[int, int]:
+        """Return the number of the present chapter, from 1, and how many there are."""
+        chapters = list(dict.fromkeys(step.chapter for step in self.steps()))
+        step = self.step()
+        return (len(chapters) if step is None else chapters.index(step.chapter) + 1), len(chapters)
+
+    def offered(self) -> Answer:
+        """Return what Enter takes now; None where an answer has to be given."""
+        step = self.step()
+        if step is None or step.kind == "action":
+            return None
+        return self._kept.offered.get(step.name, step.default)
+
+    def take(self, text: str) -> None:
+        """Take a person's answer to the present step; empty for what is offered.
+
+        Raises
+        ------
+        UserError
+            It is none: one sentence with what would be.
+        """
+        step = self.step()
+        if step is None:
+            return
+        said = text.strip()
+        value = self.offered() if not said else _meant(step, said, self._key(step))
+        if value is None and not step.optional:
+            raise UserError(f"this has no default: {self.expected()}")
+        self.settle(value)
+
+    def settle(self, value: Answer) -> None:
+        """Take the value of the present step, or what came of an action; raises `UserError` if it does not fit."""
+        step = self.step()
+        if step is None:
+            return
+        if step.kind == "confirm" and value == "no":
+            raise UserError(step.refused)
+        answers = {**self._kept.answers, step.name: value}
+        before, self._kept = self._kept, self._kept.model_copy(update={"answers": answers})
+        try:
+            if step.name == BENCH:
+                self._read_bench()
+            if step.name == KEY:
+                self._check_key(str(value))
+            self.settings()
+        except UserError as error:
+            self._kept = before
+            raise UserError(_first(error)) from None
+
+    def back(self) -> bool:
+        """Take the latest answer back, to be given again; False at the very start."""
+        if not self._kept.answers:
+            return False
+        answers = dict(self._kept.answers)
+        name, value = answers.popitem()
+        offered = {**self._kept.offered, name: value}
+        self._kept = self._kept.model_copy(update={"answers": answers, "offered": offered})
+        if name in (BENCH, RIG):
+            self._of_bench = {}
+        return True
+
+    def expected(self) -> str:
+        """Return what the present step takes, in words."""
+        step = self.step()
+        if step is None:
+            return ""
+        if step.choices:
+            return f"say {_listed(step.choices)}"
+        key = self._key(step)
+        optional = " or none" if step.optional else ""
+        return "it is needed" if key is None else f"it takes {_in_words(key)}{optional}"
+
+    def values(self) -> dict[str, Any]:
+        """Return what the configuration will say, by path."""
+        known = self.known
+        paths = keys.keys(known.chosen())
+        found = {path: value for path, value in known.basis.items() if path in paths}
+        found |= {name: value for name, value in known.answers.items() if name in paths}
+        found["instruments.kind"] = "real"
+        found["instruments.bench"] = known.answers.get(RIG) == A_BENCH
+        found["bridge.key_file"] = self.key_file()
+        found.setdefault("api.token_file", TOKEN_NAME)
+        return found
+
+    def key_file(self) -> str:
+        """Return the key's file as the configuration will name it."""
+        chosen = self._kept.answers.get(KEY)
+        known = self.known.basis.get("bridge.key_file") or KEY_NAME
+        return str(known if chosen in (None, NEW_KEY) else chosen)
+
+    def settings(self) -> Settings:
+        """Return the settings that the answers make; raises `ConfigError`."""
+        return override(
+            Settings(), _tables({path: value for path, value in self.values().items() if value is not None})
+        )
+
+    def role(self) -> str:
+        """Return the role, ``both`` until it is answered."""
+        return str(self._kept.answers.get(ROLE, "both"))
+
+    def _key(self, step: SetupStep) -> keys.Key | None:
+        return keys.keys(self.known.chosen()).get(step.name) if step.kind == "key" else None
+
+    def _read_bench(self) -> None:
+        folder = self._kept.answers.get(BENCH)
+        if self._kept.answers.get(RIG) != A_BENCH or folder is None:
+            return
+        file = Path(str(folder)).expanduser() / FILE_NAME
+        found = _values_of(file)
+        if found.get("instruments.bench") is not True:
+            raise UserError(f"{file} was not written by a bench: start one with 'heliocube bench --dir {folder}'")
+        self._of_bench = found
+
+    def _check_key(self, name: str) -> None:
+        path = self._file.parent / Path(self.key_file()).expanduser()
+        if name != NEW_KEY:
+            load_key(path)
+        elif path.exists():
+            raise UserError(f"{path} is there already: name it, or move it away for a new one")
+
+
+def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
+    """Return the value that a person's words mean; raises `UserError`."""
+    if step.optional and said.lower() in _NONE:
+        return None
+    if step.choices and (key is None or key.takes == {"string"}):
+        return _chosen(step, said)
+    if key is None:
+        return said
+    if key.takes & {"number", "integer"}:
+        number = keys.number_with_unit(said, key)
+        if number is None:
+            raise UserError(f"{keys.shown(said)} is not {key.expected}")
+        return int(number) if key.takes == {"integer"} and number.is_integer() else number
+    if key.takes == {"array"}:
+        items = [item for item in re.split(r"[\s,]+", said) if item]
+        return [int(item) for item in items] if all(item.isdecimal() for item in items) else items
+    return said
+
+
+def _chosen(step: SetupStep, said: str) -> str:
+    """Return the one choice that the words begin."""
+    word = _YES.get(said.lower(), said.lower()) if step.kind == "confirm" else said.lower()
+    found = [name for name in step.choices if name == word] or [name for name in step.choices if name.startswith(word)]
+    if len(found) != 1:
+        raise UserError(f"{keys.shown(said)} is not among the answers: say {_listed(step.choices)}")
+    return found[0]
+
+
+def _listed(words: tuple[str, ...]) -> str:
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _in_words(key: keys.Key) -> str:
+    """Return what a key takes, for somebody who types into a prompt and not into a file."""
+    return key.expected.replace(" in quotes", "").replace('"', "").replace("a list in brackets, each item ", "")
+
+
+def _first(error: UserError) -> str:
+    """Return the first thing that is wrong, without the name of the source that a dialogue does not have."""
+    return error.problems[0] if isinstance(error, ConfigError) else str(error)
+
+
+def _values_of(file: Path) -> dict[str, Any]:
+    """Return what a file says, by path."""
+    if not file.exists():
+        raise UserError(f"there is no {file}: is the bench running, and is that its folder?")
+    found = dict(_flat(read_tables(file), ""))
+    for former in RENAMED.keys() & found.keys():
+        found[f"{former.rpartition('.')[0]}.{RENAMED[former]}"] = found.pop(former)
+    return found
+
+
+def _flat(table: Mapping[str, Any], path: str) -> list[tuple[str, Any]]:
+    found: list[tuple[str, Any]] = []
+    for name, value in table.items():
+        inner = f"{path}.{name}" if path else name
+        found += _flat(value, inner) if isinstance(value, dict) else [(inner, value)]
+    return found
+
+
+def _tables(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return values by path as the tables of a file."""
+    found: dict[str, Any] = {}
+    for path, value in values.items():
+        *outer, last = path.split(".")
+        table = found
+        for name in outer:
+            table = table.setdefault(name, {})
+        table[last] = value
+    return found

@@ -1,0 +1,66 @@
+"""The end of a setup: the configuration, with every key explained, and the secrets beside it."""
+
+import contextlib
+import os
+import shutil
+from itertools import count
+from pathlib import Path
+from typing import Literal, cast
+
+from daemon.api.token import generate_token, write_token
+from daemon.base.errors import UserError
+from daemon.bridge.signing import generate_key, write_key
+from daemon.commands.setup.dialogue import SetupDialogue
+from daemon.config.template import example
+from daemon.store.place import RECORDS_NAME
+
+
+def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
+    """Write the configuration and what it names that is not there yet; return a line for each file.
+
+    Raises
+    ------
+    UserError
+        Something cannot be written; what had been written before stays, and the setup may be taken up again.
+    """
+    values = dialogue.values()
+    values.setdefault("store.directory", None)
+    values["store.directory"] = values["store.directory"] or RECORDS_NAME
+    role = cast("Literal['both', 'cube', 'tracker']", dialogue.role())
+    text = example(role, values, dialogue.known.chosen())
+    done = []
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        key, token = (
+            file.parent / Path(str(values[name])).expanduser() for name in ("bridge.key_file", "api.token_file")
+        )
+        model = next((path for path in (token, file) if path.exists()), None)
+        for path in (key, token):
+            if not path.exists():
+                write_key(path, generate_key()) if path == key else write_token(path, generate_token())
+                _owned_like(model, path)
+                done.append(f"{path}, new")
+        if file.exists():
+            old = _free_name(file)
+            shutil.copy2(file, old)
+            done.append(f"{old}, the configuration before")
+        with file.open("w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        _owned_like(model, file)
+    except OSError as error:
+        raise UserError(f"{error.filename or file.parent} cannot be written: {error.strerror}") from None
+    return [f"{file}, the configuration", *done]
+
+
+def _free_name(file: Path) -> Path:
+    names = (file.with_name(f"{file.name}.before{'' if number == 1 else f'-{number}'}") for number in count(1))
+    return next(path for path in names if not path.exists())
+
+
+def _owned_like(model: Path | None, path: Path) -> None:
+    """Give a file that root has written to whom the others belong: the service's user could not read it."""
+    if model is None or model == path or os.name != "posix":
+        return
+    with contextlib.suppress(OSError):
+        owner = model.stat()
+        shutil.chown(path, owner.st_uid, owner.st_gid)

@@ -1,0 +1,59 @@
+"""What has been answered so far, kept beside the configuration to be, so that a person may leave and come back."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from daemon.base.errors import UserError
+from daemon.base.files import replace_file
+
+Answer = str | float | int | bool | list[str] | list[int] | None
+_LONGEST_FILE = 65536
+
+
+class SetupAnswers(BaseModel):
+    """The answers by the name of their step, in the order of asking.
+
+    Attributes
+    ----------
+    answers
+        What is settled.
+    offered
+        What was settled before a person went back: the next time it is what Enter takes.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    form: Literal[1] = 1
+    answers: dict[str, Answer] = {}
+    offered: dict[str, Answer] = {}
+
+
+def place_of_answers(file: Path) -> Path:
+    """Return where the answers for a configuration are kept: ``tracker.setup.json`` for ``tracker.toml``."""
+    return file.with_name(f"{file.stem}.setup.json")
+
+
+def load_answers(place: Path) -> SetupAnswers:
+    """Return what is kept, nothing where there is no such file; raises `UserError` for one that cannot be used."""
+    try:
+        with place.open("rb") as file:
+            return SetupAnswers.model_validate_json(file.read(_LONGEST_FILE))
+    except FileNotFoundError:
+        return SetupAnswers()
+    except OSError as error:
+        raise UserError(f"{place} cannot be read: {error.strerror}") from None
+    except ValidationError:
+        raise UserError(f"{place} does not hold the answers of a setup: remove it, or begin with --anew") from None
+
+
+def keep_answers(place: Path, kept: SetupAnswers) -> None:
+    """Replace what is kept; raises `UserError` where it cannot be written."""
+    try:
+        replace_file(place, kept.model_dump_json(indent=1) + "\n")
+    except OSError as error:
+        raise UserError(
+            f"{place} cannot be written ({error.strerror}), and so neither could the configuration beside it: name a"
+            " file in a folder of yours, or run this as the user who owns that one"
+        ) from None

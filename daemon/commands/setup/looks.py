@@ -1,0 +1,99 @@
+"""Looking at each instrument before it is believed: nothing here moves an axis."""
+
+import asyncio
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from daemon.base.clock import Clock, iso_utc
+from daemon.base.errors import UserError
+from daemon.base.kernel_clock import synchronised
+from daemon.base.records import FACES
+from daemon.config.settings import Settings
+from daemon.rigs.probe_load import probe_load
+from daemon.rigs.probe_positioner import probe_positioner
+from daemon.rigs.real import build_cube, build_positioner
+from drivers.positioners.pozsol.driver import PozsolSettings
+from drivers.transcript import no_tap
+from solar.ephemeris import sun_position
+
+Say = Callable[[str], object]
+
+_LISTEN_S = 3.0
+_DIRECTIONS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+def time_of(settings: Settings, now_s: float) -> float:
+    """Return the time that the rig will have [s since 1970], which a bench has of its own."""
+    simulation = settings.simulation
+    if not settings.instruments.bench or simulation.start_utc is None or simulation.anchor_utc is None:
+        return now_s
+    return simulation.start_utc.timestamp() + now_s - simulation.anchor_utc.timestamp()
+
+
+def sun_sentence(settings: Settings, now_s: float) -> str:
+    """Return where the sun stands at the site now, and what time this machine thinks it is."""
+    site, utc_s = settings.site, time_of(settings, now_s)
+    sun = sun_position(utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m)
+    where = _DIRECTIONS[round(sun.azimuth_deg / 45.0) % 8]
+    height = (
+        f"{sun.elevation_deg:.0f} deg high" if sun.elevation_deg > 0 else f"down, {-sun.elevation_deg:.0f} deg below"
+    )
+    local = datetime.fromtimestamp(utc_s, UTC).astimezone()
+    known = {True: "synchronised", False: "NOT synchronised", None: "not known to be synchronised"}[synchronised()]
+    return (
+        f"By this machine's clock it is {iso_utc(utc_s)[:16]} UTC, {local:%H:%M} local ({known}), and the sun is in the"
+        f" {where} (azimuth {sun.azimuth_deg:.0f} deg), {height}."
+    )
+
+
+async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
+    """Open the cube and read its faces once; raises `DeviceError` or `UserError`."""
+    cube = build_cube(settings, clock)
+    try:
+        say(f"found: {await cube.open()}")
+        reading = await cube.read()
+    finally:
+        await cube.close()
+    for name, sample in zip(FACES, reading.faces, strict=True):
+        face = getattr(settings.cube, name)
+        if sample.flaw is not None:
+            say(f"  {name:<7} {sample.flaw}")
+        elif reading.unit == "V":
+            value = face.gain_w_m2_per_mv * (sample.value * 1e3 - face.offset_mv)
+            say(f"  {name:<7} {sample.value * 1e3:+9.3f} mV  {value:8.1f} W/m2")
+        else:
+            say(f"  {name:<7} {sample.value:8.1f} W/m2")
+    for note in (*reading.notes, *(() if reading.proven else ("the self-test of switch and meter has FAILED",))):
+        say(f"  {note}")
+
+
+async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None:
+    """Listen to the positioner and tell what it says; raises `DeviceError` or `UserError`."""
+    if isinstance(settings.instruments.positioner, PozsolSettings):
+        await probe_positioner(settings, clock, _LISTEN_S, None, no_tap, say)
+        return
+    positioner = build_positioner(settings, clock)
+    try:
+        identity = await positioner.open()
+        say(f"found: {identity.board} {identity.firmware} {identity.serial}".rstrip())
+        await asyncio.sleep(_LISTEN_S)
+        seen = await positioner.read_telemetry()
+        say(f"  it stands at A {seen.a_deg:.1f} deg, B {seen.b_deg:.1f} deg")
+        for sentence in (*identity.setup_conflicts, *seen.faults, *filter(None, [seen.reference_doubt])):
+            say(f"  {sentence}")
+    finally:
+        await positioner.close()
+
+
+async def look_at_load(settings: Settings, clock: Clock, say: Say) -> None:
+    """Ask the electronic load who it is; raises `DeviceError` or `UserError`."""
+    await probe_load(settings, clock.monotonic, no_tap, say, write=False)
+
+
+def require_movable(settings: Settings) -> None:
+    """Raise `UserError` where a few degrees of A or B can be a large move of the mount."""
+    if not settings.instruments.positioner.axes_are_angles:
+        raise UserError(
+            "this mount turns in azimuth and elevation, where two degrees near flat can be half a turn: make its first"
+            " move by hand, with docs/install.md section 7, and say 'skip' here"
+        )

@@ -1,0 +1,88 @@
+"""What a person at a setup sees: plain lines with a little colour, and nothing is lost where there is none."""
+
+import textwrap
+
+from rich.console import Console
+from rich.text import Text
+
+from daemon.commands.setup.dialogue import SetupDialogue
+from daemon.commands.setup.kept import Answer
+from daemon.commands.setup.steps import SetupStep
+from daemon.config import keys
+
+_WIDEST = 96
+
+
+class SetupScreen:
+    """Writes to a console and reads lines from it."""
+
+    def __init__(self, console: Console, *, simulated: bool = False) -> None:
+        self._console = console
+        self._chapter = ""
+        self._asked = ""
+        self.simulated = simulated
+
+    def say(self, text: str, style: str = "") -> None:
+        """Write a line, broken at the terminal's width with what follows under its beginning."""
+        for line in text.splitlines() or [""]:
+            indent = " " * (len(line) - len(line.lstrip()))
+            width = min(self._console.width, _WIDEST)
+            for part in textwrap.wrap(line, width, subsequent_indent=indent, break_on_hyphens=False) or [""]:
+                self._console.print(Text(part, style), soft_wrap=True)
+
+    def refuse(self, sentence: str) -> None:
+        """Tell why an answer was none, or what went wrong."""
+        self.say(f"  ! {sentence}", "bold red")
+
+    def head(self, dialogue: SetupDialogue, step: SetupStep) -> None:
+        """Write the name of a chapter where it begins."""
+        if step.chapter == self._chapter:
+            return
+        self._chapter = step.chapter
+        number, of = dialogue.place()
+        mark = "  SIMULATED" if self.simulated else ""
+        self.say("")
+        self.say(f"{number}/{of} {step.chapter}{mark}", "bold")
+
+    def first_time(self, step: SetupStep) -> bool:
+        """Tell whether this is not the step that was asked last, and note it."""
+        last, self._asked = self._asked, step.name
+        return last != step.name
+
+    def ask(self, dialogue: SetupDialogue, step: SetupStep) -> str:
+        """Ask a step and return what was typed; `EOFError` or `KeyboardInterrupt` where nothing will be."""
+        offered = dialogue.offered()
+        if self.first_time(step):
+            self.say(f"  {step.question}")
+            if step.kind != "action" and (step.choices or offered is None):
+                self.say(f"  {dialogue.expected()[0].upper()}{dialogue.expected()[1:]}.", "dim")
+        return self.prompt(_label(step), _hint(step, offered))
+
+    def prompt(self, label: str, hint: str) -> str:
+        """Return what is typed behind a label and a hint of what is taken."""
+        return self._console.input(Text.assemble("  ", (label, "bold"), (f" [{hint}]" if hint else "", "cyan"), ": "))
+
+
+def _label(step: SetupStep) -> str:
+    return step.name if step.kind == "key" else "answer"
+
+
+def _hint(step: SetupStep, offered: Answer) -> str:
+    """Return what Enter takes, or does."""
+    if step.kind == "action":
+        return "Enter does it, or skip"
+    shown = "" if offered is None else _shown(step, offered)
+    return "none" if step.optional and not shown else shown
+
+
+def _shown(step: SetupStep, value: Answer) -> str:
+    known = keys.keys()
+    text = (
+        ", ".join(map(str, value))
+        if isinstance(value, list)
+        else f"{value:.10g}"
+        if isinstance(value, float)
+        else str(value)
+    )
+    unit = known[step.name].unit if step.name in known else ""
+    return f"{text} {unit}".rstrip()

@@ -1,0 +1,322 @@
+"""What a setup asks, in its order: pure, from what has been answered."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from daemon.base.records import FACES
+from daemon.commands.setup.kept import Answer
+from daemon.config import keys
+from daemon.config.plugged import CUBE, DRIVER, LOAD, MULTIPLEXED, POSITIONER, PYRANOMETERS, Plugged
+
+ROLE, RIG, BENCH, KEY = "role", "rig", "bench", "key"
+SUN, FACES_FIT = "sun", "faces fit"
+LOOK_CUBE, LOOK_POSITIONER, LOOK_LOAD = "look at the cube", "look at the positioner", "look at the load"
+MOVE, WAY, UNPLUGGED, SUPPLY = "first move", "way of the first move", "unplugged", "supply"
+SLOWEST = "instruments.positioner.slowest_deg_per_s"
+A_BENCH = "bench"
+SKIPPED = "skipped"
+LATER = "later"
+
+# Narrow, for the first moves: docs/install.md says how they are widened.
+FIRST_LIMITS: Mapping[str, float] = {
+    "limits.a_min_deg": -5.0,
+    "limits.a_max_deg": 5.0,
+    "limits.b_min_deg": 80.0,
+    "limits.b_max_deg": 90.0,
+}
+_WHERE = ("port", "server", "line", "resource", "channels")
+_MAY_BE_LEFT_OUT = ("instruments.multiplexer.server",)
+_OF_THE_SWITCH = (
+    "instruments.multiplexer.digital_port",
+    "instruments.multiplexer.server",
+    "instruments.voltmeter.resource",
+)
+
+Kind = Literal["key", "choice", "text", "confirm", "action"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetupStep:
+    """One thing that is asked or done.
+
+    Attributes
+    ----------
+    name
+        Of its answer; for a key of the configuration its path.
+    chapter
+        What it belongs to.
+    kind
+        A `key` of the configuration; a `choice` of words; a `text`, such as a path; something to `confirm`, with yes
+        and another word; an `action`, which is done, or skipped.
+    question
+        For people.
+    choices
+        The words of a choice or a confirmation.
+    default
+        What Enter takes; None where an answer has to be given.
+    optional
+        Whether ``none`` is an answer.
+    refused
+        The sentence that answers the word ``no``.
+    open_end
+        What is left to do where it was skipped or put off.
+    """
+
+    name: str
+    chapter: str
+    kind: Kind
+    question: str
+    choices: tuple[str, ...] = ()
+    default: Answer = None
+    optional: bool = False
+    refused: str = ""
+    open_end: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What the steps follow from: the answers, and the values of the file that is taken as the basis, by path."""
+
+    answers: Mapping[str, Answer]
+    basis: Mapping[str, Any]
+
+    def role(self) -> str:
+        """Return the role, ``both`` until it is answered."""
+        return str(self.answers.get(ROLE, "both"))
+
+    def driver(self, plugged: Plugged) -> str:
+        """Return the driver of a section."""
+        path = f"{plugged.path}.{DRIVER}"
+        return str(self.answers.get(path, self.basis.get(path, plugged.default)))
+
+    def chosen(self) -> keys.Chosen:
+        """Return the sections of drivers with the names that count."""
+        return tuple((each.path, self.driver(each)) for each in (CUBE, POSITIONER, LOAD))
+
+
+def plan(known: Known) -> list[SetupStep]:
+    """Return every step that these answers lead to, the answered ones too."""
+    return [
+        *_machine(known),
+        *_site(known),
+        *_cube(known),
+        *_positioner(known),
+        *_load(known),
+        *_bridge(known),
+        *_move(known),
+    ]
+
+
+def _machine(known: Known) -> Iterator[SetupStep]:
+    chapter = "The machine"
+    yield SetupStep(
+        name=ROLE,
+        chapter=chapter,
+        kind="choice",
+        question="What will this machine do: read the cube, drive the tracker, or both?",
+        choices=("both", "cube", "tracker"),
+        default="both",
+    )
+    yield SetupStep(
+        name=RIG,
+        chapter=chapter,
+        kind="choice",
+        question="Are the instruments real, or those of a running 'heliocube bench' (SIMULATED)?",
+        choices=("real", A_BENCH),
+        default="real",
+    )
+    if known.answers.get(RIG) == A_BENCH:
+        yield SetupStep(
+            name=BENCH,
+            chapter=chapter,
+            kind="text",
+            question="Which folder is the bench's (heliocube bench --dir DIR)?",
+        )
+
+
+def _site(known: Known) -> Iterator[SetupStep]:
+    chapter = "The site"
+    for name in ("name", "latitude_deg", "longitude_deg", "altitude_m"):
+        # The place of the paper is no default for a rig: who takes it by Enter has a wrong sun.
+        yield _key(known, f"site.{name}", chapter, default=None)
+    yield SetupStep(
+        name=SUN,
+        chapter=chapter,
+        kind="confirm",
+        question="Does that fit the clock on the wall and the sky?",
+        choices=("yes", "no"),
+        default="yes",
+        refused="then a coordinate or the clock is wrong: put the clock right, or say 'back' to correct the site",
+    )
+
+
+def _cube(known: Known) -> Iterator[SetupStep]:
+    chapter = "The cube"
+    if known.role() == "tracker":
+        yield _key(known, "cube.scan_every_s", chapter)
+        return
+    yield _driver(known, CUBE, chapter)
+    driver = known.driver(CUBE)
+    if driver == MULTIPLEXED:
+        for path in _OF_THE_SWITCH:
+            yield _key(known, path, chapter)
+    yield from _addresses(known, CUBE, chapter)
+    for face in FACES:
+        if driver == MULTIPLEXED:
+            yield _key(known, f"cube.{face}.channel", chapter)
+        if driver != PYRANOMETERS:
+            yield _key(known, f"cube.{face}.gain_w_m2_per_mv", chapter)
+    yield SetupStep(
+        name=LOOK_CUBE,
+        chapter=chapter,
+        kind="action",
+        question="Read the four faces now: nothing can move by it.",
+        open_end="read the cube: heliocube probe, docs/hardware.md",
+    )
+    if known.answers.get(LOOK_CUBE) not in (None, SKIPPED):
+        yield SetupStep(
+            name=FACES_FIT,
+            chapter=chapter,
+            kind="confirm",
+            question="Do they look like the sky? Shade one face: its number must fall, and no other.",
+            choices=("yes", LATER, "no"),
+            default=LATER,
+            open_end="shade one face after the other and see its number fall, and no other",
+            refused="then an input or a wire is another face's: say 'back' to read or correct them once more",
+        )
+
+
+def _positioner(known: Known) -> Iterator[SetupStep]:
+    if known.role() == "cube":
+        return
+    chapter = "The positioner"
+    yield _driver(known, POSITIONER, chapter)
+    yield from _addresses(known, POSITIONER, chapter)
+    yield SetupStep(
+        name=LOOK_POSITIONER,
+        chapter=chapter,
+        kind="action",
+        question="Listen to it now: nothing is sent that could move an axis.",
+        open_end="listen to the positioner: heliocube probe positioner",
+    )
+
+
+def _load(known: Known) -> Iterator[SetupStep]:
+    if known.role() == "cube":
+        return
+    chapter = "The electronic load"
+    real = tuple(name for name in LOAD.names() if name != "simulated")
+    yield _driver(known, LOAD, chapter, real)
+    if known.driver(LOAD) not in LOAD.built_in:
+        yield from _addresses(known, LOAD, chapter)
+        yield SetupStep(
+            name=LOOK_LOAD,
+            chapter=chapter,
+            kind="action",
+            question="Ask it who it is: its input stays as it is.",
+            open_end="look at the electronic load: heliocube probe load",
+        )
+
+
+def _bridge(known: Known) -> Iterator[SetupStep]:
+    chapter = "The way from cube to tracker"
+    if known.role() == "cube":
+        yield _key(known, "bridge.send_to", chapter)
+    if known.role() == "tracker":
+        yield _key(known, "bridge.listen", chapter, default="0.0.0.0:20571")
+    if known.role() != "both":
+        yield SetupStep(
+            name=KEY,
+            chapter=chapter,
+            kind="text",
+            question="Which file has the key that both machines share? 'new' makes one.",
+            default=_text(known.basis.get("bridge.key_file")) or ("new" if known.role() == "cube" else None),
+        )
+
+
+def _move(known: Known) -> Iterator[SetupStep]:
+    if known.role() == "cube":
+        return
+    chapter = "Limits and wind"
+    for path, narrow in FIRST_LIMITS.items():
+        yield _key(known, path, chapter, default=narrow)
+    yield _key(known, "safety.stow_wind_m_s", chapter)
+    yield _key(known, "safety.without_wind_source", chapter)
+    chapter = "The first move"
+    yield SetupStep(
+        name=MOVE,
+        chapter=chapter,
+        kind="action",
+        question="",
+        open_end="THE FIRST MOVE, with a hand on the stop: docs/install.md, section 7",
+    )
+    done = known.answers.get(MOVE)
+    if done is None or done == SKIPPED:
+        return
+    yield SetupStep(
+        name=WAY,
+        chapter=chapter,
+        kind="confirm",
+        question="Did each of these moves go the way that was named, as seen by whoever stands there?",
+        choices=("yes", "no"),
+        refused="then the axes are swapped or reversed: leave with Ctrl-C, switch the motors' supply off, and see"
+        " docs/hardware.md; 'back' makes the move once more",
+    )
+    if isinstance(done, float):
+        # Half of what was measured: docs/hardware.md.
+        half = _key(known, SLOWEST, chapter, default=float(f"{done / 2:.2g}"))
+        yield replace(half, question=f"{half.question} Half of the {done:.2f} deg/s just seen is right.")
+    for name, question in (
+        (UNPLUGGED, "with the USB plug pulled in a move, the axis goes on to its end"),
+        (SUPPLY, "with the motors' supply off and on again, the position is kept"),
+    ):
+        yield SetupStep(
+            name=name,
+            chapter=chapter,
+            kind="confirm",
+            question=f"To be seen once, now or later: {question}.",
+            choices=("yes", LATER),
+            default=LATER,
+            open_end=question,
+        )
+
+
+def _driver(known: Known, plugged: Plugged, chapter: str, names: tuple[str, ...] | None = None) -> SetupStep:
+    path = f"{plugged.path}.{DRIVER}"
+    default = str(known.basis.get(path, plugged.default))
+    return SetupStep(
+        name=path,
+        chapter=chapter,
+        kind="choice",
+        question=plugged.title,
+        choices=names or plugged.names(),
+        default=default,
+    )
+
+
+def _addresses(known: Known, plugged: Plugged, chapter: str) -> Iterator[SetupStep]:
+    """Yield the keys that say where the instrument of the chosen driver is, whatever driver that may be."""
+    for key in keys.keys(known.chosen()).values():
+        if key.section == plugged.path and key.name in _WHERE and not key.only_for:
+            yield _key(known, key.path, chapter)
+
+
+def _key(known: Known, path: str, chapter: str, **given: Answer) -> SetupStep:
+    key = keys.keys(known.chosen())[path]
+    found = known.basis.get(path, given.get("default", key.default))
+    if path in FIRST_LIMITS or path == SLOWEST:
+        found = given["default"]
+    return SetupStep(
+        name=path,
+        chapter=chapter,
+        kind="key",
+        question=key.description,
+        choices=tuple(key.names),
+        default=list(found) if isinstance(found, tuple) else found,
+        optional=path in _MAY_BE_LEFT_OUT,
+    )
+
+
+def _text(value: object) -> str | None:
+    return None if value is None else str(value)

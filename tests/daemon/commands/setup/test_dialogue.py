@@ -1,0 +1,196 @@
+"""The course of a setup, without a terminal and without an instrument."""
+
+import contextlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from daemon.base.errors import UserError
+from daemon.bridge.signing import generate_key, write_key
+from daemon.commands.setup.dialogue import SetupDialogue
+from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
+from daemon.commands.setup.steps import MOVE, SKIPPED
+
+SITE = ["Roof", "48.7", "2.2", "156"]
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "tracker.toml"
+
+
+def dialogue_of(file, *answers):
+    dialogue = SetupDialogue(SetupAnswers(), file)
+    for answer in answers:
+        dialogue.take(answer)
+    return dialogue
+
+
+def walk(dialogue, needed, moved=SKIPPED, until=None):
+    """Answer all that is left up to a step: by Enter, by what is needed, and an action by what came of it."""
+    names = []
+    while (step := dialogue.step()) is not None and step.name != until:
+        names.append(step.name)
+        if step.kind == "action":
+            dialogue.settle(moved)
+        else:
+            dialogue.take(needed.get(step.name, ""))
+    return names
+
+
+POZSOL = {"instruments.positioner.port": "/dev/heliocube-positioner", "key": "new"}
+METER = {"instruments.voltmeter.resource": "GPIB0::16::INSTR"}
+
+
+def test_a_tracker_is_asked_for_its_site_its_positioner_its_key_and_its_limits_before_it_is_moved(file):
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    names = walk(dialogue, POZSOL)
+    assert names.index("look at the positioner") < names.index("limits.a_min_deg") < names.index(MOVE) == len(names) - 1
+    assert "instruments.cube.driver" not in names
+    limits = dialogue.settings().limits
+    assert (limits.a_min_deg, limits.a_max_deg, limits.b_min_deg, limits.b_max_deg) == (-5, 5, 80, 90)
+    assert dialogue.settings().real
+    assert not dialogue.settings().instruments.bench
+    assert dialogue.settings().bridge.listen == "0.0.0.0:20571"
+
+
+def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(file):
+    dialogue = dialogue_of(file, "cube", "real", *SITE)
+    names = walk(dialogue, {**METER, "cube.west.gain_w_m2_per_mv": "9.87", "bridge.send_to": "10.0.0.5:20571"})
+    assert MOVE not in names
+    assert "limits.a_min_deg" not in names
+    assert dialogue.settings().cube.west.gain_w_m2_per_mv == 9.87
+    assert dialogue.settings().bridge.send_to == ("10.0.0.5:20571",)
+
+
+@pytest.mark.parametrize(
+    ("driver", "key", "answer"),
+    [
+        ("modbus", "instruments.cube.line", "tcp:192.168.1.40:502"),
+        ("scanning", "instruments.cube.resource", "GPIB0::9::INSTR"),
+        ("labjack", "instruments.cube.line", "tcp:192.168.1.41:502"),
+    ],
+)
+def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer):
+    dialogue = dialogue_of(file, "cube", "real", *SITE, "yes", driver)
+    names = walk(dialogue, {key: answer, "instruments.cube.channels": "101 102 103 104"})
+    assert key in names
+    assert "instruments.multiplexer.digital_port" not in names
+    assert dialogue.settings().instruments.cube.driver.startswith(driver)
+
+
+@pytest.mark.parametrize(
+    ("before", "answer", "sentence"),
+    [
+        ([], "both of them", "say both, cube or tracker"),
+        (["tracker"], "r2", "say real or bench"),
+        (["tracker", "bench"], "/nowhere", "is the bench running"),
+        (["tracker", "real"], "", "this has no default: it takes text"),
+        (["tracker", "real", "Roof"], "", "this has no default: it takes a number from -90 to 90 deg"),
+        (["tracker", "real", "Roof"], "91", "must be a number from -90 to 90 deg"),
+        (["tracker", "real", "Roof"], "nan", "is not a number from -90 to 90 deg"),
+        (["tracker", "real", "Roof"], "48.7 m", "is not a number from -90 to 90 deg"),
+        (["tracker", "real", *SITE], "no", "put the clock right"),
+        (["tracker", "real", *SITE, "yes", "", ""], "/dev/ttyACM0", "may be another"),
+    ],
+)
+def test_a_wrong_answer_is_one_sentence_at_once_and_changes_nothing(file, before, answer, sentence):
+    dialogue = dialogue_of(file, *before)
+    kept = dialogue.kept
+    with pytest.raises(UserError, match=sentence) as refusal:
+        dialogue.take(answer)
+    assert "\n" not in str(refusal.value)
+    assert dialogue.kept == kept
+
+
+def test_numbers_are_taken_with_their_units(file):
+    dialogue = dialogue_of(file, "tracker", "real", "Roof", "48,7 deg", "2.2", "0.156 km")
+    assert dialogue.settings().site.altitude_m == 156.0
+    walk(dialogue, {**POZSOL, "safety.stow_wind_m_s": "54 km/h"})
+    assert dialogue.settings().safety.stow_wind_m_s == 15.0
+
+
+def test_limits_that_contradict_each_other_are_refused_where_they_are_answered(file):
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    walk(dialogue, POZSOL, until="limits.a_max_deg")
+    with pytest.raises(UserError, match=r"must be below limits\.a_max_deg"):
+        dialogue.take("-10")
+
+
+def test_who_goes_back_is_offered_what_was_said(file):
+    dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
+    assert dialogue.back()
+    assert (dialogue.step().name, dialogue.offered()) == ("site.latitude_deg", 48.7)
+    dialogue.take("-33.9")
+    assert dialogue.settings().site.latitude_deg == -33.9
+    while dialogue.back():
+        pass
+    assert dialogue.step().name == "role"
+
+
+def test_a_setup_is_taken_up_where_it_was_left(file):
+    dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
+    dialogue.back()
+    place = place_of_answers(file)
+    assert place.name == "tracker.setup.json"
+    keep_answers(place, dialogue.kept)
+    again = SetupDialogue(load_answers(place), file)
+    assert again.step() == dialogue.step()
+    assert again.offered() == 48.7
+
+
+@pytest.mark.parametrize("text", ["", "{}}", '{"form": 2}', '{"answers": {"role": {}}}'])
+def test_answers_that_cannot_be_read_are_refused_with_the_remedy(file, text):
+    place_of_answers(file).write_text(text)
+    with pytest.raises(UserError, match="begin with --anew"):
+        load_answers(place_of_answers(file))
+
+
+def test_a_file_that_is_there_gives_the_defaults_but_for_wide_limits(file):
+    file.write_text("[site]\nname = 'Old'\nlatitude_deg = 1.0\n[limits]\na_min_deg = -40.0\n[law]\nname = 'flat'\n")
+    dialogue = dialogue_of(file, "tracker", "real", "", "", "2", "3")
+    walk(dialogue, POZSOL)
+    found = dialogue.settings()
+    assert (found.site.name, found.site.latitude_deg, found.law.driver) == ("Old", 1.0, "flat")
+    assert found.limits.a_min_deg == -5.0
+
+
+def test_a_file_with_tables_of_trackers_is_left_to_people(file):
+    file.write_text("[[tracker]]\nname = 'east'\n")
+    with pytest.raises(UserError, match="by hand"):
+        SetupDialogue(SetupAnswers(), file)
+
+
+def test_the_key_of_the_other_machine_is_looked_at(file):
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    walk(dialogue, POZSOL, until="key")
+    with pytest.raises(UserError, match="does not exist"):
+        dialogue.take("carried.key")
+    write_key(file.parent / "carried.key", generate_key())
+    dialogue.take("carried.key")
+    assert dialogue.key_file() == "carried.key"
+
+
+def test_the_speed_that_was_seen_is_halved_for_the_slowest_one(file):
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    names = walk(dialogue, {**POZSOL, "way of the first move": "yes"}, moved=0.58)
+    assert names[-4:] == [
+        "way of the first move",
+        "instruments.positioner.slowest_deg_per_s",
+        "unplugged",
+        "supply",
+    ]
+    assert dialogue.settings().instruments.positioner.slowest_deg_per_s == 0.29
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.one_of(st.text(max_size=12), st.sampled_from(["", "yes", "real", "12", "tracker"])), max_size=20))
+def test_whatever_is_typed_is_an_answer_or_a_sentence(tmp_path_factory, typed):
+    dialogue = SetupDialogue(SetupAnswers(), tmp_path_factory.getbasetemp() / "nothing.toml")
+    for text in typed:
+        if dialogue.step().kind == "action":
+            dialogue.settle(SKIPPED)
+        with contextlib.suppress(UserError):
+            dialogue.take(text)
+    assert dialogue.settings().real

@@ -1,0 +1,111 @@
+"""The first moves, made by the real driver on the simulated unit in virtual time."""
+
+import asyncio
+import math
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.clock import LoopClock
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.commands.setup.first_move import Bounds, FirstMoveError, Leg, first_move, ready
+from daemon.config.settings import Settings
+from daemon.rigs.simulated import build_simulated_positioner
+from drivers.errors import RefusedError
+from drivers.interfaces import Telemetry
+from solar.frames import Limits
+
+NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
+
+
+def moved(press_at=None, changes=None, limits=NARROW):
+    """Make the first move, with a key pressed at the words of a line; return its result, lines and poses."""
+    lines, poses = [], []
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        clock = LoopClock(runner.get_loop().time, 1.7e9)
+        truth, positioner = build_simulated_positioner(Settings.model_validate(changes or {}), clock)
+
+        def pressed():
+            poses.append(truth(clock.monotonic()))
+            return press_at is not None and any(press_at in line for line in lines)
+
+        async def scene():
+            try:
+                found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed)
+            except (FirstMoveError, RefusedError) as error:
+                found = error.message
+            before = truth(clock.monotonic())
+            await asyncio.sleep(60.0)
+            assert truth(clock.monotonic()) == pytest.approx(before, abs=1e-6), "it moves on"
+            return found
+
+        return runner.run(scene()), lines, poses
+
+
+def test_it_moves_two_degrees_and_back_and_is_stopped_by_a_key():
+    speed, lines, poses = moved(press_at="PRESS")
+    assert speed == pytest.approx(0.6, abs=0.15)
+    assert max(pose.a_deg for pose in poses) == pytest.approx(2.0, abs=0.8)
+    assert min(pose.b_deg for pose in poses) == pytest.approx(88.0, abs=0.8)
+    assert [line for line in lines if "to the west" in line or "steeper" in line]
+    assert "stopped by the key" in lines[-1]
+
+
+def test_a_key_in_any_leg_stops_it_and_ends_the_first_move():
+    found, lines, poses = moved(press_at="steeper")
+    assert "stopped by a key" in found
+    assert min(pose.b_deg for pose in poses) > 88.5
+    assert "PRESS" not in " ".join(lines)
+
+
+def test_a_stop_that_nobody_tried_is_not_proven():
+    found, _, poses = moved()
+    assert "not proven" in found
+    assert max(pose.a_deg for pose in poses) <= 5.8
+
+
+def test_a_unit_outside_the_limits_is_not_moved():
+    found, lines, _ = moved(limits=Limits(10.0, 20.0, 80.0, 90.0))
+    assert "outside the limits" in found
+    assert lines == []
+
+
+def test_a_unit_that_contradicts_the_configuration_is_not_moved():
+    seen = telemetry()
+    assert "contradicts" in ready(seen, ("arm 1 is 300 and not 310",), NARROW)
+    assert "homed" in ready(replace(seen, was_reset=True), (), NARROW)
+    assert "homed" in ready(replace(seen, faults=("a_overcurrent",)), (), NARROW)
+    assert "homed" in ready(replace(seen, reference_doubt="the count jumped"), (), NARROW)
+    assert "of its own" in ready(replace(seen, autonomous=True), (), NARROW)
+    assert "outside" in ready(replace(seen, a_deg=math.nan), (), NARROW)
+    assert ready(seen, (), NARROW) is None
+
+
+def telemetry(a_deg=0.0, b_deg=90.0):
+    positions = {"position_a": 1.0, "position_b": 1.0, "destination_a": 1.0, "destination_b": 1.0}
+    return Telemetry(time_monotonic_s=0.0, a_deg=a_deg, b_deg=b_deg, **positions)
+
+
+WEST, STEEPER = Leg("a", 0.0, 2.0, 90.0), Leg("b", 90.0, 88.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("leg", "seen", "words"),
+    [
+        (WEST, telemetry(a_deg=-1.0), "A went the wrong way"),
+        (WEST, telemetry(a_deg=3.0), "A went beyond 2.0 deg"),
+        (WEST, telemetry(a_deg=1.0, b_deg=89.0), "B moved"),
+        (WEST, telemetry(a_deg=math.nan), "A went the wrong way"),
+        (WEST, telemetry(a_deg=1.0, b_deg=math.nan), "B moved"),
+        (WEST, replace(telemetry(a_deg=1.0), faults=("a_overcurrent",)), "reports a_overcurrent"),
+        (WEST, replace(telemetry(a_deg=1.0), button_pressed=True), "button"),
+        (STEEPER, telemetry(b_deg=91.0), "B went the wrong way"),
+        (STEEPER, telemetry(b_deg=87.0), "B went beyond 88.0 deg"),
+        (STEEPER, telemetry(a_deg=1.0, b_deg=89.0), "A moved"),
+        (WEST, telemetry(a_deg=2.1), None),
+        (STEEPER, telemetry(b_deg=88.0), None),
+    ],
+)
+def test_telemetry_speaks_against_a_move_that_is_not_as_it_should_be(leg, seen, words):
+    objection = leg.objection(seen, 0.8)
+    assert objection is None if words is None else words in objection

@@ -1,0 +1,128 @@
+"""`heliocube setup` as a person on a roof uses it: in a terminal, with a key under the hand, on the bench."""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import time
+import tomllib
+
+import pytest
+
+from tests.system.processes import HELIOCUBE
+
+pytestmark = pytest.mark.system
+
+WITHIN_S = 90.0
+COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+class Terminal:
+    """`heliocube setup` on a pseudo-terminal of 80 columns."""
+
+    def __init__(self, *arguments):
+        self._screen, inside = pty.openpty()
+        environment = os.environ | {"COLUMNS": "80", "TERM": "xterm", "NO_COLOR": "1"}
+        command = [str(HELIOCUBE), "setup", *map(str, arguments)]
+        self._process = subprocess.Popen(command, stdin=inside, stdout=inside, stderr=inside, env=environment)
+        os.close(inside)
+        self.text = ""
+        self._read = 0
+
+    def until(self, words):
+        """Wait for words behind those of the last time, whatever spaces the lines were broken at."""
+        wanted = re.compile(r"\s+".join(map(re.escape, words.split())))
+        deadline_s = time.monotonic() + WITHIN_S
+        while (found := wanted.search(self.text, self._read)) is None:
+            if time.monotonic() > deadline_s or not self._more():
+                pytest.fail(f"no {words!r} in: {self.text[self._read :]}")
+        self._read = found.end()
+
+    def _more(self):
+        if not select.select([self._screen], [], [], WITHIN_S)[0]:
+            return False
+        try:
+            self.text += COLOURS.sub("", os.read(self._screen, 65536).decode())
+        except OSError:
+            return False
+        return True
+
+    def say(self, text, after):
+        self.until(f"{after}")
+        os.write(self._screen, text.encode())
+
+    def leave(self):
+        self._process.send_signal(signal.SIGINT)
+
+    def end(self):
+        while self._more():
+            pass
+        os.close(self._screen)
+        return self._process.wait(WITHIN_S)
+
+
+def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_bench, tmp_path):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    file = tmp_path / "rig" / "heliocube.toml"
+    first = Terminal(file)
+    first.say("both\r", "[both]:")
+    first.say("bench\r", "[real]:")
+    first.say(f"{bench.directory}\r", "answer:")
+    first.say("Roof\r", "[SIRTA]:")
+    first.say("95\r", "latitude_deg")
+    first.until("! site.latitude_deg = 95.0: must be a number from -90 to 90 deg")
+    first.say("48,7\r", "latitude_deg [")
+    first.until("longitude_deg")
+    first.leave()
+    assert first.end() == 130
+    assert f"heliocube setup {file}" in "".join(first.text.split("\r\n")).replace("  ", " ")
+    assert not file.exists()
+
+    second = Terminal(file)
+    second.until("5 answers are there from before")
+    second.until("SIMULATED")
+    for _ in range(2):
+        second.say("\r", "]:")
+    second.until("the sun is in the south")
+    second.say("\r", "[yes]:")
+    second.until("3/7 The cube")
+    for _ in range(4 + 8):
+        second.say("\r", "]:")
+    second.say("\r", "Enter does it, or skip]:")
+    second.until("zenith")
+    second.say("yes\r", "[later]:")
+    for _ in range(2):
+        second.say("\r", "]:")
+    second.say("\r", "Enter does it, or skip]:")
+    second.until("geometry of A fits")
+    second.say("none\r", "]:")
+    second.until("6/7 Limits and wind")
+    for _ in range(6):
+        second.say("\r", "]:")
+    second.say("yes\r", "move, or skip]:")
+    second.until("! say move, skip or back")
+    assert bench.state()["positioner"]["received"] == {}, "nothing moves before it is confirmed"
+    second.say("move\r", "move, or skip]:")
+    second.until("to the west: any key stops it")
+    second.say(" ", "PRESS ANY KEY on the way")
+    second.until("stopped by the key")
+    pose = bench.state()["pose"]
+    assert pose["a_deg"] < 5.0
+    second.say("yes\r", "answer:")
+    for _ in range(3):
+        second.say("\r", "]:")
+    assert second.end() == 0, second.text
+    assert bench.state()["pose"] == pytest.approx(pose, abs=0.2)
+    assert "THE FIRST MOVE" not in second.text
+    assert "with the USB plug pulled" in second.text.partition("Not done yet")[2]
+
+    found = tomllib.loads(file.read_text(encoding="utf-8"))
+    assert (found["site"]["name"], found["site"]["latitude_deg"]) == ("Roof", 48.7)
+    assert found["limits"] == {"a_min_deg": -5.0, "a_max_deg": 5.0, "b_min_deg": 80.0, "b_max_deg": 90.0}
+    assert (found["instruments"]["kind"], found["instruments"]["bench"]) == ("real", True)
+    assert found["store"]["directory"] == "records"
+    assert 0.1 < found["instruments"]["positioner"]["slowest_deg_per_s"] < 0.5
+    assert sorted(path.name for path in file.parent.iterdir()) == ["api.token", "bridge.key", "heliocube.toml"]
+    assert "!" not in second.text.partition("Written:")[2], "the file that was written does not pass its own check"
