@@ -43,6 +43,7 @@ def plot(rows: Sequence[EnergyRow], path: Path) -> None:
     skies = list(dict.fromkeys(row.sky for row in rows))
     for index, name in enumerate(skies):
         left_out += _draw_wear(wear, [row for row in rows if row.sky == name], colours, index)
+    _name_laws(wear, [row for row in rows if _is_drawn(row) and not row.law.startswith(FIXED)])
     wear.axhline(100.0, color=_BOUND, linewidth=1.5)
     wear.axhline(0.0, color="black", linewidth=0.8)
     wear.margins(x=0.12, y=0.08)
@@ -131,6 +132,12 @@ def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]
             linestyle=_LINES[sky % 4],
             markersize=6,
         )
-        if sky == 0:
-            axes.annotate(law, points[-1], xytext=(0, 8), textcoords="offset points", ha="center")
     return left_out
+
+
+def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
+    """Write each law's name above its marks of all skies."""
+    for law in dict.fromkeys(map(_law_of, rows)):
+        points = [(row.travel_deg_per_day, row.share_pct) for row in rows if _law_of(row) == law]
+        travel, share = np.nanmean([x for x, _ in points]), max(y for _, y in points)
+        axes.annotate(law, (travel, share), xytext=(0, 8), textcoords="offset points", ha="center")
