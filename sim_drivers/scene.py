@@ -117,7 +117,7 @@ class Scene:
     Raises
     ------
     WeatherError
-        From every question about an instant for which `weather` has no data.
+        From every question about an instant by day for which `weather` has no data; nights are dark without it.
     """
 
     def __init__(
@@ -245,18 +245,24 @@ class Scene:
     def _at(self, utc_s: float) -> _Chunk:
         """Compute one instant that a hole in the weather keeps from being interpolated."""
         instant = np.array([utc_s])
-        # Raises, with the reason, for an instant inside the hole.
-        self._weather.at(instant)
-        return self._compute(instant)
+        found = self._compute(instant)
+        if isnan(found.faces_w_m2[0][0]):
+            # Raises, with the reason, for an instant inside the hole.
+            self._weather.at(instant)
+        return found
 
     def _compute(self, utc_s: Array) -> _Chunk:
         covered = self._weather.covers(utc_s)
+        sun = sun_direction(utc_s, *self._site)
         dni, dhi, wind, air = np.full((4, utc_s.size), np.nan)
+        # Whatever the weather is at night, there is no light in it.
+        dark = ~covered & (sun[:, 2] < 0.0)
+        dni[dark] = dhi[dark] = 0.0
         if covered.any():
             conditions = self._weather.at(utc_s[covered])
             dni[covered], dhi[covered] = conditions.dni_w_m2, conditions.dhi_w_m2
             wind[covered], air[covered] = conditions.wind_speed_m_s, conditions.temp_air_degc
-        overhead = sky(self._sky_model, sun_direction(utc_s, *self._site), dni, dhi, extraterrestrial_dni(utc_s))
+        overhead = sky(self._sky_model, sun, dni, dhi, extraterrestrial_dni(utc_s))
         normals = self._normals[:, None, :]
         falling = overhead.irradiance_on(normals, self._albedo)
         missed = 1.0 - self._sensors.response(np.sum(normals * overhead.sun, axis=-1))

@@ -86,7 +86,8 @@ class MeasuredWeather:
         """Return what a person should know of values that were taken as missing, in a sentence, or None."""
         if not self.impossible:
             return None
-        return f"{self.name} has {len(self.impossible)} impossible values, taken as missing; first {self.impossible[0]}"
+        count = "1 impossible value" if len(self.impossible) == 1 else f"{len(self.impossible)} impossible values"
+        return f"{self.name} has {count}, taken as missing; first {self.impossible[0]}"
 
     @property
     def start_utc_s(self) -> float:

@@ -172,7 +172,7 @@ def _key_file(settings: Settings, keys: tuple[bytes, ...], service: Service, spe
 def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig:
     if settings.real:
         return build_real_rig(settings, role, clock)
-    weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s)
+    weather, warning = build_weather(settings, clock.utc(), clock.utc() + duration_s, with_gaps=True)
     if warning:
         log.warning(warning)
     return build_simulated_rig(settings, role, clock, weather)

@@ -1,8 +1,7 @@
 """The composition root: the one place that decides between real and simulated, and builds what was decided."""
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -19,6 +18,7 @@ from daemon.base.records import FACES
 from daemon.config.plugged import LOAD
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
+from daemon.rigs.measured import CubeInGaps, missing_by_day, weather_notes
 from daemon.rigs.real import (
     build_cube,
     build_load,
@@ -39,8 +39,8 @@ from sim_drivers.pv_source import PvSource, SourceLight
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.transports import InMemoryLine, InMemoryStream
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError, WeatherInParts
-from sim_drivers.weather_files import MeasuredWeather, load_weather, site_mismatch
-from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from sim_drivers.weather_files import MeasuredWeather, load_weather
+from solar.ephemeris import extraterrestrial_dni, sun_direction
 from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305, PvModule
 from solar.sky import Sky, sky
@@ -53,11 +53,23 @@ DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 _FLAT = Angles(0.0, 90.0)
 _COVER_EVERY_S = 60.0
+_NO_LIGHT = SourceLight(0.0, 15.0)
 _WIND_EVERY_S = 1800.0
 
 
-def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tuple[Weather, str | None]:
+def build_weather(
+    settings: Settings, from_utc_s: float, to_utc_s: float, *, with_gaps: bool = False
+) -> tuple[Weather, str | None]:
     """Return the simulated weather for a span of time, and a warning about a file or None.
+
+    Parameters
+    ----------
+    settings
+        The weather's name or file, the site and the seed.
+    from_utc_s, to_utc_s
+        The span [s UTC].
+    with_gaps
+        Whether gaps of the file by day are missing data, as long as there is something, and not an error.
 
     Raises
     ------
@@ -69,8 +81,13 @@ def build_weather(settings: Settings, from_utc_s: float, to_utc_s: float) -> tup
         return GeneratedWeather(choice, site, settings.simulation.seed), None
     try:
         weather = load_weather(choice)
-        weather.at(np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s))
-        return weather, "; ".join(weather_notes(weather, site)) or None
+        instants = np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s)
+        missing = missing_by_day(weather, site, instants)
+        inside = (missing >= weather.start_utc_s) & (missing <= weather.end_utc_s)
+        if with_gaps and weather.covers(instants).any():
+            missing = missing[~inside]
+        weather.at(missing)
+        return weather, "; ".join(weather_notes(weather, site, from_utc_s, to_utc_s)) or None
     except WeatherError as error:
         raise UserError(str(error)) from error
 
@@ -98,7 +115,10 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
     scene = _build_scene(settings, weather)
     rig = _under(scene, clock, weather)
     if role is not Role.TRACKER:
-        rig = replace(rig, cube=build_simulated_cube(settings, clock, scene))
+        cube = build_simulated_cube(settings, clock, scene)
+        if isinstance(weather, MeasuredWeather):
+            cube = CubeInGaps(cube, weather, settings.site.place(), clock)
+        rig = replace(rig, cube=cube)
     if role is not Role.CUBE:
         built = [
             _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
@@ -193,8 +213,11 @@ def _build_tracker(
 
 class _Module(PvSource):
     def light_now(self, now: float) -> SourceLight:
-        with _weather_may_end():
+        try:
             return super().light_now(now)
+        except WeatherError:
+            # Without weather there is no light; that a file has ended is the cube's to say.
+            return _NO_LIGHT
 
 
 def _build_source(clock: Clock, scene: Scene, pose: Callable[[float], Angles], module: PvModule) -> PvSource:
@@ -257,15 +280,6 @@ def build_simulated_positioner(settings: Settings, clock: Clock) -> tuple[Callab
     return core.truth, build_pozsol(settings, clock, InMemoryStream(core, clock.monotonic))
 
 
-@contextlib.contextmanager
-def _weather_may_end() -> Iterator[None]:
-    """Turn the end of a weather file in the middle of a run into a sentence for the user."""
-    try:
-        yield
-    except WeatherError as error:
-        raise UserError(str(error)) from error
-
-
 def _faces(settings: Settings) -> list[FaceGeometry]:
     """Return the cube's geometry: an azimuth that is not configured is that of the face's name at this site."""
     named = default_faces(settings.site.latitude_deg)
@@ -277,24 +291,13 @@ def _faces(settings: Settings) -> list[FaceGeometry]:
 
 
 def _sky_text(scene: Scene, clock: Clock) -> str:
-    with _weather_may_end():
+    try:
         sky = scene.sky_state(clock.utc())
         wind = scene.wind_speed(clock.utc())
+    except WeatherError:
+        return "a gap in the weather file"
     text = f"GHI {sky.ghi_w_m2:.0f}, DNI {sky.dni_w_m2:.0f}, DHI {sky.dhi_w_m2:.0f} W/m2"
     return text if wind is None else f"{text}, wind {wind:.1f} m/s"
-
-
-def measured_weather(path: Path) -> MeasuredWeather:
-    """Read a weather file; `UserError` if it cannot be used."""
-    try:
-        return load_weather(path)
-    except WeatherError as error:
-        raise UserError(str(error)) from error
-
-
-def weather_notes(weather: MeasuredWeather, site: Site) -> list[str]:
-    """Return what a person should know of a file: impossible values in it, and that it was not measured at `site`."""
-    return [note for note in (weather.note(), site_mismatch(weather, site)) if note]
 
 
 class BenchPorts(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.rigs.simulated import measured_weather, weather_notes
+from daemon.rigs.measured import measured_weather, weather_notes
 from daemon.studies.energy_names import BOUND, FIXED, choice
 from solar.energy import (
     DAY_TYPES,

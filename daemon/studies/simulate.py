@@ -84,7 +84,7 @@ def simulate(
     end_utc_s = start_utc_s + days * DAY_S
     _require_daylight(settings, start_utc_s, end_utc_s)
     calibration = calibration_in_force(settings.cube)
-    weather, warning = build_weather(settings, start_utc_s, end_utc_s)
+    weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
     interrupted_utc_s = None

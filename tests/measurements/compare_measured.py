@@ -14,7 +14,8 @@ import numpy as np
 from daemon.base.clock import iso_utc
 from daemon.config.file import override
 from daemon.config.settings import Settings
-from daemon.rigs.simulated import build_simulated_pair, measured_weather
+from daemon.rigs.measured import measured_weather
+from daemon.rigs.simulated import build_simulated_pair
 from daemon.studies.compare.pairs import frame_of, pair
 from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
 from daemon.studies.inputs import parse_site, site_values

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from daemon.base.records import FACES
-from daemon.rigs.simulated import measured_weather
+from daemon.rigs.measured import measured_weather
 from daemon.studies.inputs import parse_site, settings_for, site_values
 from daemon.studies.recorded import RecordedScan
 from daemon.studies.replay import replay

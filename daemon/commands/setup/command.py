@@ -174,7 +174,7 @@ def _run(work: Coroutine[Any, Any, Any]) -> Any:
 
 
 def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
-    from daemon.commands.config import check_file
+    from daemon.commands.file_check import check_file
     from daemon.commands.setup.finish import finish
     from daemon.commands.setup.steps import LATER, SKIPPED
 

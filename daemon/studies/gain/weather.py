@@ -100,7 +100,7 @@ def file_sky_source(
     UserError
         The file cannot be used, does not say its longitude and none is given, or has no daylight on the `days`.
     """
-    from daemon.rigs.simulated import measured_weather, weather_notes  # noqa: PLC0415 - brings in the whole rig
+    from daemon.rigs.measured import measured_weather, weather_notes  # noqa: PLC0415 - brings in the whole rig
 
     weather = measured_weather(path)
     if longitude_deg is None and weather.site is None:

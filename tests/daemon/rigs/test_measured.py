@@ -1,0 +1,78 @@
+"""Holes in measured weather: an hour is bridged, a night is dark, and what is missing by day is missing data."""
+
+import csv
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.config.settings import Settings
+from daemon.rigs.measured import gap_note, missing_by_day, weather_notes
+from daemon.rigs.simulated import build_weather
+from daemon.studies.simulate import simulate
+from sim_drivers.weather_files import load_weather
+from solar.ephemeris import DAY_S, Site
+
+SITE = Site(48.7176, 2.209, 156.0)
+MIDNIGHT = datetime(2022, 6, 14, tzinfo=UTC).timestamp()
+
+
+@pytest.fixture
+def gaps(tmp_path):
+    """A day without its night, with a hole of 55 min, one of 77 min, and a value that cannot be."""
+    path, lines = tmp_path / "gaps.csv", ["time,ghi,dni,dhi"]
+    for minute in range(3 * 60, 21 * 60):
+        if not (7 * 60 < minute < 7 * 60 + 55 or 11 * 60 < minute < 12 * 60 + 17):
+            dhi = 13949 if minute == 9 * 60 else 100
+            lines.append(f"2022-06-14T{minute // 60:02d}:{minute % 60:02d}Z,500,450,{dhi}")
+    path.write_text("\n".join(lines))
+    return path
+
+
+def settings_under(path):
+    return Settings.model_validate(
+        {
+            "simulation": {"weather": path},
+            "cube": {"scan_every_s": 20},
+            "safety": {"scan_stale_s": 40.0},
+            "law": {"driver": "flat"},
+        }
+    )
+
+
+def test_only_daylight_in_long_gaps_is_missing(gaps):
+    weather = load_weather(gaps)
+    minutes = MIDNIGHT + np.arange(0.0, DAY_S, 60.0)
+    missing = (missing_by_day(weather, SITE, minutes) - MIDNIGHT) / 3600.0
+    assert (missing.min(), missing.max()) == (11.0 + 1 / 60, 12.0 + 16 / 60)
+    assert missing.size == 76
+
+
+def test_what_is_missing_is_counted_and_told(gaps):
+    weather = load_weather(gaps)
+    impossible, gap, *_ = weather_notes(weather, SITE)
+    assert "has 1 impossible value, taken as missing; first in line 308: dhi 13949" in impossible
+    assert "1.3 h of daylight are missing, the first after 2022-06-14 11:00Z, until 2022-06-14 12:17Z" in gap
+    assert gap_note(weather, SITE, MIDNIGHT + 13 * 3600, MIDNIGHT + DAY_S) is None
+
+
+def test_a_day_with_gaps_is_simulated_and_the_cube_reads_nothing_in_them(gaps, tmp_path):
+    start = datetime(2022, 6, 14, 10, 50, tzinfo=UTC)
+    summary = simulate(settings_under(gaps), start, 1.7 / 24, tmp_path / "out", "csv", lambda _share: None)
+    assert "1.3 h of daylight are missing" in summary.warning
+    with (tmp_path / "out" / "scans.csv").open(newline="") as file:
+        times = [datetime.fromisoformat(row["time"]).timestamp() - MIDNIGHT for row in csv.DictReader(file)]
+    steps = np.diff(times)
+    (longest,) = np.flatnonzero(steps > 300.0)
+    assert (times[longest] / 3600, times[longest + 1] / 3600) == pytest.approx((11.0, 12.3), abs=0.05)
+    assert 0.9 * 3600 < summary.mode_s["fallback"] < 1.5 * 3600
+
+
+def test_what_lies_outside_the_file_by_day_is_refused(gaps):
+    for begin_h, end_h in ((1.0, 10.0), (12.5, 21.5)):
+        build_weather(settings_under(gaps), MIDNIGHT + begin_h * 3600, MIDNIGHT + end_h * 3600, with_gaps=True)
+    with pytest.raises(UserError, match="it runs from"):
+        build_weather(settings_under(gaps), MIDNIGHT + DAY_S, MIDNIGHT + 1.5 * DAY_S, with_gaps=True)
+    with pytest.raises(UserError, match="it has a gap from"):
+        build_weather(settings_under(gaps), MIDNIGHT + 10 * 3600, MIDNIGHT + 13 * 3600)
