@@ -103,7 +103,7 @@ def _whole(folder: Path) -> bool:
 def installed() -> Installation:
     """Return the installation of this process; raises `UserError` where there is no way back in it."""
     found = Installation.of(Path(sys.prefix))
-    if os.name == "posix" and os.geteuid() != 0:
+    if sys.platform != "win32" and os.geteuid() != 0:
         raise UserError("to go back changes what is installed: run it with sudo")
     return found
 

@@ -1,6 +1,7 @@
 """Back to the release before: tracker held, store and file as that release can use them, what is newer kept."""
 
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -114,7 +115,7 @@ def _file(config: Path, to: Program) -> Iterator[str]:
 
 def _give_to_owner(directory: Path) -> None:
     """Give what was written here to the user of the service, whose folder it is."""
-    if os.name != "posix" or os.geteuid() != 0:
+    if sys.platform == "win32" or os.geteuid() != 0:
         return
     for path in (directory / WISHES_NAME, *directory.glob(".*-in-use")):
         if path.exists():
