@@ -154,7 +154,8 @@ def _energy(found: Findings) -> Iterator[Part]:
         f" explain the four faces best are put on three planes (docs/report.md); {albedo}. They stand for"
         f" {length(gained.known_s)} of {length(gained.daylight_s)} of daylight"
         f" ({number(gained.known_pct)} %); nothing is added for the rest. Chronometric and best poses move at once and"
-        " always, which no tracker can.",
+        " always, which no tracker can. The dashboard counts the same from means of a minute while it happens, with"
+        " what was known of the albedo then: the last digit may differ.",
         class_="soft",
     )
     faces = [(name, number(value, 3)) for name, value in zip(FACES, gained.faces_kwh_m2, strict=False)]

@@ -75,35 +75,26 @@ def test_what_cannot_be_acknowledged_is_one_sentence(serve, body, status, senten
     serve(scenario)
 
 
-def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig):
-    def names(rig):
-        return {alarm.name for alarm in rig.tracker.alarms.active}
-
+@pytest.mark.parametrize(
+    ("cable", "mode", "quiet_s", "name", "within_s"),
+    [
+        ("positioner", Mode.FAULT, 30, "positioner-down", 60),
+        ("voltmeter", Mode.FALLBACK, 600, "no-readings", 400),
+    ],
+)
+def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, mode, quiet_s, name, within_s):
     async def scenario(rig):
+        def alarmed():
+            return name in {alarm.name for alarm in rig.tracker.alarms.active}
+
         await tracking(rig)
-        rig.cables.positioner.link_up = False
-        await asyncio.sleep(40)
-        assert "positioner-down" not in names(rig)
-        await rig.until(lambda: "positioner-down" in names(rig), 60, "the alarm")
-        rig.cables.positioner.link_up = True
-        await rig.until(lambda: "positioner-down" not in names(rig), 120, "its end")
-
-    run_rig(scenario)
-
-
-def test_readings_that_are_missing_for_long_are_an_alarm_until_they_are_back(run_rig):
-    def names(rig):
-        return {alarm.name for alarm in rig.tracker.alarms.active}
-
-    async def scenario(rig):
-        await tracking(rig)
-        rig.cables.voltmeter.link_up = False
-        await rig.until_mode(Mode.FALLBACK, 600)
-        await asyncio.sleep(600)
-        assert "no-readings" not in names(rig)
-        await rig.until(lambda: "no-readings" in names(rig), 400, "the alarm")
-        rig.cables.voltmeter.link_up = True
-        await rig.until(lambda: "no-readings" not in names(rig), 900, "its end")
+        getattr(rig.cables, cable).link_up = False
+        await rig.until_mode(mode, 600)
+        await asyncio.sleep(quiet_s)
+        assert not alarmed()
+        await rig.until(alarmed, within_s, "the alarm")
+        getattr(rig.cables, cable).link_up = True
+        await rig.until(lambda: not alarmed(), 900, "its end")
 
     run_rig(scenario)
 
