@@ -69,7 +69,8 @@ class Upstream:
         self._changed = changed
         self._outage = Outage(log, f"the service at {self.name}")
         self.message = ""
-        self._down("has not answered yet")
+        # Neither up nor down: nothing is wrong yet.
+        self._tell(None, "has not answered yet")
 
     async def run(self) -> None:
         """Follow the service, and try again for ever when it is lost."""
@@ -82,7 +83,7 @@ class Upstream:
             except (httpx.HTTPError, SSEError, ValueError) as error:
                 reason = _reason(error)
             self._outage.down(self._clock.monotonic(), reason)
-            self._down(reason)
+            self._tell(False, reason)
             await asyncio.sleep(_AGAIN_S)
 
     async def _states(self) -> AsyncIterator[str]:
@@ -95,8 +96,8 @@ class Upstream:
                     json.loads(event.data)
                     yield event.data.replace("\n", " ")
 
-    def _down(self, why: str) -> None:
-        found = {"service": self.name, "up": False, "why": why, "time": iso_utc(self._clock.utc())}
+    def _tell(self, up: bool | None, why: str) -> None:
+        found = {"service": self.name, "up": up, "why": why, "time": iso_utc(self._clock.utc())}
         self._publish(json.dumps(found))
 
     def _publish(self, message: str) -> None:

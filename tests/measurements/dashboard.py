@@ -2,16 +2,20 @@
 
     python -m tests.measurements.dashboard
 
-A store gets a day of 17,280 scans, poses and decisions, eight series in all; chromium opens it five times. Then twenty
-clients listen as pages do while stops are given over the interface.
+A store gets a day of 17,280 scans, poses and decisions, eight series in all; chromium opens it twenty times. Then
+stops are given over the interface: without a page, while twenty clients listen as pages do, and while chromium has
+twenty pages open, each in a profile of its own, so that each has its own stream. Chromium draws them in software on
+the very cores that are measured, with what the others leave (nice 19); what that alone costs, twenty pages of another
+service show.
 """
 
 import math
+import os
 import statistics
 import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx
@@ -26,7 +30,7 @@ SCANS = 17_280
 PAGES = 20
 WHILE_S = 30.0
 STOPS = 20
-OPENED = 5
+OPENED = 20
 T0 = 1663718400.0  # 2022-09-21
 
 
@@ -70,6 +74,33 @@ def memory_mb(process):
     return int(text.partition("VmRSS:")[2].split()[0]) / 1024
 
 
+@contextmanager
+def listening(url):
+    """Have twenty clients listen."""
+    ends, heard = threading.Event(), []
+    threads = [threading.Thread(target=listen, args=(url, ends, heard)) for _ in range(PAGES)]
+    for thread in threads:
+        thread.start()
+    yield
+    ends.set()
+    for thread in threads:
+        thread.join()
+
+
+@contextmanager
+def browsing(browser, url):
+    """Have twenty pages open, and say at the end what they complained of and whether they were live."""
+    with ExitStack() as stack:
+        contexts = [stack.enter_context(browser.new_context(viewport=browsers.PHONE)) for _ in range(PAGES)]
+        pages = [browsers.Page(context, url) for context in contexts]
+        for page in pages:
+            page.sees(".hero .simulated", "SIMULATED")
+        yield
+        complaints = [complaint for page in pages for complaint in page.complaints]
+        old = sum(page.page.locator("body[data-old]").count() for page in pages)
+        print(f"complaints of the pages: {complaints}; pages that were not live at the end: {old}")
+
+
 def listen(url, ends, heard):
     """Listen as one page does."""
     with httpx.Client(timeout=30, trust_env=False) as client, client.stream("GET", f"{url}/events") as reply:
@@ -107,46 +138,52 @@ def said(name, values, unit):
     )
 
 
-def pages(site):
-    """Measure without and with twenty pages."""
-    late = lambda: httpx.get(f"http://{site.api}/healthz", trust_env=False).json()["loop_late_worst_s"] * 1e3  # noqa: E731
-    idle, memory = load(site, WHILE_S), memory_mb(site.dashboard)
-    said("stop without pages", stops(site), "ms")
-    print(f"loop late at worst without pages: {late():.0f} ms")
-    ends, heard = threading.Event(), []
-    threads = [threading.Thread(target=listen, args=(site.url, ends, heard)) for _ in range(PAGES)]
-    for thread in threads:
-        thread.start()
+def watched(site, what, idle=None):
+    """Measure stops, lateness, load and memory while something is open; return the load."""
     time.sleep(5)
-    busy, open_mb = load(site, WHILE_S), memory_mb(site.dashboard)
-    said(f"stop with {PAGES} pages", stops(site), "ms")
-    print(f"loop late at worst with {PAGES} pages: {late():.0f} ms")
-    last_mb = memory_mb(site.dashboard)
-    ends.set()
-    for thread in threads:
-        thread.join()
-    print(f"a page costs {(busy - idle) / PAGES:.3f} % of a core; without pages the two take {idle:.2f} %")
-    print(f"memory of the dashboard: {memory:.0f} MB, {open_mb:.0f} with {PAGES} pages, {last_mb:.0f} at their end")
+    busy, before_mb = load(site, WHILE_S), memory_mb(site.dashboard)
+    said(f"stop with {what}", stops(site), "ms")
+    late_ms = httpx.get(f"http://{site.api}/healthz", trust_env=False).json()["loop_late_worst_s"] * 1e3
+    print(f"loop late at worst with {what}: {late_ms:.0f} ms; load of the machine {os.getloadavg()[0]:.1f}")
+    each = "" if idle is None else f", {(busy - idle) / PAGES:.3f} % of a core for each"
+    print(f"dashboard and service with {what}: {busy:.2f} % of a core{each}")
+    print(f"memory of the dashboard with {what}: {before_mb:.0f} MB, {memory_mb(site.dashboard):.0f} at the end")
+    return busy
+
+
+def drawn(browser, site):
+    """Measure how soon a day is drawn."""
+    ready, drawing = [], []
+    for _ in range(OPENED):
+        with browser.new_context(viewport=browsers.DESKTOP) as context:
+            page = browsers.Page(context, site.url, "day")
+            page.page.wait_for_selector(".day[data-ready]", timeout=60_000)
+            day = page.page.locator(".day")
+            ready.append(float(day.get_attribute("data-ready")))
+            drawing.append(float(day.get_attribute("data-drawn")))
+    said("a day of 17,280 scans and 8 series, asked for and drawn", ready, "ms")
+    said("of which drawing", drawing, "ms")
+    print(f"load of the machine {os.getloadavg()[0]:.1f}")
 
 
 def main():
     """Measure all, and print it."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        fill(folder / "records")
+        # First the service: records that it has not begun itself are those of an earlier release, and hold the tracker.
         site = stack.enter_context(browsers.simulated_site(folder))
+        fill(folder / "records")
         with browsers.chromium() as browser:
-            ready, drawn = [], []
-            for _ in range(OPENED):
-                with browser.new_context(viewport=browsers.DESKTOP) as context:
-                    page = browsers.Page(context, site.url, "day")
-                    page.page.wait_for_selector(".day[data-ready]", timeout=60_000)
-                    day = page.page.locator(".day")
-                    ready.append(float(day.get_attribute("data-ready")))
-                    drawn.append(float(day.get_attribute("data-drawn")))
-            said("a day of 17,280 scans and 8 series, asked for and drawn", ready, "ms")
-            said("of which drawing", drawn, "ms")
-        pages(site)
+            drawn(browser, site)
+        idle = watched(site, "no page")
+        with listening(site.url):
+            watched(site, f"{PAGES} listeners", idle)
+        other = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        os.nice(19)
+        with browsers.simulated_site(other) as another, browsers.chromium() as browser, browsing(browser, another.url):
+            watched(site, f"{PAGES} pages of another service in chromium")
+        with browsers.chromium() as browser, browsing(browser, site.url):
+            watched(site, f"{PAGES} pages in chromium", idle)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 // The sun's path of the day that a service is in, asked for once a day.
 
+import { dateOf, solarDay } from "./history.js";
+
 const paths = new Map();
 const AGAIN_MS = 10000;
 
@@ -16,10 +18,7 @@ export function sunOf(service, now) {
 
 async function load(name, site, now) {
   try {
-    const at = encodeURIComponent(new Date(now).toISOString());
-    const reply = await fetch(`/read/sun?service=${encodeURIComponent(name)}&at=${at}`);
-    if (!reply.ok) return;
-    const day = await reply.json();
+    const day = await solarDay(name, dateOf(now, site), site);
     const from = Date.parse(day.path[0].time);
     paths.set(name, { ...day, site: JSON.stringify(site), from, to: Date.parse(day.path.at(-1).time), asked: performance.now() });
   } catch {

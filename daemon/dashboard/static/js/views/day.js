@@ -33,7 +33,7 @@ export function day() {
       h("h1", { class: "sr" }, "A day"), summary, shown),
     h("section", { class: "card wide", "aria-label": "Plots" }, figures),
     h("section", { class: "card wide", "aria-label": "What happened" }, h("h2", null, "What happened"), happened));
-  const plots = new Plots((from, to) => setText(shown, from ? `Shown: ${localTime(from * 1000)} to ${localTime(to * 1000)} local time (${utcTime(from * 1000)} to ${utcTime(to * 1000)} UTC). Drag across a plot to zoom, double-click for the whole day.` : ""));
+  const plots = new Plots((from, to) => setText(shown, from ? `Shown: ${held && to - from >= (held.to - held.from) / 1000 - 1 ? "the whole solar day, " : ""}${localTime(from * 1000)} to ${localTime(to * 1000)} local time (${utcTime(from * 1000)} to ${utcTime(to * 1000)} UTC). Drag across a plot to zoom, double-click for the whole day.` : ""));
   let source = null;
   let context = null;
   let held = null;
@@ -67,7 +67,7 @@ export function day() {
     const begun = performance.now();
     try {
       const { service, entry, state } = context;
-      const sun = await solarDay(service.name, date, state.site.longitude_deg);
+      const sun = await solarDay(service.name, date, state.site);
       const from = Date.parse(sun.path[0].time);
       const to = Date.parse(sun.path.at(-1).time);
       const [found, told] = await Promise.all([
@@ -122,8 +122,10 @@ export function day() {
     }
     const angles = held.sun.path.map((point) => sunAngles(point, held.latitude));
     const sunTimes = held.sun.path.map((point) => Date.parse(point.time) / 1000);
-    for (const [name, key, pick, range] of [["A, east negative", "a_deg", 0, [-95, 95]], ["B, flat is 90", "b_deg", 1, [0, 180]]]) {
-      const [x, actual, set, sun] = uPlot.join([[poses.time, poses[key]], [decisions.time, decisions[`target_${key}`]], [sunTimes, angles.map((pair) => pair && pair[pick])]]);
+    // Both angles have the same times: they are put in order once.
+    const [x, ...joined] = uPlot.join([[poses.time, poses.a_deg, poses.b_deg], [decisions.time, decisions.target_a_deg, decisions.target_b_deg], [sunTimes, angles.map((pair) => pair && pair[0]), angles.map((pair) => pair && pair[1])]]);
+    for (const [name, pick, range] of [["A, east negative", 0, [-95, 95]], ["B, flat is 90", 1, [0, 180]]]) {
+      const [actual, set, sun] = [joined[pick], joined[2 + pick], joined[4 + pick]];
       put(`Angle ${name}`, "degrees", x, [{ label: "the sun's", colour: "--sun", values: bridged(x, sun), dash: [3, 4] }, { label: "set", colour: "--accent", values: set, steps: true, width: 2 }, { label: "actual", colour: "--ink", values: actual, steps: true }], { width, range });
     }
     if (poses.wind_m_s?.some((value) => value !== null)) {
