@@ -68,7 +68,8 @@ def check_file(
         problems.append(str(error))
     if settings.notify.people_file is not None:
         try:
-            recipients_of(settings.notify.people_file)
+            # As heliocube notify does: from beside the file.
+            recipients_of(path.parent / settings.notify.people_file.expanduser())
         except UserError as error:
             problems.append(str(error))
     weather = settings.simulation.weather

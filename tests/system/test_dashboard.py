@@ -161,13 +161,15 @@ def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_pa
     said = [picture.get_attribute("aria-label") for picture in pictures.all()]
     assert re.match(r"Irradiance W/m²: east from \d+ to \d+; south", said[0])
     assert any(re.match(r"Angle A, east negative degrees: the sun's from −\d+.* actual from", text) for text in said)
-    assert len(said) == 4
+    wind = next(text for text in said if text.startswith("Wind, strongest since the reading before m/s: wind from "))
+    assert wind.endswith("; stows from (as set now) from 15.0 to 15.0")
+    assert len(said) == 5
     stored = browsers.httpx.get(f"http://{site.api}/api/days", trust_env=False).json()["days"]
     assert page.page.get_by_label("Day", exact=True).input_value() == stored[-1] == "2022-09-21"
     page.page.get_by_role("button", name="Last hour").click()
     page.sees(".day .hint", "Shown: 12:5")
     page.page.get_by_role("button", name="Whole day").click()
-    page.sees(".day .hint", "Shown: 01:5")
+    page.sees(".day .hint", "Shown: the whole solar day, 01:5")
 
 
 def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_path):

@@ -97,3 +97,21 @@ def test_figures_are_those_of_the_table(heliocube):
     rows = json.loads(heliocube(*arguments, "--json")[1])["rows"]
     assert [list(row) for row in rows] == [table[0].split(",")] * 3
     assert [[float(cell) for cell in line.split(",")] for line in table[1:]] == [list(row.values()) for row in rows]
+
+
+def test_whom_to_tell_is_looked_at_as_well(heliocube, tmp_path):
+    people = tmp_path / "notify.people"
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[notify]\npeople_file = "notify.people"\n')
+    code, out, _ = heliocube("config", "check", file, "--json")
+    (problem,) = json.loads(out)["problems"]
+    assert (code, problem.startswith(f"notify.people_file {people} does not exist")) == (2, True)
+    people.touch(mode=0o600)
+    people.write_text("# ours\nnowhere://lab?password=secret\n")
+    (problem,) = json.loads(heliocube("config", "check", file, "--json")[1])["problems"]
+    assert (
+        problem
+        == f"notify.people_file {people}, line 2: no address that apprise knows; write one such as ntfy://ntfy.lab/roof"
+    )
+    people.write_text("ntfy://ntfy.lab/roof\n")
+    assert heliocube("config", "check", file)[0] == 0
