@@ -1,4 +1,4 @@
-"""Two trackers held against each other: the bias between their measuring chains, energy, and equation (16).
+"""Two trackers compared: the bias between their measuring chains, energy, and equation (16).
 
 Reference: Andriamahefa et al., EPJ Photovoltaics 14, 35 (2023), sections 2.1 and 4. Powers are of the maximum power
 point [W], in arrays of shape (n,), the two trackers' values of one instant at one place.

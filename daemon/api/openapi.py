@@ -55,7 +55,7 @@ _DOES = {
     "acknowledge": "Note that a person has seen an alarm, or all; moves nothing and releases nothing",
 }
 _REFUSALS = {
-    400: "the body cannot be meant",
+    400: "the body is not understood",
     401: "the token is missing or wrong",
     409: "the tracker cannot do it now",
     413: f"the body has more than {LONGEST_BODY} bytes",

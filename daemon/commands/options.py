@@ -43,11 +43,11 @@ TrackerOption = Annotated[
 ]
 
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Folder for the report of it as a page, as of 'report'.")
+    Path | None, typer.Option("--report", metavar="DIR", help="Folder for a page about it, like that of 'report'.")
 ]
 ZoneOption = Annotated[
     str | None,
-    typer.Option("--zone", metavar="ZONE", help="Of local times, such as Europe/Paris; else the machine's."),
+    typer.Option("--zone", metavar="ZONE", help="Zone of local times, such as Europe/Paris; else the machine's."),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
 

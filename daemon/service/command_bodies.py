@@ -91,7 +91,7 @@ def body_of(name: str) -> type[CommandBody]:
 
 
 def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
-    """Return the body of a command; raises `ValueError` with one sentence for one that cannot be meant.
+    """Return the body of a command; raises `ValueError` with one sentence for one that is not understood.
 
     Parameters
     ----------

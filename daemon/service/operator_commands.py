@@ -46,7 +46,7 @@ _PER_S, _URGENT_PER_S = 2.0, 5.0
 
 
 class BodyError(CommandError):
-    """What came with a command cannot be meant."""
+    """What came with a command is not understood."""
 
     def __init__(self, sentence: str) -> None:
         super().__init__(sentence, wrong=True)
@@ -238,7 +238,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     Raises
     ------
     BodyError
-        The body cannot be meant, in one sentence.
+        The body is not understood, in one sentence.
     """
     found = _object(name, content)
     more = _LINES_OF.get(way, ())

@@ -205,7 +205,7 @@ def _instant(at: str | datetime) -> datetime:
     try:
         found = datetime.fromisoformat(at) if isinstance(at, str) else at
     except ValueError:
-        raise UserError(f"'{at}' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
+        raise UserError(f"'{at}' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 

@@ -170,7 +170,7 @@ def test_parquet_tables_open_in_pandas(tmp_path):
     [
         (["--start", "2022-12-21", "--site", "80,10", "--weather", "clear"], "the sun does not rise"),
         (["--start", "2022-10-14", "--weather", "nowhere.csv"], "no weather file at nowhere.csv"),
-        (["--start", "yesterday"], "is no date or time"),
+        (["--start", "yesterday"], "is not a date or time"),
         (["--start", "2022-10-14", "--site", "91,0"], "is not on Earth: LAT is in -90..90"),
         (["--start", "2022-10-14", "--site", "here"], "LAT,LON"),
     ],

@@ -24,8 +24,8 @@ def status(
 ) -> None:
     """Show what the service does, where the tracker stands and what the cube reads.
 
-    Ends with 0, with 5 where the service cannot be reached, and with 2 for a wrong command line or file; with --check
-    with 4 where it works and something is amiss.
+    Exit code: 0; 5 if the service cannot be reached; 2 for a wrong command line or file; with --check, 4 if the service
+    works and something needs a look.
     """
     import contextlib
 

@@ -56,7 +56,7 @@ def cube(
             min=-3600,
             max=3600,
             metavar="S",
-            help="Seconds that the sensors' clock is ahead; without it found from them.",
+            help="Seconds by which the sensors' clock is ahead; found from the data if left out.",
         ),
     ] = None,
     reference_uncertainty: Annotated[
@@ -116,7 +116,7 @@ def field(
     config: ConfigOption = None,
     sky: Annotated[
         SkyChoice,
-        typer.Option(metavar="MODEL", help="How diffuse light is taken to spread: perez1990, haydavies or isotropic."),
+        typer.Option(metavar="MODEL", help="Model of diffuse light: perez1990, haydavies or isotropic."),
     ] = SkyChoice.perez1990,
     water: Annotated[
         float,

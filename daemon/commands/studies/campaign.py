@@ -16,10 +16,10 @@ def campaign(
     hours: Annotated[float, typer.Option(min=0.1, max=8760, help="Of virtual time for each.")] = 3.0,
     only: Annotated[
         str | None,
-        typer.Option(metavar="FAULTS", help="Only these faults, by commas; or COMPONENT or COMPONENT:FAULT."),
+        typer.Option(metavar="FAULTS", help="Only these faults, separated by commas; or COMPONENT or COMPONENT:FAULT."),
     ] = None,
     without: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Leave these faults and commands out, by commas.")
+        str | None, typer.Option(metavar="NAMES", help="Faults and commands to leave out, separated by commas.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, metavar="N", help="In how many processes.")] = 1,
     schedule: Annotated[
@@ -35,9 +35,10 @@ def campaign(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Attack the simulated rig with faults and commands from seeds, and hold every promise against the truth.
+    """Attack the simulated rig with random faults and commands, and check every promise about motion.
 
-    The same seed and hours give the same run. A failure is reduced to what it takes. Exit code 1: a promise was broken.
+    The same seed and hours give the same run. A failure is reduced to the faults that cause it.
+    Exit code 1: a promise was broken.
     """
     from daemon.store.outputs import check_outputs
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Name = TypeVar("Name", bound=str)
 
-app = typer.Typer(help="Hold two trackers against each other: T-Cube and T-Chrono.", no_args_is_help=True)
+app = typer.Typer(help="Compare two trackers: T-Cube and T-Chrono.", no_args_is_help=True)
 
 
 DataArgument = Annotated[
@@ -35,7 +35,7 @@ StoreOption = Annotated[
     typer.Option(metavar="[NAME=]DIR", help="Folder of a store, of tracker NAME if all of it is; may be repeated."),
 ]
 CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker in question.")]
-ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is held against.")]
+ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is compared with.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")]
 LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube and T-Chrono.")]
 
@@ -188,7 +188,7 @@ def report(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
+    """Report what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
     check_outputs([out / "report.html", out / "gains.csv"], "--out", force=force)
     from daemon.studies.compare.fit import flat_pairs, read
     from daemon.studies.compare.gains import as_text, parse_span

@@ -26,12 +26,15 @@ def energy(
     laws: Annotated[
         str | None,
         typer.Option(
-            help="Laws, by commas, or all of them; fixed:DEG is a tilt, bound what nothing can beat, NAME:VALUE a law"
-            " that has one parameter to try, such as its thrift."
+            help="Laws, separated by commas; all if left out. fixed:DEG is a tilt, bound the best that is possible,"
+            " NAME:VALUE a law with another value of its one parameter, such as its thrift."
         ),
     ] = None,
     sky: Annotated[
-        str, typer.Option(help="Skies, by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance).")
+        str,
+        typer.Option(
+            help="Skies, separated by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance)."
+        ),
     ] = "perez1990",
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
     speed: Annotated[float, typer.Option(min=0.01, max=90, help="Speed of each axis, deg/s.")] = 0.9,

@@ -28,14 +28,14 @@ def gain(
         str | None,
         typer.Option(
             metavar="DEG",
-            help="Tilt of every device; positive tilts south, negative north, the vertical axis takes the size. "
+            help="Tilt of every device; positive tilts south, negative north; the vertical axis has no sign. "
             f"{_VALUES}. Without it each device has its own best tilt for the year.",
         ),
     ] = None,
     azimuth: Annotated[str, typer.Option(metavar="DEG", help=f"Deviation from south towards east. {_VALUES}.")] = "0",
     day: Annotated[str | None, typer.Option(metavar="N", help=f"Day of the year, 1..365. {_VALUES}.")] = None,
-    year: Annotated[bool, typer.Option("--year", help="Ratios of yearly sums; so it is without --day.")] = False,
-    against: Annotated[str, typer.Option(metavar="DEVICES", help="What the dual axis is held against.")] = ",".join(
+    year: Annotated[bool, typer.Option("--year", help="Ratios of yearly sums, as without --day.")] = False,
+    against: Annotated[str, typer.Option(metavar="DEVICES", help="What the dual axis is compared with.")] = ",".join(
         Device
     ),
     weather: Annotated[
@@ -68,7 +68,7 @@ def gain(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell how much more a dual-axis tracker receives than a static panel and single axes.
+    """Compute how much more a dual-axis tracker receives than a static panel and single axes.
 
     K is the ratio of energies in a day or a year: exact for a constant beam without an atmosphere, and with --weather
     under a real sky beside it.
@@ -89,7 +89,7 @@ def gain(
         }  # fmt: skip
         clash = next((name for name, value in given.items() if value is not None), None)
         if clash is not None:
-            raise UserError(f"--points answers its own rows; leave out {clash}")
+            raise UserError(f"--points takes its cases from the file; leave out {clash}")
         rows = evaluate_points(request.read_points(points), with_printed=printed)
         if as_json:
             print_json(output.as_page(rows, None))

@@ -55,7 +55,7 @@ def report(
 ) -> None:
     """Write a page about a day, a week or a month: what the tracker did, what it gained, how good the records are.
 
-    One file for each tracker, which needs nothing but itself: it can be opened, sent and printed anywhere.
+    One file for each tracker, complete in itself: it can be opened, sent and printed anywhere.
     """
     from daemon.studies.report.span import Wanted
 

@@ -135,7 +135,7 @@ def replay(
         raise UserError(f"--out: {out} is the file with the readings; name another")
     check_outputs([out], "--out", force=force)
     if faces is not None and not faces.is_file():
-        raise UserError(f"{faces} is no file: name a CSV file with the columns time,east,south,west,zenith")
+        raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
     from daemon.studies.recorded import read_csv, rows_of_store
     from daemon.studies.replay import replay as run_replay
 

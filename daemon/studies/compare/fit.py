@@ -138,7 +138,7 @@ def read(path: Path) -> Fit:
     except (OSError, ValueError) as error:
         raise UserError(f"--bias: {path} cannot be read: {error}") from None
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise UserError(f"--bias: {path} is no file of 'heliocube compare fit'")
+        raise UserError(f"--bias: {path} was not written by 'heliocube compare fit'")
     try:
         return _fit_of(content)
     except (KeyError, TypeError, ValueError) as error:

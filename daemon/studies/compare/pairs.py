@@ -46,7 +46,7 @@ class Pairs:
     utc_s
         Of the first tracker's measurement.
     cube, chrono
-        The first tracker and the one it is held against.
+        The first tracker and the one it is compared with.
     diffuse_fraction
         DHI/GHI; NaN for unknown.
     simulated

@@ -115,7 +115,7 @@ def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
 def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equation (16)") -> Table:
     """Return the gains for the page."""
     columns = ("date", "period", "from", "to", f"{names[0]} Wh", f"{names[1]} Wh", "gain %", "uncorrected %",
-               "irradiation %", "beyond the fit %")  # fmt: skip
+               "irradiation %", "above the fit %")  # fmt: skip
     body = []
     for row in rows:
         texts = (row.date, row.period, row.start[11:16], row.end[11:16], f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")

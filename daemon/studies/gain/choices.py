@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Device(StrEnum):
-    """What the dual axis is held against."""
+    """What the dual axis is compared with."""
 
     STATIC = "static"
     VERTICAL = "vertical"

@@ -49,7 +49,10 @@ def material_of_tables(
         raise UserError("tables do not say where the site is: add --site LAT,LON[,ALT] or --config FILE")
     table_format = next((one for one in ("parquet", "csv") if (directory / f"scans.{one}").exists()), None)
     if table_format is None:
-        raise UserError(f"--tables: {directory} has neither scans.csv nor scans.parquet, as simulate and export write")
+        raise UserError(
+            f"--tables: {directory} has neither scans.csv nor scans.parquet: name a folder that simulate or"
+            " export has written"
+        )
     if settings is None or site is not None:
         name, place = str(site), Site(*parse_site(str(site)))
     else:

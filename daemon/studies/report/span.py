@@ -51,7 +51,7 @@ class Wanted:
     end: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise `UserError` for what cannot be meant."""
+        """Raise `UserError` for a span that makes no sense."""
         if (self.day is None) is (self.start is None and self.end is None):
             raise UserError("name either --day DAY, or --from and --to")
         if self.day is None and (self.start is None or self.end is None):
@@ -75,7 +75,7 @@ class Wanted:
         if found.duration_s > MOST_DAYS * DAY_S:
             raise UserError(f"that is {found.duration_s / DAY_S:.0f} days and a report has {MOST_DAYS} at most")
         if not (found.start_utc_s < now_utc_s):
-            raise UserError(f"{found.name} has not begun: name a day that has")
+            raise UserError(f"{found.name} is in the future: name a day that has begun")
         return ReportSpan(found.start_utc_s, min(found.end_utc_s, now_utc_s), found.name)
 
 

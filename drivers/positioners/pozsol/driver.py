@@ -135,7 +135,7 @@ def port_of(settings: PozsolSettings) -> str:
     if settings.port is None:
         raise SettingsError(
             "instruments.positioner.port is missing: real instruments need the positioner's port, such as"
-            ' "/dev/serial/by-id/usb-..." or the link that deploy/udev makes, "/dev/heliocube-positioner"'
+            ' "/dev/serial/by-id/usb-..." or the link that the installed udev rules make, "/dev/heliocube-positioner"'
         )
     return settings.port
 

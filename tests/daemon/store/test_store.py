@@ -271,7 +271,7 @@ def heliocube(monkeypatch, capsys):
             ["--from", "2022-10-14", "--to", "2022-10-13"],
             "--from 2022-10-14T00:00:00.000Z is not before --to 2022-10-13T00:00:00.000Z: exchange them",
         ),
-        (["--from", "noon"], "--from: 'noon' is no date or time; write 2022-10-14 or 2022-10-14T08:00Z"),
+        (["--from", "noon"], "--from: 'noon' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z"),
         ([], "there is no store at {store}/heliocube.sqlite; name its folder with --store, or the service's --config"),
     ],
 )

@@ -237,7 +237,8 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(heliocube, tmp_pa
     out = tmp_path / "positions.csv"
     code, said = heliocube("replay", tmp_path / "no.csv", "--site", PLACE, "--law", "flat", "--out", out)
     assert code == 2
-    assert "no.csv is no file: name a CSV file" in said
+    assert "there is no file" in said
+    assert "no.csv: name a CSV file" in said
     source = write(tmp_path / "faces.csv", GOOD)
     code, said = heliocube("replay", source, "--site", PLACE, "--law", "flat", "--out", source / "x.csv")
     assert code == 2

@@ -188,7 +188,7 @@ def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
         (("--bias", "none.json"), "there is no file none.json"),
         (("--period", "noon"), "is not NAME=FROM/TO"),
         (("--period", "x=2022-10-12T11:00/2022-10-12T10:00"), "ends before it begins"),
-        (("--period", "x=now/then"), "'now' is no date or time"),
+        (("--period", "x=now/then"), "'now' is not a date or time"),
         (("--cube", "T-Chrono"), "two trackers are needed"),
         (("--site", "here"), "is not LAT,LON"),
     ],
@@ -208,7 +208,7 @@ def test_a_bias_of_other_trackers_or_none_at_all_is_refused(compare, flat, day, 
     (tmp_path / "bias.json").write_text("{}")
     code, _, err = compare("report", day, "--site", SITE, "--out", tmp_path / "o", "--bias", tmp_path / "bias.json")
     assert code == 2
-    assert "is no file of 'heliocube compare fit'" in err
+    assert "was not written by 'heliocube compare fit'" in err
     assert compare("report", tmp_path / "none.csv", "--site", SITE, "--out", tmp_path / "o")[0] == 2
 
 
@@ -310,7 +310,7 @@ def test_a_store_without_curves_says_what_is_missing(compare, tmp_path):
     [
         (("--laws", "mu-prime"), "is not two laws"),
         (("--laws", "mu-prime,fastest"), "there is no 'fastest'"),
-        (("--start", "soon"), "'soon' is no date or time"),
+        (("--start", "soon"), "'soon' is not a date or time"),
         (("--start", "2022-10-14T22:00"), "there was no light"),
     ],
 )

@@ -234,7 +234,7 @@ def test_figures_show_the_sky_too(heliocube, tmp_path):
             "--out: /dev/null cannot be a folder: /dev/null is a file",
         ),
         (["--points", "none.csv"], "there is no points file at none.csv"),
-        (["--points", "none.csv", "--lat", "1"], "--points answers its own rows; leave out --lat"),
+        (["--points", "none.csv", "--lat", "1"], "--points takes its cases from the file; leave out --lat"),
     ],
 )
 def test_a_mistake_is_one_sentence_and_exit_code_two(heliocube, tmp_path, monkeypatch, arguments, sentence):
