@@ -103,7 +103,6 @@ class Watch:
         settling = self._aim is not None and self._settled_s != math.inf
         self._rest = (self._last if settling else self._rest) or telemetry
         self._last = telemetry
-        self._homing = frozenset()
         self._aim = aim = (telemetry.destination_a, telemetry.destination_b)
         self._gaps = [abs(start - there) for start, there in zip(_positions(self._rest), aim, strict=True)]
         self._settled_s = math.inf

@@ -16,7 +16,6 @@ import itertools
 import json
 import math
 import multiprocessing
-import multiprocessing.util
 import os
 import random
 import re
@@ -88,7 +87,10 @@ def main() -> None:
     chosen = [mutant for mutant in chosen if arguments.only is None or mutant.path.startswith(arguments.only)]
     print(f"{len(chosen)} of {len(unequal)} changes, seed {arguments.seed}", flush=True)
     results = {}
-    with multiprocessing.get_context("fork").Pool(arguments.jobs, _settle) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix="heliocube-mutation-") as folder,
+        multiprocessing.get_context("fork").Pool(arguments.jobs, _settle, (Path(folder),)) as pool,
+    ):
         reach = json.loads(arguments.reach.read_text()) if arguments.reach else {}
         work = [(mutant, _tests_for(mutant, reach), arguments.limit) for mutant in chosen]
         for number, (mutant, verdict, note) in enumerate(pool.imap_unordered(_try, work), 1):
@@ -138,6 +140,7 @@ def _copy_into(folder: Path) -> Path:
             target = tree / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target)
+    # The measured weather lies beside the tree.
     if SHARED.is_dir():
         (folder / SHARED.name).symlink_to(SHARED)
     return tree
@@ -153,12 +156,10 @@ def _begin_afresh() -> None:
 _tree: Path
 
 
-def _settle() -> None:
+def _settle(folder: Path) -> None:
     """Give this worker a tree of its own."""
     global _tree
-    folder = tempfile.TemporaryDirectory(prefix="heliocube-mutation-")
-    _tree = _copy_into(Path(folder.name))
-    multiprocessing.util.Finalize(None, folder.cleanup, exitpriority=1)
+    _tree = _copy_into(folder / str(os.getpid()))
     for library in _LIBRARIES:
         importlib.import_module(library)
 
@@ -205,16 +206,17 @@ def _try(work: tuple[Mutant, tuple[str, ...], float]) -> tuple[Mutant, str, str]
     file.write_bytes(mutant.applied(source))
     began_s = time.monotonic()
     try:
-        red = _first_red(tests, limit_s)
+        red, whole = _first_red(tests, limit_s)
     finally:
         file.write_bytes(source)
         os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
     took_s = time.monotonic() - began_s
-    return mutant, _ALIVE if red is None else _CAUGHT, f"{red or ''} {took_s:.0f} s"
+    note = red or ("by all its tests" if whole else "by those tests that the time was enough for")
+    return mutant, _ALIVE if red is None else _CAUGHT, f"{note}, {took_s:.0f} s"
 
 
-def _first_red(tests: tuple[str, ...], limit_s: float) -> str | None:
-    """Run tests until one is red; return its name, or None where none is within the time."""
+def _first_red(tests: tuple[str, ...], limit_s: float) -> tuple[str | None, bool]:
+    """Run tests until one is red; return its name, or None where none is, and whether the time was enough."""
     child = os.fork()
     if child == 0:
         _run_and_exit(tests)
@@ -229,7 +231,8 @@ def _first_red(tests: tuple[str, ...], limit_s: float) -> str | None:
     else:
         _end_group(child)
         os.waitpid(child, 0)
-    return _named_in_output() if status else None
+        return None, False
+    return _named_in_output() if status else None, True
 
 
 def _named_in_output() -> str:

@@ -29,6 +29,7 @@ def changes(line):
         ("return min(x, y)", {"min(x, y) -> (max(x, y))"}),
         ("return x(a=y)", {"x(a=y) -> (x())"}),
         ("return Record(a=y)", set()),
+        ("return zip(x, y, strict=True)", set()),
         ("x.stop()", {"x.stop() -> pass"}),
         ("log.info('%s', x < y)", set()),
         ("if x:\n        return y", {"x -> (not x)"}),

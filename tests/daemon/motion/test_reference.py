@@ -1,7 +1,8 @@
 """What is in doubt about the reference, in words."""
 
 from daemon.base.files import StateFolder
-from daemon.motion.reference import RESET, Doubts
+from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text
+from drivers.interfaces import Telemetry
 
 
 def test_what_two_doubts_say_is_said_once():
@@ -12,3 +13,70 @@ def test_what_two_doubts_say_is_said_once():
     doubts.doubt("reset", RESET)
     assert doubts.reference == f"homing failed ({met}), the reference is in doubt: home it; {RESET}"
     assert len(doubts.texts) == 3
+
+
+def look(*faults, **more):
+    return Telemetry(1.0, 0.0, 90.0, 50.0, 280.0, 50.0, 280.0, faults=faults, **more)
+
+
+def test_a_fault_that_vanishes_is_a_doubt_unless_we_have_cleared_it():
+    doubts = Doubts(StateFolder(None))
+    doubts.see(look("a_cable", "b_cable"), clearing=False)
+    doubts.see(look("b_cable"), clearing=False)
+    text = "a_cable cleared by itself, the reference may be lost: home it"
+    assert (doubts.reference, doubts.vanished, doubts.texts) == (text, (text,), (text,))
+    doubts.see(look(), clearing=True)
+    doubts.cleared()
+    doubts.see(look(), clearing=False)
+    assert doubts.texts == (text,)
+
+
+def test_what_the_unit_says_of_its_count_and_its_restart_is_a_doubt():
+    doubts = Doubts(StateFolder(None))
+    assert doubts.reference is None
+    doubts.see(look(was_reset=True, reference_doubt="the count has jumped"), clearing=True)
+    assert doubts.texts == (RESET, "the count has jumped")
+    assert not doubts.vanished
+
+
+def test_only_what_was_shown_is_forgiven():
+    doubts = Doubts(StateFolder(None))
+    doubts.doubt("count", "the count has jumped")
+    doubts.note("motion", "B moved")
+    doubts.note("motion", "B moved again")
+    doubts.note("deaf", "it does not obey")
+    assert doubts.incident == "B moved; it does not obey"
+    assert (doubts.incident_of("motion"), doubts.incident_of("other")) == ("B moved", None)
+    doubts.forgive(("B moved", fault_text("a_cable")), look("a_cable", "b_cable"))
+    unseen = "b_cable was cleared before anybody had seen it: home the positioner"
+    assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
+    doubts.see(look(), clearing=False)
+    assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
+
+
+def test_all_of_it_outlives_the_service(tmp_path):
+    folder = StateFolder(tmp_path)
+    doubts = Doubts(folder)
+    doubts.doubt("count", "the count has jumped")
+    doubts.note("motion", "B moved")
+    doubts.see(look("a_cable"), clearing=False)
+    after = Doubts(folder)
+    assert after.texts == ("B moved", "the count has jumped")
+    after.see(look(), clearing=False)
+    assert after.vanished
+
+
+def test_a_reference_run_that_the_service_did_not_outlive_was_not_finished(tmp_path):
+    folder = StateFolder(tmp_path)
+    doubts = Doubts(folder)
+    doubts.homing_begins()
+    assert doubts.reference is None
+    assert Doubts(folder).reference == NOT_FINISHED
+    doubts.homing_ends(None)
+    assert Doubts(folder).reference is None
+    doubts.homing_ends("axis A was not found")
+    assert Doubts(folder).reference == "axis A was not found"
+    doubts.homing_begins()
+    doubts.note("motion", "B moved")
+    doubts.referenced()
+    assert Doubts(folder).texts == ("B moved",)

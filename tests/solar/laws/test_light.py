@@ -116,3 +116,40 @@ def test_no_pose_inside_the_limits_beats_the_closed_form(vector, a_deg, b_deg):
     best_a, best_b = angles_within(np.array(vector), LIMITS)
     assert product(vector, best_a, best_b) >= product(vector, a_deg, b_deg) - 1e-6
     assert product(vector, a_deg, b_deg) == pytest.approx(np.dot(vector, normal_from_angles(a_deg, b_deg)), abs=1e-6)
+
+
+SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
+
+
+@pytest.mark.parametrize(("face", "faces", "believed"), [
+    (1, (400.0, 2000.0, 400.0, 600.0), True),
+    (1, (400.0, 2001.0, 400.0, 600.0), False),
+    # A fifth of another face that the sun reaches no more, less 4 W/m2 of noise.
+    (0, (77.0, 600.0, 400.0, 500.0), True),
+    (0, (75.0, 600.0, 400.0, 500.0), False),
+    (2, (400.0, 600.0, 77.0, 500.0), True),
+    (2, (400.0, 600.0, 75.0, 500.0), False),
+    (1, (400.0, 77.0, 400.0, 500.0), True),
+    (1, (400.0, 75.0, 400.0, 500.0), False),
+    # It is no reason for doubt that the sun shines on the other face alone.
+    (0, (75.0, 1900.0, 60.0, 500.0), True),
+    # 3 % of the zenith.
+    (0, (27.0, 27.0, 27.0, 1000.0), True),
+    (0, (25.0, 27.0, 27.0, 1000.0), False),
+    # The zenith, by a fifth of the darkest other.
+    (3, (400.0, 600.0, 500.0, 77.0), True),
+    (3, (400.0, 600.0, 500.0, 75.0), False),
+    (3, (400.0, 600.0, np.nan, 75.0), False),
+    (0, (np.nan, 600.0, 400.0, 500.0), False),
+])  # fmt: skip
+def test_the_bounds_of_what_a_face_may_read(face, faces, believed):
+    assert usable_faces(faces, SOUTH)[face] == believed
+
+
+@pytest.mark.parametrize(("azimuth", "shaded", "lit"), [(90.0, 2, 0), (270.0, 0, 2)])
+def test_a_face_that_the_sun_reaches_must_not_be_darker_than_one_in_the_shade(azimuth, shaded, lit):
+    faces = np.array([100.0, 100.0, 100.0, 100.0])
+    faces[shaded], faces[lit] = 400.0, 75.0
+    assert not usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[lit]
+    faces[shaded], faces[lit] = 75.0, 400.0
+    assert usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[shaded]
