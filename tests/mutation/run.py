@@ -51,6 +51,8 @@ PARTS = (
 )
 # Tests that start processes or brokers tell little of one line, and late.
 _TOO_FAR = {"campaign", "docs", "firmware", "fuzz", "measurements", "mutation", "support", "system"}
+# Holds every default and bound of the settings.
+_OF_SETTINGS = "tests/daemon/config/test_file.py::test_the_reference_document_is_current"
 # Read once, before the forks: a test's process then begins in a fraction of a second.
 _LIBRARIES = ("numpy", "pandas", "pvlib", "pydantic", "pyarrow", "scipy.interpolate", "scipy.optimize", "scipy.special")
 _PLAIN = (
@@ -182,7 +184,8 @@ def _nearest(path: str) -> tuple[str, ...]:
             importing.append(str(place))
         elif folder in place.parents:
             beside.append(str(place))
-    return *own, *importing, *beside
+    of_settings = (_OF_SETTINGS,) if "Field(" in (ROOT / path).read_text() else ()
+    return *own, *of_settings, *importing, *beside
 
 
 def _tests_for(mutant: Mutant, reach: dict[str, dict]) -> tuple[str, ...]:

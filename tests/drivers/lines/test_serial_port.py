@@ -1,0 +1,169 @@
+"""A serial port on a pseudo-terminal: what the kernel is told, and what goes through."""
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import termios
+
+import pytest
+
+from drivers.errors import ConnectError, LinkLostError
+from drivers.lines.serial_port import SerialPort, cannot_open
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
+
+
+@pytest.fixture
+def ends():
+    """Both ends: the instrument's descriptor, and the name of the port."""
+    instrument, port = os.openpty()
+    path = os.ttyname(port)
+    yield instrument, path
+    for descriptor in (instrument, port):
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+@contextlib.contextmanager
+def opened(path, allowed=lambda _data: None, **options):
+    port = SerialPort("positioner", path, allowed, read_s=0.01, **options)
+    try:
+        yield port
+    finally:
+        port.close()
+
+
+def send(instrument, path, data):
+    """Write at the instrument's end, and return when it waits at the other."""
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(instrument, data)
+        assert select.select([descriptor], [], [], 60.0)[0]
+    finally:
+        os.close(descriptor)
+
+
+def modes(path):
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        return termios.tcgetattr(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def test_what_waited_and_what_comes_is_neither_read_nor_echoed_but_what_comes_after(ends):
+    instrument, path = ends
+    send(instrument, path, b"old telemetry\n")
+    assert os.read(instrument, 100) == b"old telemetry\r\n", "the kernel's echo, before anybody has opened the port"
+    tapped = []
+    with opened(path, tap=lambda way, data: tapped.append((way, data))) as port:
+        assert port.read() == b""
+        assert tapped == []
+        send(instrument, path, b"\x24new")
+        assert port.read() == b"\x24new"
+        port.write(b"$9s\r")
+        assert os.read(instrument, 100) == b"$9s\r", "and nothing that came back by itself"
+        assert tapped == [("<", b"\x24new"), (">", b"$9s\r")]
+        send(instrument, path, b"late")
+        port.discard()
+        assert port.read() == b""
+
+
+def test_a_command_that_is_not_allowed_is_not_sent(ends):
+    instrument, path = ends
+
+    def allowed(data):
+        if data != b"$9s\r":
+            raise ValueError("not a command")
+
+    with opened(path, allowed) as port:
+        with pytest.raises(ValueError, match="not a command"):
+            port.write(b"$9x\r")
+        port.write(b"$9s\r")
+    assert os.read(instrument, 100) == b"$9s\r"
+
+
+@pytest.mark.parametrize(("form", "flags"), [
+    ("8N1", 0),
+    ("8E1", 0),
+    ("8O1", termios.PARODD),
+    ("8N2", termios.CSTOPB),
+])  # fmt: skip
+def test_the_line_is_set_as_it_is_asked_for(ends, form, flags):
+    _, path = ends
+    with opened(path, baud_rate=19200, form=form):
+        _, _, control, local, _, speed, _ = modes(path)
+    assert speed == termios.B19200
+    # A pseudo-terminal keeps no PARENB.
+    assert control & (termios.PARODD | termios.CSTOPB) == flags
+    assert control & termios.CSIZE == termios.CS8
+    assert not local & (termios.ECHO | termios.ICANON)
+
+
+@pytest.mark.parametrize("flag", [termios.ECHO, termios.ICANON])
+def test_an_echo_that_somebody_switches_on_is_seen(ends, flag):
+    _, path = ends
+    with opened(path) as port:
+        assert not port.echoes()
+        assert not port.has_lines(), "a pseudo-terminal has none"
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        settings = termios.tcgetattr(descriptor)
+        settings[3] |= flag
+        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        os.close(descriptor)
+        assert port.echoes()
+
+
+def test_a_port_that_is_gone_is_a_lost_link(ends):
+    instrument, path = ends
+    with opened(path) as port:
+        os.close(instrument)
+        for call in (port.read, lambda: port.write(b"x"), port.echoes):
+            with pytest.raises(LinkLostError):
+                call()
+        assert not port.has_lines()
+
+
+def test_a_port_that_another_program_holds_is_named_with_it(ends):
+    _, path = ends
+    code = f"import fcntl, os; f = os.open({path!r}, os.O_RDWR | os.O_NOCTTY); fcntl.flock(f, fcntl.LOCK_EX)"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", f"{code}; print('held', flush=True); input()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    try:
+        holder.stdout.readline()
+        with pytest.raises(ConnectError, match=rf"is held by another program \(\S+, process {holder.pid}\)"):
+            SerialPort("positioner", path, lambda _data: None)
+    finally:
+        holder.communicate(b"\n")
+    with opened(path):
+        pass
+
+
+def test_what_cannot_be_a_port_says_so(tmp_path):
+    plain = tmp_path / "plain"
+    plain.touch()
+    with pytest.raises(ConnectError, match="is not a serial port"):
+        SerialPort("positioner", str(plain), lambda _data: None)
+    with pytest.raises(ConnectError, match="is it plugged in and powered"):
+        SerialPort("positioner", str(tmp_path / "none"), lambda _data: None)
+
+
+@pytest.mark.parametrize(("error", "words"), [
+    (FileNotFoundError(2, "x"), "is it plugged in"),
+    (OSError(19, "x"), "is it plugged in"),
+    (OSError(6, "x"), "is it plugged in"),
+    (ValueError("FileNotFoundError(2)"), "is it plugged in"),
+    (PermissionError(13, "x"), "add this user to the group"),
+    (ValueError("PermissionError(13)"), "add this user to the group"),
+    (OSError(11, "x"), "held by another program"),
+    (OSError(16, "x"), "held by another program"),
+    (OSError(5, "broken"), "cannot be opened: .*broken"),
+])  # fmt: skip
+def test_each_trouble_has_its_remedy(error, words):
+    with pytest.raises(ConnectError, match=words):
+        raise cannot_open("positioner", "/dev/ttyS99", error)

@@ -1,0 +1,119 @@
+"""A VISA line over PyVISA-py on a pseudo-terminal."""
+
+import contextlib
+import os
+import select
+import sys
+import termios
+
+import pytest
+
+from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
+from drivers.lines.visa import VisaLine, VisaSettings
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
+
+
+@pytest.fixture
+def ends():
+    """Both ends: the instrument's descriptor, and the name of the port."""
+    instrument, port = os.openpty()
+    yield instrument, os.ttyname(port)
+    for descriptor in (instrument, port):
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+@contextlib.contextmanager
+def opened(path, tap=lambda _way, _data: None, **settings):
+    line = VisaLine(VisaSettings(f"ASRL{path}::INSTR", **settings), tap)
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+def modes(path):
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        return termios.tcgetattr(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@pytest.mark.parametrize(("terminator", "end"), [("LF", b"\n"), ("CR", b"\r"), ("LFCR", b"\n\r")])
+def test_lines_go_out_and_come_in_with_the_end_of_the_settings(ends, terminator, end):
+    instrument, path = ends
+    tapped = []
+    with opened(path, lambda *seen: tapped.append(seen), terminator=terminator) as line:
+        line.send("*IDN?")
+        assert os.read(instrument, 100) == b"*IDN?" + end
+        os.write(instrument, b"KEITHLEY" + end + b"next" + end)
+        assert line.receive(10.0) == "KEITHLEY"
+        assert line.receive(10.0) == "next"
+        line.interrupt()
+        assert os.read(instrument, 100) == b"\x03"
+    came = [data for way, data in tapped if way == "<"]
+    assert [data for way, data in tapped if way == ">"] == [b"*IDN?" + end, b"\x03"]
+    assert b"".join(came) == b"KEITHLEY" + end + b"next" + end
+
+
+@pytest.mark.parametrize(("flow_control", "flag"), [("none", 0), ("xon-xoff", termios.IXON | termios.IXOFF)])
+def test_the_port_is_set_as_the_settings_say_and_held(ends, flow_control, flag):
+    _, path = ends
+    with opened(path, baud_rate=4800, flow_control=flow_control):
+        come, _, control, _, _, speed, _ = modes(path)
+        assert speed == termios.B4800
+        assert come & (termios.IXON | termios.IXOFF) == flag
+        assert control & termios.CSTOPB == 0
+        assert control & termios.PARODD == 0
+        with pytest.raises(ConnectError, match="held by another program"), opened(path):
+            pass
+    with opened(path):
+        pass
+
+
+def test_the_time_that_the_line_itself_takes_comes_on_top(ends):
+    _, path = ends
+    with opened(path, baud_rate=9600) as line:
+        # A question and an answer of 256 bytes, ten bits each.
+        assert line.transfer_s == pytest.approx(2 * 256 * 10 / 9600)
+
+
+def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(ends):
+    instrument, path = ends
+    with opened(path, baud_rate=19200) as line:
+        with pytest.raises(DeadlineError, match="no line came in time"):
+            line.receive(0.01)
+        os.write(instrument, b"one\ntwo\nhalf")
+        waits = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        assert select.select([waits], [], [], 60.0)[0]
+        os.close(waits)
+        line.drain(0.2)
+        os.write(instrument, b"fresh\n")
+        assert line.receive(10.0).endswith("fresh")
+        with pytest.raises(DeadlineError):
+            line.receive(0.0)
+
+
+def test_a_line_that_is_gone_is_a_lost_link_and_can_be_closed(ends):
+    instrument, path = ends
+    with opened(path) as line:
+        os.close(instrument)
+        with pytest.raises(LinkLostError):
+            line.send("*IDN?")
+        with pytest.raises(LinkLostError):
+            line.receive(0.1)
+        line.close()
+        line.close()
+
+
+@pytest.mark.parametrize(("settings", "error", "words"), [
+    (VisaSettings("ASRL/dev/none-of-ours::INSTR"), ConnectError, "there is no /dev/none-of-ours: is it plugged in"),
+    (VisaSettings("GPIB0::16::INSTR"), DriverMissingError, 'linux-gpib, or instruments.voltmeter.prologix_port'),
+    (VisaSettings("GPIB0::16::INSTR", section="instruments.load"), DriverMissingError, 'instruments.load.visa = "ni"'),
+    (VisaSettings("GPIB0::16::INSTR", prologix_port="/dev/none"), ConnectError, "there is no /dev/none: "),
+])  # fmt: skip
+def test_what_cannot_be_opened_says_what_to_do(settings, error, words):
+    with pytest.raises(error, match=words):
+        VisaLine(settings)
