@@ -79,7 +79,7 @@ present names. The old file is kept beside it, as `FILE.before-RELEASE`. A file 
 that; an upgrade does it with `--keys-only`, which leaves a tracker without a name as it is.
 
 Every key may be left out and has its default then. Units are in the names: `_s` seconds, `_deg` degrees, `_w_m2` W/m2,
-`_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths are meant from the folder of the file. Times carry
+`_m_s` m/s, `_mv` millivolts. Unknown keys are errors. Relative paths start from the folder of the file. Times carry
 their UTC offset and stand without quotes: `2022-10-14T06:00:00Z`.
 
 This page is made from the models in `daemon/config/`; write it anew with `python -m daemon.config.template`.
@@ -129,7 +129,7 @@ def _heading(role: Role) -> str:
     lines = [
         text,
         "Every key stands here with its default. A key that is left out, or stands behind a #, has that default.",
-        "Units are in the names. Relative paths are meant from the folder of this file.",
+        "Units are in the names. Relative paths start from the folder of this file.",
         f"After a change: heliocube config check {FILE_NAME}",
     ]
     return "\n".join(_comment(line) for line in lines)
