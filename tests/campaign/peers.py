@@ -29,7 +29,10 @@ send_to = []
 insecure = true
 [store]
 directory = "{folder}/records"
+[safety]
+fallback_after_s = 5.0
 """
+"""There is no cube; the sun is followed as soon as that is known."""
 REAL = """
 [instruments]
 kind = "real"

@@ -44,7 +44,6 @@ def until_connected(tracker):
 
 
 @pytest.mark.system
-@pytest.mark.long
 def test_a_stop_from_the_shell_outlasts_every_command_and_a_kill(tmp_path):
     with unit_and_tracker(tmp_path) as (unit, tracker):
         tracker.until_it_takes(-45, 30)
