@@ -36,7 +36,16 @@ from daemon.commands.setup import command as setup_command
 from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
-from daemon.commands.studies.simulate import checked_report, page_of, progress_bar, replay, report, tell_pages
+from daemon.commands.studies.simulate import (
+    checked_pictures,
+    checked_report,
+    draw_pictures,
+    page_of,
+    progress_bar,
+    replay,
+    report,
+    tell_pages,
+)
 from daemon.commands.upgrade import command as upgrade_command
 from daemon.studies.inputs import instant, settings_for, site_values
 
@@ -176,6 +185,9 @@ def simulate(
     cube: CubeOption = None,
     positioner: PositionerOption = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw light, angles and insolation too: their names are added to this one's.")
+    ] = None,
     report_to: ReportOption = None,
     zone: ZoneOption = None,
     force: ForceOption = False,
@@ -189,6 +201,7 @@ def simulate(
     )
     begin = instant(start, "--start")
     check_tables(out, table_format.value, force=force)
+    drawn = checked_pictures(plot, settings, force=force)
     span = (begin.timestamp(), begin.timestamp() + days * 86400.0)
     local = checked_report(report_to, zone, settings, span, force=force)
     from daemon.studies.simulate import simulate as run_simulation
@@ -199,10 +212,14 @@ def simulate(
     pages: Sequence[Path] = ()
     if not as_json:
         report(summary, settings, out, console, Console())
+    if drawn:
+        draw_pictures(drawn, settings, out, local)
+        pages = drawn
     if report_to is not None and summary.interrupted_utc_s is None:
         from daemon.studies.report.studies import report_simulation
 
-        pages = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
+        reports = report_simulation(settings, span, out, table_format.value, report_to, local, force=force)
+        pages = [*pages, *reports]
     if as_json:
         print_json(page_of(summary, settings, out, pages))
     else:

@@ -22,6 +22,7 @@ from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.store.tables import TableWriter
+from daemon.studies.simulated_day import SIMULATED_COLUMNS, PlaneInsolation, Poses, placed
 from solar.ephemeris import DAY_S, sun_day
 
 _PROGRESS_EVERY_S = 900.0
@@ -43,6 +44,8 @@ class Summary:
         About the weather file, or None.
     interrupted_utc_s
         Until when it came before Ctrl-C, or None.
+    insolation
+        What the plane of each tracker received, and a chronometric one would have.
     """
 
     scans: int = 0
@@ -52,6 +55,7 @@ class Summary:
     mode_s: dict[Mode, float] = field(default_factory=lambda: dict.fromkeys(Mode, 0.0))
     warning: str | None = None
     interrupted_utc_s: float | None = None
+    insolation: tuple[PlaneInsolation, ...] = ()
 
 
 def simulate(
@@ -87,14 +91,18 @@ def simulate(
     weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)
     # Its records go to tables, and what the operator of a real rig has asked for is no business of a simulation.
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
-    interrupted_utc_s = None
+    interrupted_utc_s, latitude_deg, poses = None, settings.site.latitude_deg, Poses()
     tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
-    with TableWriter(out, table_format, force=force) as tables, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with (
+        TableWriter(out, table_format, SIMULATED_COLUMNS, force=force) as tables,
+        asyncio.Runner(loop_factory=VirtualTimeLoop) as runner,
+    ):
         loop = runner.get_loop()
         clock = LoopClock(loop.time, start_utc_s)
         bus = Bus()
-        bus.subscribe(tables.write)
+        bus.subscribe(lambda record: tables.write(placed(record, latitude_deg)))
         bus.subscribe(tally.count)
+        bus.subscribe(poses.note)
         service = Service(
             settings,
             Role.BOTH,
@@ -111,8 +119,10 @@ def simulate(
             runner.run(_until_end(service, days * DAY_S, progress))
         except KeyboardInterrupt:
             interrupted_utc_s = clock.utc()
-    summary = tally.close(end_utc_s if interrupted_utc_s is None else interrupted_utc_s, warning)
+    end_utc_s = end_utc_s if interrupted_utc_s is None else interrupted_utc_s
+    summary = tally.close(end_utc_s, warning)
     summary.interrupted_utc_s = interrupted_utc_s
+    summary.insolation = tuple(poses.insolation(settings, weather, start_utc_s, end_utc_s))
     return summary
 
 

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
+from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
     from daemon.studies.simulate import Summary
+    from daemon.studies.simulated_day import PlaneInsolation
 
 
 @contextlib.contextmanager
@@ -67,10 +69,49 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
             f"{summary.travel_deg:.0f} degrees of travel"
         ),
         f"modes: {hours}",
+        *(_received(each, several=len(summary.insolation) > 1) for each in summary.insolation),
         f"tables in {out}",
     )
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _received(one: "PlaneInsolation", *, several: bool) -> str:
+    of = f" of {one.tracker}" if several else ""
+    return (
+        f"on the module{of}: {one.received_kwh_m2:.2f} kWh/m2 by {one.law}, {one.chronometric_kwh_m2:.2f} where an"
+        f" ideal chronometric tracker stands: {signed(one.gain_pct)} %"
+    )
+
+
+def signed(percent: float) -> str:
+    """Return a percentage with its sign, never a minus before what is rounded to nothing."""
+    text = f"{percent:+.2f}"
+    return "+0.00" if text == "-0.00" else text
+
+
+_PICTURES = ("light", "angles", "received")
+
+
+def checked_pictures(plot: Path | None, settings: "Settings", *, force: bool) -> "Sequence[Path]":
+    """Return the files of the pictures that are wanted, looked at before the work; raises `UserError`."""
+    if plot is None:
+        return ()
+    if plot.suffix.lower() not in (".png", ".svg"):
+        raise UserError(f"--plot: {plot} must end in .png or .svg")
+    if len(settings.trackers) > 1:
+        raise UserError("--plot is for one tracker: draw several with 'heliocube plot --tables DIR --tracker NAME'")
+    paths = [plot.with_name(f"{plot.stem}-{name}{plot.suffix}") for name in _PICTURES]
+    check_outputs(paths, "--plot", force=force)
+    return paths
+
+
+def draw_pictures(paths: "Sequence[Path]", settings: "Settings", tables: Path, zone: "tzinfo | None") -> None:
+    """Draw light, angles and what the plane received, from the tables of a simulation."""
+    from daemon.studies.report.plot import draw, material_of_tables
+
+    paths[0].parent.mkdir(parents=True, exist_ok=True)
+    draw(material_of_tables(tables, None, settings, None, None), _PICTURES, paths, zone)
 
 
 def checked_report(

@@ -1,0 +1,113 @@
+"""What a simulation knows beyond the service's own records: where the plane faces, and what it received."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.base.records import Pose, Record
+from daemon.config.settings import Settings
+from daemon.store.tables import COLUMNS, Column, Row
+from solar.ephemeris import extraterrestrial_dni, sun_direction
+from solar.frames import Array, angles_within, azimuth_from_direction, normal_from_angles
+from solar.sky import sky
+
+_STEP_S = 60.0
+_PLANE = [Column(name, name, "float") for name in ("surface_tilt", "surface_azimuth")]
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPose(Pose):
+    """A pose, and where the module's plane faces [deg]: tilt from the horizontal, azimuth from North clockwise."""
+
+    surface_tilt: float = 0.0
+    surface_azimuth: float = 0.0
+
+
+SIMULATED_COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
+    PlacedPose if kind is Pose else kind: (name, [*columns, *_PLANE] if kind is Pose else columns)
+    for kind, (name, columns) in COLUMNS.items()
+}
+"""The tables of a simulation: the service's own, with pvlib's names for poses."""
+
+
+def placed(record: Record, latitude_deg: float) -> Record:
+    """Return a pose with where its plane faces at a latitude, anything else as it is."""
+    if not isinstance(record, Pose):
+        return record
+    azimuth, elevation = azimuth_from_direction(normal_from_angles(record.a_deg, record.b_deg), latitude_deg)
+    own = {field.name: getattr(record, field.name) for field in fields(Pose)}
+    return PlacedPose(**own, surface_tilt=90.0 - float(elevation), surface_azimuth=float(azimuth))
+
+
+class WeatherOfSpan(Protocol):
+    """Weather by UTC [s], as the simulated rig stands under."""
+
+    def covers(self, utc_s: Array) -> NDArray[np.bool_]:
+        """Tell for each instant whether there is weather."""
+
+    def at(self, utc_s: Array) -> Any:
+        """Return the conditions, with `dni_w_m2` and `dhi_w_m2`."""
+
+
+class PlaneInsolation(NamedTuple):
+    """What a tracker's plane received and what it would have where an ideal chronometric tracker stands [kWh/m2]."""
+
+    tracker: str
+    law: str
+    received_kwh_m2: float
+    chronometric_kwh_m2: float
+
+    @property
+    def gain_pct(self) -> float:
+        """How much more than chronometric; NaN without light."""
+        return 100.0 * (self.received_kwh_m2 / self.chronometric_kwh_m2 - 1.0) if self.chronometric_kwh_m2 else np.nan
+
+
+class Poses:
+    """Where the trackers stood; a subscriber of the bus."""
+
+    def __init__(self) -> None:
+        self._poses: dict[str, list[tuple[float, float, float]]] = {}
+
+    def note(self, record: Record) -> None:
+        """Take in a pose."""
+        if isinstance(record, Pose):
+            self._poses.setdefault(record.tracker, []).append((record.time_utc_s, record.a_deg, record.b_deg))
+
+    def insolation(
+        self, settings: Settings, weather: WeatherOfSpan, begin_s: float, end_s: float
+    ) -> Iterator[PlaneInsolation]:
+        """Yield what each tracker's plane received in a span of time [s UTC], under the simulation's own sky.
+
+        Minute by minute by equation (1) of Andriamahefa et al. (2023) and the sky model of the simulation; the other
+        tracker points at the sun at every instant, within the same limits. Minutes without weather count in neither.
+        """
+        utc_s = np.arange(begin_s + _STEP_S / 2.0, end_s, _STEP_S)
+        sun = sun_direction(utc_s, *settings.site.place())
+        lit = (sun[:, 2] > 0.0) & weather.covers(utc_s)
+        utc_s, sun = utc_s[lit], sun[lit]
+        conditions = weather.at(utc_s)
+        light = sky(settings.simulation.sky, sun, conditions.dni_w_m2, conditions.dhi_w_m2, extraterrestrial_dni(utc_s))
+        for name, own in settings.trackers:
+            stood = self._stood(self._poses.get(name, []), utc_s.tolist())
+            normals = normal_from_angles(*np.array(stood).reshape(-1, 2).T)
+            ideal = normal_from_angles(*angles_within(sun, own.limits.limits()))
+            on_plane, on_ideal = (light.irradiance_on(each, settings.simulation.albedo) for each in (normals, ideal))
+            known = np.isfinite(on_plane)
+            yield PlaneInsolation(
+                tracker=name,
+                law=own.law.driver,
+                received_kwh_m2=float(on_plane[known].sum()) * _STEP_S / 3.6e6,
+                chronometric_kwh_m2=float(on_ideal[known].sum()) * _STEP_S / 3.6e6,
+            )
+
+    @staticmethod
+    def _stood(poses: Sequence[tuple[float, float, float]], utc_s: Sequence[float]) -> list[tuple[float, float]]:
+        """Return A and B at each instant: those of the latest pose, NaN before the first."""
+        times = [pose[0] for pose in poses]
+        places = [bisect_right(times, instant) for instant in utc_s]
+        return [poses[place - 1][1:] if place else (np.nan, np.nan) for place in places]

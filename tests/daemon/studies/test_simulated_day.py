@@ -1,0 +1,64 @@
+"""What the plane of a simulated tracker received, and where it faces in pvlib's terms."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from daemon.base.records import Pose
+from daemon.commands.studies.simulate import signed
+from daemon.config.settings import Settings
+from daemon.rigs.simulated import build_weather
+from daemon.studies.simulated_day import Poses, placed
+from solar.ephemeris import DAY_S, sun_direction
+from solar.frames import Limits, angles_within
+
+NOON = datetime(2022, 6, 14, 12, tzinfo=UTC).timestamp()
+BEGIN, END = NOON - 0.5 * DAY_S, NOON + 0.5 * DAY_S
+
+
+@pytest.mark.parametrize(
+    ("a_deg", "b_deg", "latitude_deg", "tilt", "azimuth"),
+    [(0.0, 90.0, 48.0, 0.0, None), (0.0, 30.0, 48.0, 60.0, 180.0), (0.0, 30.0, -33.0, 60.0, 0.0)],
+)
+def test_a_pose_says_where_its_plane_faces(a_deg, b_deg, latitude_deg, tilt, azimuth):
+    found = placed(Pose(NOON, 0.0, a_deg, b_deg, False, "roof"), latitude_deg)
+    assert found.surface_tilt == pytest.approx(tilt)
+    if azimuth is not None:
+        assert np.cos(np.radians(found.surface_azimuth - azimuth)) == pytest.approx(1.0)
+    assert (found.time_utc_s, found.a_deg, found.b_deg, found.tracker) == (NOON, a_deg, b_deg, "roof")
+    west = placed(Pose(NOON, 0.0, 40.0, 60.0, False), 48.0)
+    assert 180.0 < west.surface_azimuth < 270.0
+
+
+def received(poses):
+    settings = Settings.model_validate({"simulation": {"weather": "clear"}})
+    weather, _ = build_weather(settings, BEGIN, END)
+    stood = Poses()
+    for utc_s, (a_deg, b_deg) in poses:
+        stood.note(Pose(utc_s, 0.0, float(a_deg), float(b_deg), False, "tracker"))
+    (found,) = stood.insolation(settings, weather, BEGIN, END)
+    return found, weather
+
+
+def test_a_flat_plane_receives_what_is_global():
+    found, weather = received([(BEGIN, (0.0, 90.0))])
+    utc_s = np.arange(BEGIN, END, 60.0)
+    ghi = float(weather.at(utc_s).ghi_w_m2.sum()) * 60.0 / 3.6e6
+    assert found.received_kwh_m2 == pytest.approx(ghi, rel=2e-3)
+    assert (found.tracker, found.law) == ("tracker", "mu-prime")
+    assert found.gain_pct < -15.0
+
+
+def test_who_follows_the_sun_receives_what_chronometric_does():
+    utc_s = np.arange(BEGIN, END, 60.0)
+    angles = np.transpose(angles_within(sun_direction(utc_s, *Settings().site.place()), Limits()))
+    found, _ = received(list(zip(utc_s.tolist(), angles.tolist(), strict=True)))
+    assert found.gain_pct == pytest.approx(0.0, abs=0.02)
+    half, _ = received([pose for pose in zip(utc_s.tolist(), angles.tolist(), strict=True) if pose[0] >= NOON])
+    assert half.chronometric_kwh_m2 == pytest.approx(0.5 * found.chronometric_kwh_m2, rel=0.05)
+    assert half.gain_pct == pytest.approx(0.0, abs=0.02), "time without a pose counts in neither"
+
+
+def test_nothing_is_printed_as_minus_nothing():
+    assert [signed(value) for value in (-0.004, 0.004, -1.0, 1.0)] == ["+0.00", "+0.00", "-1.00", "+1.00"]
