@@ -173,12 +173,6 @@ configure "$here/examples" "$roles"
 systemd-tmpfiles ${root:+--root="$root"} --create heliocube.conf
 reload
 
-# The service reads older files as they are; this is for the people who read them.
-for role in $roles; do
-  "$release/bin/heliocube" config migrate --keys-only "$etc/$role.toml" ||
-    say "note: $etc/$role.toml is left as it is, see above"
-done
-
 say "heliocube $id is installed in $opt"
 for role in $roles; do
   say "next: edit $etc/$role.toml"

@@ -49,6 +49,11 @@ configure() { # EXAMPLES ROLES
     for role in $2 dashboard notify; do
       [ -e "$etc/$role.toml" ] || install -m 0640 "$1/$role.toml" "$etc/$role.toml"
     done
+    # The service reads older files as they are; this is for the people who read them.
+    for role in $2; do
+      "$opt/current/bin/heliocube" config migrate --keys-only "$etc/$role.toml" ||
+        say "note: $etc/$role.toml is left as it is, see above"
+    done
     case " $2 " in
       *' cube '*) key=$etc/bridge.key ;;
       *) key= ;;

@@ -19,6 +19,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.file_check import check_file
 from daemon.config.file import load_settings
+from daemon.config.migrate import migrate
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import DEFAULT_START, build_simulated_rig, build_weather
 from daemon.service.rig import Role
@@ -153,6 +154,7 @@ def test_the_examples_are_good_configurations(tmp_path, name):
     (tmp_path / "notify.people").write_text("ntfy://ntfy.lab/roof\n")
     (tmp_path / "notify.people").chmod(0o600)
     assert check_file(tmp_path / f"{name}.toml").instruments.kind == "simulated"
+    assert migrate(tmp_path / f"{name}.toml", keys_only=True).endswith("it is in today's form")
 
 
 def test_the_examples_of_cube_and_tracker_fit_together_on_one_machine():
@@ -276,13 +278,16 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert (tree / "var/lib/heliocube").stat().st_uid == uid
     assert stat.S_IMODE((tree / "etc/heliocube/api.token").stat().st_mode) == 0o640
 
-    (tree / "etc/heliocube/tracker.toml").write_text("# mine\n")
+    mine = tree / "etc/heliocube/tracker.toml"
+    mine.write_text('# mine\n[law]\nname = "flat"\n')
     (tree / "var/lib/heliocube/records.sqlite").write_text("data")
     secret = key.read_text()
     second = run(*install)
     assert second.returncode == 0, second.stderr
     assert "building" not in second.stdout, "an environment that is complete is not built again"
-    assert (tree / "etc/heliocube/tracker.toml").read_text() == "# mine\n"
+    assert mine.read_text() == '# mine\n[law]\ndriver = "flat"\n', "a key that has another name now gets it"
+    (older,) = mine.parent.glob("*.before-*")
+    assert older.read_text() == '# mine\n[law]\nname = "flat"\n'
     assert key.read_text() == secret
 
     removed = run(*install, "--remove")
@@ -294,6 +299,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
         "etc/heliocube/dashboard.toml",
         "etc/heliocube/notify.toml",
         "etc/heliocube/tracker.toml",
+        f"etc/heliocube/{older.name}",
         "var/lib/heliocube/records.sqlite",
     }
     assert run(*install, "--remove").returncode == 0, "removing twice is no error"
