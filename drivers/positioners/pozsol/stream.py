@@ -211,5 +211,5 @@ class TelemetryReader:
         if not self._banner:
             return False
         text = self._end + data
-        self._end = text[-(len(self._banner) - 1) :] if len(self._banner) > 1 else b""
+        self._end = text[max(len(text) - len(self._banner) + 1, 0) :]
         return self._banner in text

@@ -54,6 +54,14 @@ def test_what_is_signed_with_a_key_is_verified_with_it_and_is_what_a_library_of_
     assert signed == jwt.PyJWS().encode(payload, key, algorithm="HS256", headers=signing.HEADER).encode()
 
 
+@pytest.mark.parametrize("part", [b"abcde", b"ab==", b"ab+d", b"ab/d", b"abc\n"])
+def test_what_is_signed_but_not_in_the_compact_form_is_refused(part):
+    signed = SIGNED.split(b".")[0] + b"." + part
+    found = refusal(signed + b"." + b64(hmac.new(KEY, signed, hashlib.sha256).digest()))
+    assert found.kind is Refusal.MALFORMED
+    assert "compact form" in found.reason
+
+
 @given(st.integers(0, len(SIGNED) * 8 - 1))
 def test_a_single_flipped_bit_anywhere_is_refused(bit):
     flipped = bytearray(SIGNED)

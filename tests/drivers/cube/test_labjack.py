@@ -6,6 +6,7 @@ import pytest
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+import sim_drivers.modbus.labjack
 from daemon.base.clock import LoopClock, SystemClock
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import ConfigError, load_settings
@@ -90,6 +91,16 @@ def test_what_is_not_expected_is_not_read(name, value, error):
     async def work(cube, device):
         setattr(device, name, value)
         with pytest.raises(error):
+            await cube.open()
+
+    on_simulated(work)
+
+
+def test_words_in_another_order_are_no_labjack(monkeypatch):
+    monkeypatch.setattr(sim_drivers.modbus.labjack, "TEST_WORDS", (0x2233, 0x0011))
+
+    async def work(cube, _device):
+        with pytest.raises(IdentityError, match="gives its words in another order"):
             await cube.open()
 
     on_simulated(work)

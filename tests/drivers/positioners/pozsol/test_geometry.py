@@ -32,6 +32,20 @@ def test_what_is_sent_stands_within_the_limits_and_half_a_unit_from_the_target_u
     assert abs(sent - setup.geometry.position(target_deg)) <= (1.2 if at_a_limit else 0.5)
 
 
+@pytest.mark.parametrize(("geometry", "units"), [
+    # 600 mm sin(theta/2) between the arms: 195.34 at 38 deg, 219.90 at 43, 170.41 at 33.
+    (A.geometry, 24.93),
+    (replace(A.geometry, apex_deg=-90.0, low_deg=52.0), 24.93),
+    (Triangle(300.0, 300.0, 90.0, 52.0, sense="lowers"), 24.93),
+    (Proportional(-3.7, 50.0), 18.5),
+    (Proportional(12.0, 0.0), 60.0),
+    # Beside its holder the actuator would be shorter than nothing.
+    (Triangle(300.0, 300.0, 4.0, 6.0, holder_mm=50.0), 5.0),
+])  # fmt: skip
+def test_an_angle_where_the_travel_begins_is_that_many_units(geometry, units):
+    assert AxisSetup(geometry, -50.0, 50.0).units(5.0) == pytest.approx(units, abs=0.01)
+
+
 def test_a_target_at_a_limit_is_rounded_inwards():
     assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(-50.0)) > -50.0
     assert A.geometry.angle_at_length(A.geometry.low_length_mm + A.destination(50.0)) < 50.0

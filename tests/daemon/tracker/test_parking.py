@@ -1,0 +1,51 @@
+"""A fixed position is gone to at once, and again every minute that the tracker is not there."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from daemon.base.records import Pose, Target
+from daemon.tracker.parking import Parking
+
+NIGHT = Target(0.0, 90.0, "night")
+
+
+def at(a_deg, b_deg):
+    return Pose(0.0, 0.0, a_deg, b_deg, moving=False)
+
+
+def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None):
+    """Return at which of these times a move is ordered."""
+    found = []
+    motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, homing=homing)
+    parking = Parking(motion, 0.8, found.append)
+    orders = []
+    for now_s in times_s:
+        before = len(found)
+        parking.park(NIGHT, now_s)
+        orders += [now_s] * (len(found) - before)
+        after(parking)
+    assert set(found) <= {NIGHT}
+    return orders
+
+
+def test_the_first_order_goes_out_at_once_and_the_next_after_a_minute():
+    assert ordered([0.0, 5.0, 59.0, 60.0, 119.0, 120.0]) == [0.0, 60.0, 120.0]
+    assert ordered([0.0, 5.0], after=Parking.forget) == [0.0, 5.0]
+
+
+@pytest.mark.parametrize(("a_deg", "b_deg", "there"), [
+    (0.0, 90.0, True), (0.8, 89.2, True), (-0.8, 90.0, True), (0.9, 90.0, False), (0.0, 89.1, False),
+])  # fmt: skip
+def test_what_stands_there_within_the_tolerance_is_left_alone(a_deg, b_deg, there):
+    assert ordered([0.0], pose=at(a_deg, b_deg)) == ([] if there else [0.0])
+
+
+def test_what_is_on_its_way_there_is_left_alone_and_what_goes_elsewhere_is_not():
+    assert ordered([0.0, 100.0], target=Target(0.0, 90.0, "stow")) == []
+    assert ordered([0.0], target=Target(0.0, 89.0, "law")) == [0.0]
+    assert ordered([0.0], pose=at(0.0, 90.0), target=Target(20.0, 60.0, "law")) == [0.0]
+
+
+def test_a_place_during_a_reference_run_is_none():
+    assert ordered([0.0], pose=at(0.0, 90.0), homing=True) == [0.0]
