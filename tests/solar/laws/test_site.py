@@ -5,7 +5,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.laws.light import light_from_faces, usable_faces
-from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning, no_sums, step
 from solar.sky import sky
 
 pytestmark = pytest.mark.slow
@@ -60,3 +60,53 @@ def test_what_was_learned_can_be_forgotten():
     site = SiteLearning(learned=learn(2, 0.5))
     site.reset()
     assert site.learned == Learned()
+
+
+def test_faces_of_many_instants_and_trackers_are_divided_by_their_gains():
+    gains = np.array([[1.02, 1.0, 0.98], [1.01, 0.99, 1.0], [1.0, 1.05, 0.95]])
+    site = SiteLearning((3,), Learned(0.2, *gains))
+    corrected = site.corrected(np.ones((2, 3, 4)))
+    np.testing.assert_allclose(corrected, 1.0 / np.broadcast_to([*gains, [1.0] * 3], (2, 4, 3)).transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize(("seconds", "share"), [(0.0, 0.0), (1800.0, 0.1), (3600.0, 0.2), (7200.0, 0.2)])
+def test_a_day_is_a_fifth_of_the_way_and_less_than_an_hour_of_it_less(seconds, share):
+    sums = no_sums(())._replace(albedo_s=np.array(seconds), albedo=np.array(0.6 * seconds))
+    assert float(step(Learned(0.2), sums).albedo) == pytest.approx(0.2 + share * 0.4)
+    sums = no_sums(())._replace(west_s=np.array(seconds), west=np.array(0.06 * seconds))
+    learned = step(Learned(), sums)
+    assert float(learned.gain_west / learned.gain_south) == pytest.approx(np.exp(0.06 * share))
+    assert float(learned.gain_east / learned.gain_south) == pytest.approx(1.0)
+    assert float(learned.gain_east * learned.gain_south * learned.gain_west) == pytest.approx(1.0)
+
+
+def test_albedo_and_gains_are_learned_from_one_reading_as_the_equations_say():
+    # The sun in the south-east: the west face is in the shade.
+    sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
+    beam, diffuse, albedo = 800.0, 100.0, 0.3
+    zenith = beam * sun[2] + diffuse
+    # A tenth of the diffuse light is the horizon's: what a face without beam reads.
+    shaded = (albedo * zenith + diffuse) / 2.0 + 0.1 * diffuse
+    faces = np.array([1.04 * beam * 0.5 + shaded, beam * 0.6 + shaded, shaded, zenith])
+    for turned in (False, True):
+        site = SiteLearning()
+        here = sun * [1.0, -1.0, 1.0] if turned else sun
+        site.observe(faces[[2, 1, 0, 3]] if turned else faces, here, np.ones(4, dtype=bool), np.array(beam), 3600.0)
+        site.end_of_day()
+        assert float(site.learned.albedo) == pytest.approx(0.2 + 0.2 * 0.1)
+        ratio = site.learned.gain_west if turned else site.learned.gain_east
+        assert float(ratio / site.learned.gain_south) == pytest.approx(1.04**0.2)
+
+
+@pytest.mark.parametrize(("change", "learns"), [
+    ({}, True), ({"usable": [True, True, True, False]}, False), ({"beam": 299.0}, False), ({"beam": 301.0}, True),
+    ({"zenith": 1.43}, False), ({"zenith": 1.42}, True),
+])  # fmt: skip
+def test_only_beam_that_is_most_of_the_light_teaches(change, learns):
+    sun = np.array([0.6, 0.5, np.sqrt(1.0 - 0.61)])
+    beam = change.get("beam", 800.0)
+    faces = np.array([500.0, 560.0, 150.0, change.get("zenith", 1.2) * beam * sun[2]])
+    site = SiteLearning()
+    site.observe(faces, sun, np.array(change.get("usable", [True] * 4)), np.array(beam), 3600.0)
+    site.end_of_day()
+    assert (site.learned != Learned(0.2, 1.0, 1.0, 1.0)) == learns
