@@ -1,49 +1,75 @@
-"""Any key of the terminal, without Enter: what stops a move under a person's hand."""
+"""What stops a move under a person's hand: any key of the terminal, without Enter, and what would end the program."""
 
 import contextlib
 import select
+import signal
 import sys
 from collections.abc import Callable, Iterator
 
+# A terminal that is closed, or a connection that is lost, hangs up.
+_ENDS = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class StopKeys:
+    """Tells whether to stop; once it has said so it says so for good.
+
+    Attributes
+    ----------
+    left
+        Whether it was Ctrl-C, a hang-up or the order to end, so that the program should leave afterwards.
+    """
+
+    def __init__(self, pressed: Callable[[], bool]) -> None:
+        self._pressed = pressed
+        self._seen = False
+        self.left = False
+
+    def pressed(self) -> bool:
+        """Look whether a key has been pressed, or the program been told to end, since this began."""
+        self._seen = self._seen or self.left or self._pressed()
+        return self._seen
+
+    def leave(self) -> None:
+        """Note that the program has been told to end."""
+        self.left = True
+
 
 @contextlib.contextmanager
-def any_key() -> Iterator[Callable[[], bool] | None]:
-    """Yield a function that tells whether a key has been pressed since this began; once it has, it stays so.
+def stop_keys() -> Iterator[StopKeys | None]:
+    """Yield what tells of keys and signals; None where there is no terminal, so that no key could be pressed.
 
-    None where no terminal is, so that no key could be. Ctrl-C stays what it is.
+    Meanwhile no signal ends the program: the axes would go on to their end.
     """
     if not sys.stdin.isatty():
         yield None
-    elif sys.platform == "win32":
-        yield _latched(_pressed_on_windows)
-    else:
-        import termios
-        import tty
-
-        terminal = sys.stdin.fileno()
-        before = termios.tcgetattr(terminal)
-        tty.setcbreak(terminal, termios.TCSAFLUSH)
+        return
+    with _keys() as pressed:
+        keys = StopKeys(pressed)
+        numbers = [getattr(signal, name) for name in _ENDS if hasattr(signal, name)]
+        before = {number: signal.signal(number, lambda *_: keys.leave()) for number in numbers}
         try:
-            yield _latched(lambda: bool(select.select([terminal], [], [], 0)[0]))
+            yield keys
         finally:
-            # What was typed to stop a move is no answer to the next question.
-            termios.tcsetattr(terminal, termios.TCSAFLUSH, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
-def _latched(pressed: Callable[[], bool]) -> Callable[[], bool]:
-    seen = False
-
-    def look() -> bool:
-        nonlocal seen
-        seen = seen or pressed()
-        return seen
-
-    return look
-
-
-def _pressed_on_windows() -> bool:
+@contextlib.contextmanager
+def _keys() -> Iterator[Callable[[], bool]]:
     if sys.platform == "win32":
         import msvcrt
 
-        return msvcrt.kbhit()
-    return False
+        yield msvcrt.kbhit
+        return
+    import termios
+    import tty
+
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal, termios.TCSAFLUSH)
+    try:
+        yield lambda: bool(select.select([terminal], [], [], 0)[0])
+    finally:
+        # What was typed to stop a move is no answer to the next question. A terminal that hung up takes nothing.
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(terminal, termios.TCSAFLUSH, before)

@@ -79,6 +79,8 @@ def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
         from daemon.commands.setup.looks import sun_sentence
 
         screen.say(f"  {sun_sentence(dialogue.settings(), _now_s())}")
+    if step.name.endswith((".port", ".line", ".resource")) and step.kind == "key":
+        _name_ports(screen)
     if step.name == MOVE and screen.first_time(step):
         _before_the_move(dialogue, screen)
     said = screen.prompt("type", "move, or skip") if step.name == MOVE else screen.ask(dialogue, step)
@@ -86,6 +88,14 @@ def _one(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
         _take(dialogue, screen, step, said)
     except UserError as error:
         screen.refuse(str(error))
+
+
+def _name_ports(screen: "SetupScreen") -> None:
+    from daemon.commands.setup.looks import serial_ports
+
+    names = serial_ports()
+    if names:
+        screen.say(f"  Serial ports here: {', '.join(names)}", "dim")
 
 
 def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", said: str) -> None:
@@ -129,7 +139,7 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
 
 def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | str:
     from daemon.base.clock import SystemClock
-    from daemon.commands.setup.any_key import any_key
+    from daemon.commands.setup.any_key import stop_keys
     from daemon.commands.setup.first_move import Bounds, first_move
     from daemon.commands.setup.looks import require_movable
     from daemon.rigs.real import build_positioner
@@ -139,14 +149,17 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
     bounds = Bounds(
         settings.limits.limits(), settings.motion.tolerance_deg, settings.instruments.positioner.slowest_deg_per_s
     )
-    with any_key() as pressed:
-        if pressed is None:
+    with stop_keys() as keys:
+        if keys is None:
             raise UserError("nothing is moved without a terminal, whose keys stop it: run this in one")
         try:
-            speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, pressed))
-        except KeyboardInterrupt:
-            say("the axes were halted, and stand")
-            raise
+            speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed))
+        except UserError as error:
+            if not keys.left:
+                raise
+            say(str(error))
+        if keys.left:
+            raise KeyboardInterrupt
     return round(speed, 3) or "done"
 
 

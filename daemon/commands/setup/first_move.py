@@ -22,6 +22,7 @@ _BEGINS_WITHIN_S = 10.0
 _MARGIN_S = 20.0
 # Telemetry tells tenths of a degree; an axis gives a little when the other one moves.
 _ASTRAY_DEG = 0.7
+_BY_A_KEY = "was stopped by a key, and stands"
 _UNLOCKED = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
 
 
@@ -168,23 +169,35 @@ async def _legs(
 ) -> float:
     speeds = []
     a_deg, b_deg = bounds.limits.clip(start.a_deg, start.b_deg)
-    axes: tuple[tuple[AxisName, float, float], ...] = (("a", a_deg, b_deg), ("b", b_deg, a_deg))
-    for axis, here_deg, other_deg in axes:
-        there_deg = _inside(axis, here_deg, STEP_DEG, bounds.limits)
-        for leg in (Leg(axis, here_deg, there_deg, other_deg), Leg(axis, there_deg, here_deg, other_deg)):
+    axes: tuple[tuple[AxisName, float], ...] = (("a", a_deg), ("b", b_deg))
+    for axis, here_deg in axes:
+        for target_deg in (_inside(axis, here_deg, STEP_DEG, bounds.limits), here_deg):
+            leg = await _from_here(positioner, axis, target_deg, bounds, pressed)
             say(f"{axis.upper()} from {leg.from_deg:z.1f} to {leg.to_deg:z.1f} deg, {leg.direction}: any key stops it")
             speeds.append(await follow(positioner, leg, bounds, clock, pressed))
             if pressed():
-                raise FirstMoveError("was stopped by a key, and stands")
+                raise FirstMoveError(_BY_A_KEY)
             say(f"  arrived, at {speeds[-1]:.2f} deg/s")
-    leg = Leg("a", a_deg, _inside("a", a_deg, _STOP_TEST_DEG, bounds.limits), b_deg)
-    say(f"now the stop: A goes to {leg.to_deg:.1f} deg. PRESS ANY KEY on the way")
+    leg = await _from_here(positioner, "a", _inside("a", a_deg, _STOP_TEST_DEG, bounds.limits), bounds, pressed)
+    say(f"now the stop: A goes to {leg.to_deg:z.1f} deg. PRESS ANY KEY on the way")
     await follow(positioner, leg, bounds, clock, pressed)
     if not pressed():
         raise FirstMoveError("arrived before a key was pressed, so the stop is not proven")
     stands = await positioner.read_telemetry()
     say(f"  stopped by the key: it stands at A {stands.a_deg:z.1f}, B {stands.b_deg:.1f} deg")
     return min(speeds)
+
+
+async def _from_here(
+    positioner: Positioner, axis: AxisName, target_deg: float, bounds: Bounds, pressed: Pressed
+) -> Leg:
+    """Return the leg from where the axes stand, the other axis asked to stay there."""
+    if pressed():
+        raise FirstMoveError(_BY_A_KEY)
+    seen = await positioner.read_telemetry()
+    here = bounds.limits.clip(seen.a_deg, seen.b_deg)
+    from_deg, other_deg = here if axis == "a" else (here.b_deg, here.a_deg)
+    return Leg(axis, from_deg, target_deg, other_deg)
 
 
 def _inside(axis: AxisName, here_deg: float, step_deg: float, limits: Limits) -> float:

@@ -40,7 +40,7 @@ def load_answers(place: Path) -> SetupAnswers:
     try:
         with place.open("rb") as file:
             return SetupAnswers.model_validate_json(file.read(_LONGEST_FILE))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return SetupAnswers()
     except OSError as error:
         raise UserError(f"{place} cannot be read: {error.strerror}") from None

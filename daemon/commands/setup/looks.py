@@ -1,8 +1,10 @@
 """Looking at each instrument before it is believed: nothing here moves an axis."""
 
 import asyncio
+import os
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 
 from daemon.base.clock import Clock, iso_utc
 from daemon.base.errors import UserError
@@ -19,6 +21,7 @@ from solar.ephemeris import sun_position
 Say = Callable[[str], object]
 
 _LISTEN_S = 3.0
+_STABLE_NAMES = ("heliocube-*", "serial/by-id/*")
 _DIRECTIONS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -31,19 +34,33 @@ def time_of(settings: Settings, now_s: float) -> float:
 
 
 def sun_sentence(settings: Settings, now_s: float) -> str:
-    """Return where the sun stands at the site now, and what time this machine thinks it is."""
+    """Return where the sun stands at the site now, and what time the rig's clock shows."""
     site, utc_s = settings.site, time_of(settings, now_s)
     sun = sun_position(utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m)
     where = _DIRECTIONS[round(sun.azimuth_deg / 45.0) % 8]
     height = (
         f"{sun.elevation_deg:.0f} deg high" if sun.elevation_deg > 0 else f"down, {-sun.elevation_deg:.0f} deg below"
     )
-    local = datetime.fromtimestamp(utc_s, UTC).astimezone()
+    place = f"in the {where} (azimuth {sun.azimuth_deg:.0f} deg), {height}"
+    return f"{_clock_sentence(settings, utc_s)}, and the sun is {place}."
+
+
+def _clock_sentence(settings: Settings, utc_s: float) -> str:
+    now = f"it is {iso_utc(utc_s)[:16]} UTC"
+    if settings.instruments.bench:
+        return f"By the bench's clock {now}"
     known = {True: "synchronised", False: "NOT synchronised", None: "not known to be synchronised"}[synchronised()]
-    return (
-        f"By this machine's clock it is {iso_utc(utc_s)[:16]} UTC, {local:%H:%M} local ({known}), and the sun is in the"
-        f" {where} (azimuth {sun.azimuth_deg:.0f} deg), {height}."
-    )
+    return f"By this machine's clock {now}, {datetime.fromtimestamp(utc_s, UTC).astimezone():%H:%M} local ({known})"
+
+
+def serial_ports() -> list[str]:
+    """Return the serial ports of this machine, by names that outlive a replug where it has such."""
+    named = [str(path) for pattern in _STABLE_NAMES for path in sorted(Path("/dev").glob(pattern))]
+    if named or os.name == "posix":
+        return named
+    from serial.tools import list_ports
+
+    return sorted(port.device for port in list_ports.comports())
 
 
 async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:

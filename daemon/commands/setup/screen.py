@@ -25,9 +25,12 @@ class SetupScreen:
     def say(self, text: str, style: str = "") -> None:
         """Write a line, broken at the terminal's width with what follows under its beginning."""
         for line in text.splitlines() or [""]:
-            indent = " " * (len(line) - len(line.lstrip()))
+            words = line.lstrip()
+            indent = " " * (len(line) - len(words) + 2 * words.startswith(("- ", "! ")))
             width = min(self._console.width, _WIDEST)
-            for part in textwrap.wrap(line, width, subsequent_indent=indent, break_on_hyphens=False) or [""]:
+            for part in textwrap.wrap(
+                line, width, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
+            ) or [""]:
                 self._console.print(Text(part, style), soft_wrap=True)
 
     def refuse(self, sentence: str) -> None:

@@ -8,33 +8,36 @@ import pytest
 
 from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.commands.setup.first_move import Bounds, FirstMoveError, Leg, first_move, ready
+from daemon.commands.setup.first_move import Bounds, Leg, first_move, ready
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_positioner
-from drivers.errors import RefusedError
+from drivers.errors import DeviceError, LinkLostError
 from drivers.interfaces import Telemetry
 from solar.frames import Limits
 
 NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
 
 
-def moved(press_at=None, changes=None, limits=NARROW):
+def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf):
     """Make the first move, with a key pressed at the words of a line; return its result, lines and poses."""
     lines, poses = [], []
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, 1.7e9)
-        truth, positioner = build_simulated_positioner(Settings.model_validate(changes or {}), clock)
+        truth, positioner = build_simulated_positioner(Settings(), clock)
 
         def pressed():
             poses.append(truth(clock.monotonic()))
-            return press_at is not None and any(press_at in line for line in lines)
+            if poses[-1].a_deg > gone_beyond_deg:
+                raise LinkLostError("positioner", "is gone")
+            return press_at is not None and any(press_at in line for line in ("", *lines))
 
         async def scene():
             try:
                 found = await first_move(positioner, Bounds(limits, 0.8, 0.3), clock, lines.append, pressed)
-            except (FirstMoveError, RefusedError) as error:
+            except DeviceError as error:
                 found = error.message
             before = truth(clock.monotonic())
+            assert before.a_deg < 1.5 or gone_beyond_deg == math.inf
             await asyncio.sleep(60.0)
             assert truth(clock.monotonic()) == pytest.approx(before, abs=1e-6), "it moves on"
             return found
@@ -58,10 +61,23 @@ def test_a_key_in_any_leg_stops_it_and_ends_the_first_move():
     assert "PRESS" not in " ".join(lines)
 
 
+def test_a_key_before_it_begins_keeps_it_from_beginning():
+    found, lines, poses = moved(press_at="")
+    assert "stopped by a key" in found
+    assert lines == []
+    assert {(round(pose.a_deg, 3), round(pose.b_deg, 3)) for pose in poses} == {(0.0, 90.0)}
+
+
 def test_a_stop_that_nobody_tried_is_not_proven():
     found, _, poses = moved()
     assert "not proven" in found
     assert max(pose.a_deg for pose in poses) <= 5.8
+
+
+def test_whatever_ends_a_leg_early_halts_the_axes():
+    found, _, poses = moved(gone_beyond_deg=0.5)
+    assert found == "is gone"
+    assert 0.5 < max(pose.a_deg for pose in poses) < 1.5
 
 
 def test_a_unit_outside_the_limits_is_not_moved():

@@ -1,0 +1,82 @@
+"""`heliocube setup` where nothing moves: what it writes, what it leaves alone, and how it is left."""
+
+import pytest
+from typer.testing import CliRunner
+
+from daemon.bridge.signing import generate_key, load_key, write_key
+from daemon.commands.main import app
+from daemon.commands.setup.command import LEFT
+from daemon.config.file import load_settings
+
+CUBE = ["real", "Roof", "48.7", "2.2", "156", "yes", "modbus", "tcp:192.168.1.40:502", "skip", "10.0.0.5:20571"]
+
+
+@pytest.fixture
+def setup(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def run(file, *said, options=("--role", "cube")):
+        return CliRunner().invoke(app, ["setup", str(file), *options], input="".join(f"{text}\n" for text in said))
+
+    return run
+
+
+def test_a_cube_without_a_colour_or_a_terminal_is_set_up_in_plain_lines(setup, tmp_path):
+    file = tmp_path / "cube.toml"
+    done = setup(file, *CUBE, "new")
+    assert done.exit_code == 0, done.output
+    assert "\x1b" not in done.output
+    lines = [line for line in done.output.splitlines() if ": " not in line and str(tmp_path) not in line]
+    assert max(map(len, lines)) <= 80
+    assert "read the cube: heliocube probe" in done.output
+    found = load_settings(file)
+    assert found.real
+    assert found.bridge.send_to == ("10.0.0.5:20571",)
+    assert load_key(tmp_path / "bridge.key")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["api.token", "bridge.key", "cube.toml"]
+
+
+def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
+    file, key = tmp_path / "cube.toml", tmp_path / "bridge.key"
+    before = "[cube]\nname = 'roof'\n[bridge]\nkey_file = 'bridge.key'\n[store]\ndirectory = 'kept'\n"
+    file.write_text(before)
+    write_key(key, generate_key())
+    secret = key.read_bytes()
+    for name in ("cube.toml.before", "cube.toml.before-2"):
+        done = setup(file, *CUBE, "")
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / name).exists()
+    assert (tmp_path / "cube.toml.before").read_text() == before
+    assert key.read_bytes() == secret
+    found = load_settings(file)
+    assert (found.cube.name, found.store.directory) == ("roof", tmp_path / "kept")
+
+
+def test_the_end_of_the_input_leaves_and_the_same_command_goes_on(setup, tmp_path):
+    file = tmp_path / "rig" / "cube.toml"
+    left = setup(file, *CUBE[:4])
+    assert left.exit_code == LEFT
+    assert "Left." in left.output
+    assert not file.exists()
+    done = setup(file, *CUBE[4:], "new", options=())
+    assert "5 answers are there from before" in done.output
+    assert done.exit_code == 0, done.output
+    assert load_settings(file).site.longitude_deg == 2.2
+    again = setup(file, options=("--anew",))
+    assert "What will this machine do" in again.output
+
+
+def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
+    port = tmp_path / "positioner"
+    said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 6]
+    done = setup(tmp_path / "tracker.toml", *said, "move", "skip", options=("--role", "tracker"))
+    assert done.exit_code == 0, done.output
+    assert "nothing is moved without a terminal" in done.output
+    assert "THE FIRST MOVE" in done.output
+
+
+def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
+    (tmp_path / "file").write_text("")
+    done = setup(tmp_path / "file" / "cube.toml", *CUBE)
+    assert "cannot be written" in str(done.exception)
+    assert "name a file in a folder of yours" in str(done.exception)
