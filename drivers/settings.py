@@ -151,7 +151,7 @@ class PositionerSettings(DriverSettings):
     current_alarm_a: Positive = Field(
         1.6,
         le=20,
-        description="Motor current [A] that is told when it lasts; the unit's own limit is 2 A as delivered.",
+        description="Motor current [A] that raises an alarm when it lasts; the unit's own limit is 2 A as delivered.",
     )
 
     position_unit: Literal["mm", "deg", "impulse"] = Field("deg", description="What the unit counts positions in.")
@@ -191,7 +191,7 @@ class LoadSettings(DriverSettings):
     )
     deadline_s: Positive = Field(1.0, le=30, description="Longest wait for one answer of the load.")
     keep_curves: bool = Field(
-        default=False, description="Keep the points of every curve in the store, and not only what they say."
+        default=False, description="Keep the points of every curve in the store, and not only their results."
     )
 
     def exclusive(self) -> Mapping[str, str | None]:

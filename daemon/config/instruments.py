@@ -43,7 +43,11 @@ class MultiplexerSettings(Section):
         description="What is written to the lines to select input 0, 1, 2 and so on.",
     )
     enable_line: int | None = Field(
-        None, ge=0, le=7, examples=[3], description="Line that enables the switch; left out if enable is wired fast."
+        None,
+        ge=0,
+        le=7,
+        examples=[3],
+        description="Line that enables the switch; left out if it is wired to be always on.",
     )
     enable_level: Literal["high", "low"] = Field("high", description="Level of the enable line that switches on.")
     deadline_s: Positive = Field(2.0, le=30, description="Longest wait for one write to the lines.")

@@ -217,8 +217,8 @@ class NotifySettings(Section):
     heartbeat: WebAddress | None = Field(
         None,
         examples=["https://hc.example/ping/1234"],
-        description="Is asked (GET) again and again while this process works; who waits there for it calls when it"
-        " stops.",
+        description="Address that is asked (GET) again and again while this process works; a watch there calls you"
+        " when that stops.",
     )
     heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
 
@@ -243,7 +243,7 @@ class WindInput(Section):
     """A wind sensor on the broker. Thresholds and times are those of [safety]."""
 
     topic: Topic | None = Field(
-        None, examples=["weather/roof"], description="Topic that bears the wind speed. Left out: there is none."
+        None, examples=["weather/roof"], description="Topic with the wind speed. Left out: there is none."
     )
     json_path: JsonPath = Field(
         "", description="Where the speed is in a JSON message; empty where the message is the number."
@@ -255,7 +255,7 @@ class SafeInput(Section):
     """Somebody on the broker who says whether it is safe to track, such as a weather station or a switch."""
 
     topic: Topic | None = Field(
-        None, examples=["dome/safety"], description="Topic that bears the word. Left out: there is none."
+        None, examples=["dome/safety"], description="Topic with the word. Left out: there is none."
     )
     json_path: JsonPath = Field(
         "", description="Where the word is in a JSON message; empty where the message is the word."
@@ -292,14 +292,15 @@ class MqttSettings(Section):
         min_length=1,
         max_length=128,
         examples=["roof-tracker"],
-        description="Name of the connection; two with one name throw each other out. Left out: of prefix and name.",
+        description="Name of the connection; two with one name keep disconnecting each other. Left out: made of prefix"
+        " and name.",
     )
     keepalive_s: int = Field(5, ge=2, le=60, description="Longest silence; a hung broker is noticed within twice this.")
     prefix: Topic = Field("heliocube", description="What all topics of the installation begin with.")
     name: TopicLevel | None = Field(
         None,
         examples=["roof"],
-        description="Level of this tracker below the prefix, or of this cube; the store bears the name too. Left out:"
+        description="Level of this tracker below the prefix, or of this cube; the store uses the name too. Left out:"
         " tracker, or cube.",
     )
     state_every_s: float = Field(10.0, ge=1, le=3600, description="Time from one message with the state to the next.")
@@ -311,11 +312,11 @@ class MqttSettings(Section):
     )
     dated_commands: bool = Field(
         default=False,
-        description='Take only commands that bear an "id" and a "time" of their own, and each only once; but a stop'
+        description='Take only commands that have an "id" and a "time" of their own, and each only once; but a stop'
         " always.",
     )
     command_age_s: Duration = Field(
-        30.0, description="Largest difference between the time that a command bears and the service's clock."
+        30.0, description="Largest difference between the time of a command and the service's clock."
     )
     discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
     discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")

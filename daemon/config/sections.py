@@ -72,7 +72,7 @@ class CubeSettings(Section):
         "cube",
         pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,31}$",
         json_schema_extra={"format": "name"},
-        description="Name that every scan bears on its way to the trackers.",
+        description="Name that every scan carries to the trackers.",
     )
     scan_every_s: float = Field(5.0, ge=0.5, le=60, description="Time from the start of one scan to the next.")
     reading_deadline_s: Positive = Field(
@@ -196,8 +196,8 @@ class SafetySettings(Section):
     wind_stale_s: Duration = Field(300.0, description="Silence of the wind sensor that counts as strong wind.")
     without_wind_source: Literal["alarm", "accepted"] = Field(
         "alarm",
-        description="What to do on real instruments when nothing tells of the wind: alarm, or accepted where somebody"
-        " else sees to storms.",
+        description="What to do on real instruments when nothing reports the wind: alarm, or accepted where somebody"
+        " else takes care of storms.",
     )
 
 

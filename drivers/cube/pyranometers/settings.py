@@ -57,7 +57,7 @@ class PyranometerSettings(DriverSettings):
         ge=1,
         le=4294967295,
         examples=[180123],
-        description="Its serial number: a sensor that says another one is not believed to be this face.",
+        description="Its serial number: a sensor with another one is not taken for this face.",
     )
     make: MakeName | None = Field(None, examples=["apogee"], description="Its make, where it is not that of all.")
     line: ModbusLine | None = Field(
@@ -79,7 +79,7 @@ class PyranometerSettings(DriverSettings):
 
 
 class PyranometersSettings(CubeDriverSettings):
-    """modbus-pyranometers: four digital pyranometers, which tell W/m2 by themselves."""
+    """modbus-pyranometers: four digital pyranometers, which report W/m2 themselves."""
 
     line: ModbusLine | None = Field(
         None,

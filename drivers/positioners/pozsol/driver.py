@@ -60,7 +60,7 @@ class PozsolSettings(PositionerSettings):
     dtr: bool = Field(
         True,
         description="Modem line DTR from opening on. Set it to false for a board that restarts when its port is opened."
-        " Linux raises it for an instant at every open all the same.",
+        " Linux still raises it for an instant at every open.",
     )
     rts: bool = Field(True, description="Modem line RTS, likewise.")
     boot_s: float = Field(
@@ -78,7 +78,7 @@ class PozsolSettings(PositionerSettings):
         "mm", description="What the unit counts positions in: mm with linear actuators, deg with slew drives."
     )
     status_layout: Literal["unknown", "stm", "lpc"] = Field(
-        "unknown", description="Where the status word has axis B's bits; what B's moves show goes before it."
+        "unknown", description="Where the status word has axis B's bits; what B's moves show takes precedence."
     )
     a_axis: AxisGeometry = AxisGeometry(low_deg=-52.0, apex_deg=90.0)
     b_axis: AxisGeometry = AxisGeometry(low_deg=13.0, apex_deg=37.5)
