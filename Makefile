@@ -10,7 +10,7 @@ WAITING ?= 5
 # Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
 test test-quick: export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: run test test-quick lint docs format clean help
+.PHONY: run test test-quick lint docs deb format clean help
 
 help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
@@ -18,6 +18,7 @@ help:
 	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
 	@echo "make lint                       ruff, ruff format --check, mypy (for Linux and for Windows), import-linter"
 	@echo "make docs                       the documentation as a site, in site/html; a link that leads nowhere ends it"
+	@echo "make deb                        the Debian package of this checkout, in dist/"
 	@echo "make format                     ruff's fixes and formatting"
 	@echo "make clean                      remove the virtual environment and caches"
 
@@ -63,6 +64,9 @@ lint: $(BIN)/.dev
 
 docs: $(BIN)/.docs
 	$(BIN)/python docs/site/build.py
+
+deb:
+	deploy/deb/build $(ARGS)
 
 format: $(BIN)/.dev
 	$(BIN)/ruff check --fix .

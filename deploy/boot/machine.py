@@ -25,11 +25,14 @@ class Machine:
         The tree.
     name
         Of the machine.
+    seen
+        A folder of the host's, and where it is seen inside.
     """
 
-    def __init__(self, root: Path, name: str) -> None:
+    def __init__(self, root: Path, name: str, seen: tuple[Path, str]) -> None:
         self.root = root
         self._name = name
+        self._seen = seen
         self._console = root.parent / "console"
         self._nspawn: subprocess.Popen[bytes] | None = None
         self._leader = 0
@@ -49,6 +52,7 @@ class Machine:
                     *("systemd-nspawn", "--boot", "--register=no", *own_unit, "--console=read-only"),
                     *("--private-network", "--resolv-conf=off", "--timezone=off"),
                     *("-D", str(self.root), f"--machine={self._name}"),
+                    f"--bind-ro={self._seen[0]}:{self._seen[1]}",
                 ],
                 stdin=subprocess.DEVNULL,
                 stdout=console,

@@ -44,6 +44,18 @@ class Records:
         sessions = len({session for session, _ in now["cube"]})
         return ", ".join(f"{role} {len(now[role])} scans" for role in ROLES) + f", {sessions} sessions, files whole"
 
+    def lose_no_scan(self, before: dict[str, set[tuple[str, int]]]) -> str:
+        """See that no number is missing in the cube's store, nor what stood in either before."""
+        now = {role: self.scans(role) for role in ROLES}
+        for session in {session for session, _ in now["cube"]}:
+            numbers = sorted(number for one, number in now["cube"] if one == session)
+            if len(numbers) != numbers[-1] + 1:
+                raise NotSeen(f"the cube's store has {len(numbers)} scans up to number {numbers[-1]} of a session")
+        if any(before[role] - now[role] for role in ROLES) or now["tracker"] - now["cube"]:
+            raise NotSeen("a store lacks what it had, or the tracker has what the cube has not")
+        missed = len(now["cube"] - now["tracker"] - before["cube"])
+        return f"each of {len(now['cube'])} scans is in the cube's store; the tracker did not hear {missed} of them"
+
     def have_fields(self) -> str:
         """See that the journal knows whose a line is and how urgent, and has the fields in it."""
         entries = self._machine.entries(f"_SYSTEMD_UNIT={TRACKER}")

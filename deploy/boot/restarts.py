@@ -46,15 +46,37 @@ class Restarts:
 
     def wait_for_wind(self) -> str:
         """See that nothing is tracked before the wind has been heard."""
-        return self._hold_until_wind(self._rig.pose())
+        return self.hold_until_wind(self._rig.pose())
 
-    def _hold_until_wind(self, before: tuple[float, float]) -> str:
+    def hold_until_wind(self, before: tuple[float, float]) -> str:
+        """Wait until only the wind is missing, see that nothing has moved, let it be heard, and wait for tracking."""
         wait(self._waits_for_wind, TRACKS_WITHIN_S, lambda: f"waiting for the wind; {self._rig.mode()}")
         _, reason = self._rig.mode()
         self._rig.must_not_move(before)
         self._rig.wind(CALM_M_S)
         self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
         return f'held with "{reason}", tracks since the wind was heard'
+
+    def hold_until_released(self, before: tuple[float, float]) -> str:
+        """See that another release holds, once it has heard the wind, and that it tracks when a person says so.
+
+        Where both releases are the same program it tracks by itself, as after any restart.
+        """
+        wait(self._waits_for_wind, TRACKS_WITHIN_S, lambda: f"waiting for the wind; {self._rig.mode()}")
+        self._rig.must_not_move(before)
+        self._rig.wind(CALM_M_S)
+        mode = wait(self._mode_at_work, TRACKS_WITHIN_S, lambda: f"a mode of work; it is {self._rig.mode()}")
+        if mode == "tracking":
+            return "held until the wind was heard, and tracks again: both are the same program"
+        _, reason = self._rig.mode()
+        self._rig.must_not_move(before)
+        self._machine.run("heliocube", "auto", "--config", "/etc/heliocube/tracker.toml")
+        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        return f'held with "{reason}", tracks since a person said auto'
+
+    def _mode_at_work(self) -> str:
+        mode, _ = self._rig.mode()
+        return mode if mode in {"hold", "tracking"} else ""
 
     def _waits_for_wind(self) -> bool:
         mode, reason = self._rig.mode()
@@ -83,7 +105,7 @@ class Restarts:
         """See each unit back after kill -9; the tracker holds until it has readings and has heard the wind."""
         before = self._rig.rest()
         took = self._kill_and_wait(*UNITS)
-        held = self._hold_until_wind(before)
+        held = self.hold_until_wind(before)
         return ", ".join(f"{unit.split('.')[0]} back after {s:.1f} s" for unit, s in took.items()) + f", {held}"
 
     def _kill_and_wait(self, *units: str) -> dict[str, float]:
@@ -144,7 +166,7 @@ class Restarts:
         if "Watchdog timeout" not in said:
             raise NotSeen(f"no watchdog ended it: {said}")
         took_s = self._active_since_s(TRACKER) - self._frozen_at_s
-        return f"heliocube-tracker ready again after {took_s:.0f} s, {self._hold_until_wind(self._frozen_pose)}"
+        return f"heliocube-tracker ready again after {took_s:.0f} s, {self.hold_until_wind(self._frozen_pose)}"
 
     def _active_since_s(self, unit: str) -> float:
         """Return when a unit became active, by the clock of `time.monotonic`, which systemd's stamp has too [s]."""

@@ -10,7 +10,7 @@ from boot.machine import Machine
 PROGRAM = "/opt/heliocube/current/bin/heliocube"
 UNITS = ("heliocube-cube.service", "heliocube-tracker.service")
 CUBE, TRACKER = UNITS
-BENCH = "/run/heliocube-bench"
+BENCH = "/run/bench"
 WIND_TOPIC = "weather/roof"
 CALM_M_S, STORM_M_S = 3.0, 25.0
 READY_WITHIN_S = 90.0
@@ -84,14 +84,14 @@ class Rig:
     def start_bench(self) -> str:
         """Start the bench and write what both services are configured with."""
         self._machine.write("/etc/heliocube/basis.toml", BASIS, 0o644)
-        self._machine.write("/etc/systemd/system/heliocube-bench.service", _bench_unit())
+        self._machine.write("/etc/systemd/system/bench.service", _bench_unit())
         self._machine.systemctl("daemon-reload")
-        self._machine.systemctl("start", "heliocube-bench.service")
+        self._machine.systemctl("start", "bench.service")
         written = f"{BENCH}/heliocube.toml"
         text = wait(
             lambda: self._machine.try_to("cat", written).stdout,
             READY_WITHIN_S,
-            lambda: f"the bench is ready; {self._machine.journal('heliocube-bench.service', 8)}",
+            lambda: f"the bench is ready; {self._machine.journal('bench.service', 8)}",
         )
         self._machine.write("/etc/heliocube/tracker.toml", text, 0o640)
         cube = text.replace("127.0.0.1:20572", "127.0.0.1:20573").replace("/heliocube/tracker", "/heliocube/cube")

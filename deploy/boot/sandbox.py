@@ -32,7 +32,7 @@ def connect(host):
     return act
 print(json.dumps(dict(
     etc=told(lambda: open("/etc/heliocube/tracker.toml", "a").close()),
-    program=told(lambda: open("/opt/heliocube/new", "w").close()),
+    program=told(lambda: open("/opt/heliocube/current/bin/heliocube", "a").close()),
     own=told(lambda: open("/var/lib/heliocube/probe", "w").close()),
     terminal=told(lambda: open(sys.argv[1], "rb+", 0).close()),
     device=told(lambda: open("{DEVICE}", "rb", 0).close()),

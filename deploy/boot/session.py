@@ -5,12 +5,13 @@ from pathlib import Path
 
 from boot.companions import Companions
 from boot.machine import Machine
+from boot.packages import Packages
 from boot.records import ROLES, Records
 from boot.report import Report
 from boot.restarts import Restarts
 from boot.rig import Rig
 from boot.sandbox import Sandbox
-from boot.tree import CHECKOUT, Tree
+from boot.tree import PACKAGES, Tree
 
 
 class Session:
@@ -26,6 +27,7 @@ class Session:
 
     def __init__(self, cache: Path, report: Report) -> None:
         self._tree = Tree(cache)
+        self._packages = Packages(self._tree)
         self._report = report
 
     def run(self) -> None:
@@ -34,9 +36,11 @@ class Session:
         try:
             if not self._report.point("the tree", self._tree.make):
                 return
-            if not self._report.point("installing", self._install):
+            if not self._report.point("building the packages", self._packages.build):
                 return
-            machine = Machine(self._tree.root, self._tree.machine)
+            if not self._report.point("installing", self._packages.install):
+                return
+            machine = Machine(self._tree.root, self._tree.machine, (self._tree.packages, PACKAGES))
             said = machine.boot()
             self._report.point("booting", lambda: said)
             self._look(machine)
@@ -48,10 +52,6 @@ class Session:
                 machine.stop()
             self._tree.remove()
 
-    def _install(self) -> str:
-        self._tree.run("sh", f"{CHECKOUT}/deploy/install.sh", "--role", "both", "--notify")
-        return "install.sh, from hashes and without a network"
-
     def _look(self, machine: Machine) -> None:
         rig, point = Rig(machine), self._report.point
         restarts, records = Restarts(machine, rig), Records(machine)
@@ -61,6 +61,8 @@ class Session:
             return
         point("the first readings and the wind", restarts.wait_for_wind)
         point("systemctl status", restarts.tell_status)
+        point("an upgrade at work", lambda: self._packages.upgrade(machine, rig, records, restarts))
+        point("manual and completion", lambda: self._packages.pages(machine))
         sandbox, companions = Sandbox(machine), Companions(machine)
         before = {role: records.scans(role) for role in ROLES}
         point("kill -9", restarts.survive_kill)
@@ -80,3 +82,4 @@ class Session:
         point("the stores", lambda: records.survive(before))
         point("the journal's fields", records.have_fields)
         point("the journal's limits", records.stay_quiet)
+        point("a purge", lambda: self._packages.purge(machine))

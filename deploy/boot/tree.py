@@ -9,8 +9,8 @@ from pathlib import Path
 
 from boot.host import ROOT, LeftOut, NotSeen, run
 
-PACKAGES = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
-CHECKOUT, WHEELS = "/srv/checkout", "/srv/wheels"
+DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
+CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
 # The lock with the alarms holds all that the lock without them does.
 LOCKS = ("notify", "build")
 
@@ -27,12 +27,15 @@ class Tree:
     ----------
     root
         The root of its file system.
+    packages
+        The folder that it sees as `PACKAGES`.
     """
 
     def __init__(self, cache: Path) -> None:
         self._cache = cache
         self._work = Path()
         self.root = Path()
+        self.packages = Path()
 
     def make(self) -> str:
         """Make the tree, from the cache where it is there, and return what was done in words."""
@@ -41,21 +44,27 @@ class Tree:
         fetched = self._fetch_wheels()
         self._work = Path(tempfile.mkdtemp(prefix="run-", dir=self._cache))
         self.root = self._work / "root"
+        self.packages = self._work / "packages"
+        self.packages.mkdir()
         run("cp", "-a", "--reflink=auto", base, self.root)
-        for name in (CHECKOUT, WHEELS):
+        for name in (CHECKOUT, WHEELS, PACKAGES):
             (self.root / name.lstrip("/")).mkdir(parents=True)
+        try:
+            self.run("true")
+        except NotSeen as error:
+            raise LeftOut(f"no container runs here: {error}") from None
         return f"{made}, {fetched}"
 
     def _base(self) -> tuple[Path, str]:
         suite = _suite()
-        key = hashlib.sha256(repr((suite, PACKAGES)).encode()).hexdigest()[:12]
+        key = hashlib.sha256(repr((suite, DEBIAN)).encode()).hexdigest()[:12]
         base = self._cache / f"debian-{suite}-{key}"
         if base.exists():
             return base, f"{base.name} as kept"
         building = Path(tempfile.mkdtemp(prefix="building-", dir=self._cache))
         # Without a mirror named it takes this machine's own.
         try:
-            run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(PACKAGES)}", suite, building)
+            run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(DEBIAN)}", suite, building)
         except NotSeen as error:
             shutil.rmtree(building, ignore_errors=True)
             raise LeftOut(f"no Debian tree could be made here: {error}") from None
@@ -85,6 +94,7 @@ class Tree:
             *("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--pipe", "--private-network"),
             *("-D", self.root, f"--machine={self.machine}"),
             *(f"--bind-ro={sources}:{CHECKOUT}", f"--bind-ro={self._cache / 'wheels'}:{WHEELS}"),
+            f"--bind={self.packages}:{PACKAGES}",
             *("--setenv=PIP_NO_INDEX=1", f"--setenv=PIP_FIND_LINKS={WHEELS}"),
             *command,
         )

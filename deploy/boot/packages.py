@@ -1,0 +1,135 @@
+"""Points about the Debian package: built in the tree, installed, put over the one of the commit before, and purged."""
+
+import shutil
+import tarfile
+import time
+from pathlib import Path
+
+from boot.host import ROOT, NotSeen, run, wait
+from boot.machine import Machine
+from boot.records import ROLES, Records
+from boot.restarts import BACK_WITHIN_S, Restarts
+from boot.rig import UNITS, Rig
+from boot.tree import CHECKOUT, PACKAGES, Tree
+
+_LEAVES = ("etc/heliocube", "var/lib/heliocube")
+# Not ours: what the run itself has put there, and what the system keeps about every package and user.
+_NOT_OURS = ("srv", "proc", "sys", "run", "tmp", "var/log", "var/cache", "var/tmp")
+
+
+class Packages:
+    """The packages of this commit and of the one before.
+
+    Parameters
+    ----------
+    tree
+        Where they are built.
+    """
+
+    def __init__(self, tree: Tree) -> None:
+        self._tree = tree
+        self._old = ""
+        self._new = ""
+        self._before: set[str] = set()
+
+    def build(self) -> str:
+        """Build both; where the commit before cannot be had, this one under an older number stands for it."""
+        count, commit = _git("rev-list", "--count", "HEAD"), _git("rev-parse", "--short=8", "HEAD")
+        self._new = self._build(ROOT, f"0.0+test{count or 1}.{commit or 'checkout'}")
+        size_mb = (self._tree.packages / self._new).stat().st_size / 1e6
+        words = f"{self._new}, {size_mb:.0f} MB uncompressed"
+        if count and (earlier := self._earlier()):
+            self._old = self._build(earlier, f"0.0+test{int(count) - 1}")
+            return f"{words}, and that of the commit before"
+        self._old = self._build(ROOT, "0.0+test0")
+        return f"{words}; the commit before has no package, so this one under an older number stands for it"
+
+    def _build(self, sources: Path, version: str) -> str:
+        said = self._tree.run(
+            # A disk, on which the package's files can be links to those that are kept.
+            *("env", f"TMPDIR={PACKAGES}", "sh", f"{CHECKOUT}/deploy/deb/build", "--fast", "--out", PACKAGES),
+            *("--keep", f"{PACKAGES}/kept", "--version", version),
+            sources=sources,
+        )
+        return Path(said.strip().splitlines()[-1]).name
+
+    def _earlier(self) -> Path | None:
+        """Return the sources of the commit before, or None where they are not here or make no package."""
+        if not _git("rev-parse", "--verify", "--quiet", "HEAD~1:deploy/deb/build"):
+            return None
+        archive, folder = self._tree.packages / "earlier.tar", self._tree.packages / "earlier"
+        run("git", "-C", ROOT, "archive", "--format=tar", f"--output={archive}", "HEAD~1")
+        with tarfile.open(archive) as packed:
+            packed.extractall(folder, filter="data")
+        return folder
+
+    def install(self) -> str:
+        """Install that of the commit before into the tree."""
+        self._before = self._files()
+        self._tree.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._old}")
+        wants = self._tree.root / "etc/systemd/system/multi-user.target.wants"
+        if enabled := sorted(path.name for path in wants.glob("heliocube*")):
+            raise NotSeen(f"it starts by itself: {enabled}")
+        return f"{self._old}; nothing of it is enabled"
+
+    def upgrade(self, machine: Machine, rig: Rig, records: Records, restarts: Restarts) -> str:
+        """Put this commit's over it at work: nothing moves, both roles come back by themselves, and no scan is lost."""
+        before = {role: records.scans(role) for role in ROLES}
+        pose, began_s = rig.rest(), time.monotonic()
+        machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
+        took_s = time.monotonic() - began_s
+        for unit in UNITS:
+            machine.wait_active(unit, BACK_WITHIN_S)
+            running = machine.run("cat", f"/proc/{machine.show(unit, 'MainPID')['MainPID']}/cmdline").partition("\0")[0]
+            if self._new.split("_")[1] not in running:
+                raise NotSeen(f"{unit} still is {running}")
+        held = restarts.hold_until_released(pose)
+        wait(lambda: self._caught_up(records), BACK_WITHIN_S, "the tracker's records after the upgrade")
+        return f"{took_s:.0f} s; {held}; {records.lose_no_scan(before)}"
+
+    def _caught_up(self, records: Records) -> bool:
+        sessions = {session for session, _ in records.scans("cube")}
+        return {session for session, _ in records.scans("tracker")} == sessions
+
+    def pages(self, machine: Machine) -> str:
+        """See manual pages and completion where the shells look for them."""
+        page = machine.root / "usr/share/man/man1/heliocube-stop.1.gz"
+        words = machine.run(
+            *("bash", "-c"),
+            "source /usr/share/bash-completion/completions/heliocube; COMP_WORDS=(heliocube st); COMP_CWORD=1;"
+            " _heliocube_completion heliocube; echo ${COMPREPLY[*]}",
+        ).split()
+        pages = list(page.parent.glob("heliocube*.1.gz"))
+        if not page.exists() or "stop" not in words or "stow" not in words:
+            raise NotSeen(f"{len(pages)} pages; 'heliocube st' is completed to {words}")
+        return f"{len(pages)} manual pages; 'heliocube st' is completed to {', '.join(words)}"
+
+    def purge(self, machine: Machine) -> str:
+        """See that a purge leaves settings, keys, records and their user, and nothing else of ours."""
+        machine.systemctl("stop", "bench.service")
+        records = sorted((machine.root / "var/lib/heliocube").rglob("*.sqlite"))
+        machine.run("dpkg", "--force-unsafe-io", "--purge", "heliocube")
+        if running := machine.run("systemctl", "list-units", "--plain", "--no-legend", "heliocube*").strip():
+            raise NotSeen(f"still known to systemd: {running}")
+        left = {name for name in self._files() - self._before if not name.startswith(_LEAVES)}
+        if ours := sorted(name for name in left if "heliocube" in name):
+            raise NotSeen(f"left: {', '.join(ours[:5])}")
+        if gone := [path.name for path in records if not path.exists()]:
+            raise NotSeen(f"records are gone: {gone}")
+        kept = sorted(path.name for path in (machine.root / "etc/heliocube").iterdir())
+        return f"left are {len(records)} stores, the reports, and of /etc/heliocube {', '.join(kept)}"
+
+    def _files(self) -> set[str]:
+        root = self._tree.root
+        names = (str(path.relative_to(root)) for path in root.rglob("*") if not path.is_dir() or path.is_symlink())
+        return {name for name in names if not name.startswith(_NOT_OURS)}
+
+
+def _git(*words: str) -> str:
+    """Return what git says of this checkout; empty where it is none, or git has nothing to say."""
+    if shutil.which("git") is None:
+        return ""
+    try:
+        return run("git", "-C", ROOT, "-c", f"safe.directory={ROOT}", *words).strip()
+    except NotSeen:
+        return ""
