@@ -25,6 +25,9 @@ def told(act):
     except OSError as error:
         return error.strerror
     return "allowed"
+def make_folder():
+    os.mkdir("/opt/heliocube/probe")
+    os.rmdir("/opt/heliocube/probe")
 def connect(host):
     def act():
         with socket.create_connection((host, {PORT}), 3):
@@ -32,7 +35,7 @@ def connect(host):
     return act
 print(json.dumps(dict(
     etc=told(lambda: open("/etc/heliocube/tracker.toml", "a").close()),
-    program=told(lambda: open("/opt/heliocube/current/bin/heliocube", "a").close()),
+    program=told(make_folder),
     own=told(lambda: open("/var/lib/heliocube/probe", "w").close()),
     terminal=told(lambda: open(sys.argv[1], "rb+", 0).close()),
     device=told(lambda: open("{DEVICE}", "rb", 0).close()),
@@ -88,6 +91,8 @@ class Sandbox:
         tried = ("etc", "program", "terminal", "home", "packet")
         if open_doors := [name for name in tried if found[name] == "allowed"]:
             raise NotSeen(f"allowed: {', '.join(open_doors)}")
+        if found["program"] != "Read-only file system":
+            raise NotSeen(f"only rights and no read-only file system keep it from its own program: {found['program']}")
         return ", ".join(f"{name}: {found[name]}" for name in tried)
 
     def refuse_addresses(self) -> str:
