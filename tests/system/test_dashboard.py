@@ -308,3 +308,21 @@ def close(said, shown):
     faces = all(abs(one - other) <= 1 for one, other in zip(said["faces"], shown["faces"], strict=True))
     rest = (said[name] == pytest.approx(shown[name], abs=0.101) for name in said if name != "faces")
     return faces and all(rest)
+
+
+def test_without_a_service_every_view_says_so(browser, tmp_path):
+    dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{browsers.free_port()}")
+    try:
+        with browser.new_context(viewport=browsers.PHONE) as context:
+            page = browsers.Page(context, url)
+            page.sees(".hero h1", "No connection")
+            for view, selector, words in (
+                ("day", ".day", "No stored day to show"),
+                ("fleet", ".hero h1", "The service does not answer"),
+                ("control", ".control", "Not known"),
+            ):
+                page.show(view)
+                page.sees(selector, words)
+            assert page.complaints == []
+    finally:
+        dashboard.stop()

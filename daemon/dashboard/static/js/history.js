@@ -4,6 +4,8 @@ async function read(what, service, query) {
   const parameters = new URLSearchParams({ service, ...query });
   const reply = await fetch(`/read/${what}?${parameters}`);
   if (!reply.ok) {
+    // Refused by its dashboard or by itself: a service has this page, or is older than it.
+    if (reply.status === 404) throw new Error("the service is of an earlier version, which gives no stored days");
     const { error } = await reply.json().catch(() => ({}));
     throw new Error(error ?? `The service answers ${reply.status}.`);
   }

@@ -130,7 +130,8 @@ export function day() {
     }
     if (poses.wind_m_s?.some((value) => value !== null)) {
       const from = stowsFrom();
-      put("Wind, strongest since the reading before", "m/s", poses.time, [{ label: "wind", colour: "#0084c8", values: poses.wind_m_s, bridges: true }, ...(from === null ? [] : [{ label: "stows from (as set now)", colour: "--bad", values: poses.time.map(() => from), dash: [6, 4] }])], { width, height: 130 });
+      const times = [held.from / 1000, ...poses.time, held.to / 1000];
+      put("Wind, strongest since the reading before", "m/s", times, [{ label: "wind", colour: "#0084c8", values: [null, ...poses.wind_m_s, null], bridges: true }, ...(from === null ? [] : [{ label: "stows from (as set now)", colour: "--bad", values: times.map(() => from), dash: [6, 4] }])], { width, height: 130, range: (_, __, most) => [0, 1.1 * Math.max(most ?? 0, from ?? 0, 1)] });
     }
     if (curves.time.length) put("Power of the module", "W", curves.time, [{ label: "maximum power", colour: "#c2568f", values: curves.pmpp_w }], { width, height: 160 });
     const ends = [held.from / 1000, held.to / 1000];
@@ -217,7 +218,10 @@ export function day() {
 
   function update(found) {
     context = found;
-    if (!found.state) return;
+    if (!found.state) {
+      if (!source && found.service.up === false) fail(new Error(`the service at ${found.service.name} ${found.service.why}`));
+      return;
+    }
     if (source !== found.entry.key) choose();
     else if (held && !loading && !found.old && held.to > found.now && performance.now() - held.loaded > FRESH_MS) follow();
     setAttr(node, "data-source", source);

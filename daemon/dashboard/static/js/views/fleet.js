@@ -37,8 +37,10 @@ export function fleet(orders) {
     const own = rows.filter(({ tracker }) => tracker);
     const bad = own.filter(({ kind }) => kind === "bad" || kind === "lost").length;
     const gone = rows.filter(({ old, state }) => old || !state).length;
-    setText(title, `${own.length} tracker${own.length === 1 ? "" : "s"}: ${bad || gone ? `${bad + rows.filter(({ tracker, old, state }) => !tracker && (old || !state)).length} need attention` : "none needs attention"}`);
-    setAttr(node.firstChild, "data-kind", bad || gone ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
+    const waiting = rows.every(({ state, up }) => !state && up !== false);
+    const troubled = bad + rows.filter(({ tracker, old, state }) => !tracker && (old || !state)).length;
+    setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : `${gone} services do not answer`) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${bad || gone ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
+    setAttr(node.firstChild, "data-kind", waiting ? "calm" : bad || gone ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
     const counts = {};
     for (const { mode } of own) counts[mode] = (counts[mode] ?? 0) + 1;
     setText(tally, Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`).join(", "));
@@ -47,7 +49,7 @@ export function fleet(orders) {
     if (ordered !== null && stowed === own.length) ordered = Infinity;
     if (ordered === Infinity) setText(progress, stowed === own.length ? `All ${own.length} stand stowed.` : "");
     all.disabled = own.length === 0;
-    fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map(() => h("td", null)))));
+    fill(body, rows.map(({ key, label }) => [key, label]), () => rows.map(({ key, label }) => h("tr", null, h("th", { scope: "row" }, h("a", { href: "#now", "data-key": key }, label)), HEADS.slice(1).map((name) => h("td", { "data-name": name })))));
     rows.forEach((each, index) => show(body.children[index], each));
   }
 
@@ -58,15 +60,15 @@ function row({ key, label, service, tracker }, connected) {
   const state = service.state;
   const extra = elapsed(service);
   const old = Boolean(state) && isOld(service, connected);
-  const mode = old || !state ? "no connection" : tracker ? (tracker.mode.asked === "stop" ? "stopped" : tracker.mode.name) : state.cube_down_why ? "cube down" : "cube reads";
-  const kind = old || !state ? "lost" : tracker ? KIND[tracker.mode.name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
+  const mode = !state && service.up !== false ? "connecting" : old || !state ? "no connection" : tracker ? (tracker.mode.asked === "stop" ? "stopped" : tracker.mode.name) : state.cube_down_why ? "cube down" : "cube reads";
+  const kind = !state && service.up !== false ? "calm" : old || !state ? "lost" : tracker ? KIND[tracker.mode.name] ?? "warn" : state.cube_down_why ? "bad" : "ok";
   const pose = tracker?.tracker.pose;
   const wanted = target(tracker);
   const latitude = state?.site.latitude_deg ?? 0;
   const direction = wanted ? normal(wanted.a_deg, wanted.b_deg, latitude) : null;
   const off = pose && direction ? separationDeg(normal(pose.a_deg, pose.b_deg, latitude), direction) : null;
   const alarms = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || !tracker || alarm.tracker === tracker.tracker.name);
-  return { key, label, state, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker?.mode.why, group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
+  return { key, label, state, up: service.up, tracker, old, mode, kind, pose, wanted, off, alarms, extra, why: tracker?.mode.why, group: tracker ? `${state.site.name}/${tracker.law.name}` : null, stale: old || !pose || pose.stale };
 }
 
 // Set points are held against the median of the same site and law, where there are three or more.

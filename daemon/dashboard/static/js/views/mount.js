@@ -40,7 +40,7 @@ export function mount() {
       const [x, y] = seen([east, north, 0]);
       return s("text", { x: x.toFixed(1), y: (y + 4).toFixed(1), class: "compass" }, name);
     }));
-  const picture = s("svg", { viewBox: "-112 -128 224 176", role: "img", class: "mount" },
+  const picture = s("svg", { viewBox: "-112 -144 224 192", role: "img", class: "mount" },
     ground, s("path", { class: "post", d: `${line([[0, 0, 0], CENTRE], false)}` }), ghost, body, cells, ray, ball);
   const a = gauge("A", "east", "west");
   const b = gauge("B", "tilted", "flat");
