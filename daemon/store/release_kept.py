@@ -36,6 +36,15 @@ class ReleaseKept(BaseModel):
     ran_s: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
 
 
+def last_started(directory: Path | None, name: str = FILE_NAME) -> str | None:
+    """Return which release was last started on a folder; None where that is not known."""
+    try:
+        kept = StateFile(StateFolder(directory), name, ReleaseKept, log, _FORGOTTEN).load()
+    except UnreadableStateError:
+        return None
+    return None if kept is None else kept.release
+
+
 class Releases:
     """Remembers in a folder which release was started there.
 

@@ -196,3 +196,26 @@ def test_an_urgent_command_loads_no_large_library(tmp_path, words):
         "assert not large, large"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)
+
+
+def test_a_start_of_another_release_moves_nothing_and_says_so(tmp_path):
+    config = tmp_path / "heliocube.toml"
+    config.write_text(
+        "[bridge]\nlisten = '127.0.0.1:0'\n[store]\ndirectory = 'records'\n[api]\nenabled = false\n"
+        "[simulation]\nspeed = 60\n"
+    )
+    records = tmp_path / "records"
+    records.mkdir()
+    (records / "release.json").write_text('{"release": "0.0.9"}')
+    code, _, err = heliocube("run", "--config", config, "--for", "5")
+    assert code == 0, err
+    hold = json.loads((records / "operator.json").read_text())["hold"]
+    assert hold["by"] == "heliocube"
+    assert hold["why"].startswith("the program was changed from 0.0.9 to 0.1.0")
+    assert json.loads((records / "release.json").read_text())["release"].startswith("0.1.0")
+    code, out, err = heliocube("export", "--store", records, "--out", tmp_path / "out", "--format", "parquet")
+    assert (code, err) == (0, "")
+    assert "0 moves" in out
+    assert set(pd.read_parquet(tmp_path / "out" / "modes.parquet")["after"]) == {"hold"}
+    assert not heliocube("run", "--config", config, "--for", "0")[0]
+    assert json.loads((records / "operator.json").read_text())["hold"] == hold, "another restart is no release"

@@ -4,10 +4,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from daemon.api.client import NoServiceError, find_unarmed
+from daemon.base.installation import release
 from daemon.base.records import Quality
 from daemon.commands.status.check import mode_words
 from daemon.commands.upgrade.finding import Finding
 from daemon.config.settings import Settings
+from daemon.service.rig import Role
+from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, last_started
 
 _TOLD_ALREADY = ("no-wind-source", "nothing-kept")
 
@@ -19,11 +22,19 @@ def asked(settings: Settings) -> list[Finding] | None:
     client = find_unarmed(None, settings.api.listen, {})
     stale_s = max(settings.safety.wind_stale_s, settings.mqtt.safe.stale_s)
     try:
-        return list(service(client.state(), client.health(), stale_s))
+        state = client.state()
+        return [*program(settings, state["role"]), *service(state, client.health(), stale_s)]
     except NoServiceError as error:
         if isinstance(error.__context__, ConnectionRefusedError):
             return None
         return [Finding("service", str(error), "see what listens there: 'ss -tlnp'")]
+
+
+def program(settings: Settings, role: str) -> Iterator[Finding]:
+    """Yield which heliocube the running service is, where it is another one than this."""
+    started = last_started(settings.store.directory, CUBE_FILE_NAME if role == Role.CUBE else FILE_NAME)
+    if started is not None and started != release():
+        yield Finding("service", f"still runs heliocube {started}", "restart it, so that it is what is installed")
 
 
 def service(state: dict[str, Any], health: dict[str, Any], stale_s: float) -> Iterator[Finding]:

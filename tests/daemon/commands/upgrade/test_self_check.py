@@ -7,9 +7,11 @@ import sys
 
 import pytest
 
+from daemon.base.installation import release
 from daemon.base.records import Mode
 from daemon.commands.main import main
-from daemon.commands.upgrade.running import service
+from daemon.commands.upgrade.running import program, service
+from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
 from tests.support.api import serve
 
@@ -139,3 +141,14 @@ def test_a_running_service_is_asked_and_not_its_instruments(serve):
         assert any(subject.startswith("alarm ") for subject in found)
 
     serve(scenario)
+
+
+def test_a_service_that_was_not_restarted_after_an_upgrade_is_told(tmp_path):
+    settings = Settings.model_validate({"store": {"directory": tmp_path}})
+    assert list(program(settings, "tracker")) == []
+    (tmp_path / "release.json").write_text(json.dumps({"release": release()}))
+    assert list(program(settings, "tracker")) == []
+    (tmp_path / "release.json").write_text('{"release": "0.0.9"}')
+    (found,) = program(settings, "tracker")
+    assert (found.ok, found.text) == (False, "still runs heliocube 0.0.9")
+    assert list(program(settings, "cube")) == []
