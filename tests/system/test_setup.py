@@ -53,8 +53,8 @@ class Terminal:
         self.until(f"{after}")
         os.write(self._screen, text.encode())
 
-    def leave(self):
-        self._process.send_signal(signal.SIGINT)
+    def hang_up(self):
+        self._process.send_signal(signal.SIGHUP)
 
     def end(self):
         while self._more():
@@ -98,7 +98,7 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     assert bench.state()["positioner"]["received"] == {}, "nothing moves before it is confirmed"
     first.say("move\r", "move, or skip]:")
     first.until("to the west: any key stops it")
-    first.leave()
+    first.hang_up()
     assert first.end() == 130
     assert "Left." in first.text
     pose = bench.state()["pose"]

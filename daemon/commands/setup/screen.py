@@ -1,5 +1,6 @@
 """What a person at a setup sees: plain lines with a little colour, and nothing is lost where there is none."""
 
+import contextlib
 import textwrap
 
 from rich.console import Console
@@ -31,7 +32,9 @@ class SetupScreen:
             for part in textwrap.wrap(
                 line, width, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
             ) or [""]:
-                self._console.print(Text(part, style), soft_wrap=True)
+                # A terminal that has hung up hears nothing; that must not keep a move from being stopped.
+                with contextlib.suppress(OSError):
+                    self._console.print(Text(part, style), soft_wrap=True)
 
     def refuse(self, sentence: str) -> None:
         """Tell why an answer was none, or what went wrong."""
@@ -62,8 +65,13 @@ class SetupScreen:
         return self.prompt(_label(step), _hint(step, offered))
 
     def prompt(self, label: str, hint: str) -> str:
-        """Return what is typed behind a label and a hint of what is taken."""
-        return self._console.input(Text.assemble("  ", (label, "bold"), (f" [{hint}]" if hint else "", "cyan"), ": "))
+        """Return what is typed behind a label and a hint of what is taken; `EOFError` where nothing can be typed."""
+        try:
+            return self._console.input(
+                Text.assemble("  ", (label, "bold"), (f" [{hint}]" if hint else "", "cyan"), ": ")
+            )
+        except OSError:
+            raise EOFError from None
 
 
 def _label(step: SetupStep) -> str:
