@@ -6,6 +6,8 @@ import pytest
 
 import heliocube
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_day_is_simulated_inside_a_running_loop():
     async def cell():

@@ -12,6 +12,8 @@ from daemon.commands.main import app
 from daemon.studies.samples import DAYS
 from tests.measurements.make_samples import text
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(params=DAYS)
 def name(request):
