@@ -175,7 +175,7 @@ reload
 
 say "heliocube $id is installed in $opt"
 for role in $roles; do
-  say "next: edit $etc/$role.toml"
+  say "next: sudo heliocube setup /etc/heliocube/$role.toml --role $role, or edit that file and check it:"
   say "      sudo -u heliocube heliocube config check /etc/heliocube/$role.toml"
 done
 [ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"

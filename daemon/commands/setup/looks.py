@@ -11,6 +11,7 @@ from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
 from daemon.config.settings import Settings
+from daemon.cube.calibration import calibrated
 from daemon.rigs.probe_load import probe_load
 from daemon.rigs.probe_positioner import probe_positioner
 from daemon.rigs.real import build_cube, build_positioner
@@ -76,8 +77,8 @@ async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
         if sample.flaw is not None:
             say(f"  {name:<7} {sample.flaw}")
         elif reading.unit == "V":
-            value = face.gain_w_m2_per_mv * (sample.value * 1e3 - face.offset_mv)
-            say(f"  {name:<7} {sample.value * 1e3:+9.3f} mV  {value:8.1f} W/m2")
+            voltage_mv = sample.value * 1e3
+            say(f"  {name:<7} {voltage_mv:+9.3f} mV  {calibrated(voltage_mv, face):8.1f} W/m2")
         else:
             say(f"  {name:<7} {sample.value:8.1f} W/m2")
     for note in (*reading.notes, *(() if reading.proven else ("the self-test of switch and meter has FAILED",))):
