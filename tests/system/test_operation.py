@@ -32,10 +32,9 @@ def heliocube(*arguments, **environment):
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.timeout(180)
 def test_killed_fifty_times_under_load_the_store_loses_no_more_than_a_batch(tmp_path):
     loop = [sys.executable, "-m", "tests.system.kill_loop", tmp_path / "store", "50", "1"]
-    done = subprocess.run(loop, capture_output=True, text=True, cwd=ROOT, timeout=170)
+    done = subprocess.run(loop, capture_output=True, text=True, cwd=ROOT, timeout=560)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert done.stdout.startswith("50 restarts, ")
 
