@@ -179,7 +179,7 @@ class Tracker:
 
     def ask(self, method, path, said=None):
         """Return the status and the content of a reply; `OSError` where nobody answers."""
-        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=15)
+        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=60)
         with contextlib.closing(connection):
             body = None if said is None else json.dumps(said)
             connection.request(method, path, body, {"Authorization": f"Bearer {TOKEN}"})

@@ -55,7 +55,7 @@ class LiveFirmware:
         """End the process."""
         self._process.stdin.close()
         try:
-            self._process.wait(5.0)
+            self._process.wait(60.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

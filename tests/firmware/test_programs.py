@@ -79,7 +79,7 @@ def tracker(firmware, folder, for_s):
         yield config
     finally:
         service.terminate()
-        service.wait(20.0)
+        service.wait(60.0)
     assert service.returncode == 0, (folder / "log").read_text(encoding="utf-8")
 
 

@@ -169,7 +169,7 @@ class BadNetwork:
         """End both processes as systemd does; return their exit codes."""
         for process in self._processes.values():
             process.send_signal(signal.SIGTERM)
-        return {role: process.wait(20) for role, process in self._processes.items()}
+        return {role: process.wait(60) for role, process in self._processes.items()}
 
     def _log(self, role: str) -> Path:
         return self._folder / f"{role}.log"

@@ -55,7 +55,7 @@ class Player(threading.Thread):
                 return
 
     def end(self):
-        self.join(5.0)
+        self.join(60.0)
         os.close(self._slave)
         os.close(self._master)
 

@@ -123,7 +123,7 @@ def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path)
     assert (code, err) == (0, "")
 
     process.send_signal(signal.SIGTERM)
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=60) == 0
     code, out, err = heliocube("status", "--check", *at)
     assert (code, out) == (5, "")
     assert err == (

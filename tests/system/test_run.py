@@ -46,7 +46,7 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
         if "moving" in line:
             break
     process.send_signal(number)
-    out, err = process.communicate(timeout=15)
+    out, err = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "motion stopped" in err
     assert "Traceback" not in err
@@ -106,10 +106,10 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         process.send_signal(signal.SIGCONT)
 
         process.send_signal(signal.SIGTERM)
-        manager.settimeout(10)
+        manager.settimeout(60)
         while "STOPPING=1" not in heard:
             heard += manager.recv(4096).decode().split("\n")
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=60) == 0
 
 
 @pytest.mark.parametrize("needed", ["daemon.commands.main", "daemon.config.file, daemon.config.stuck_lines"])

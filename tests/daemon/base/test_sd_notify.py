@@ -12,7 +12,7 @@ def manager(tmp_path):
     path = tmp_path / "notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind(str(path))
-        receiver.settimeout(2.0)
+        receiver.settimeout(60.0)
         yield receiver, str(path)
 
 
@@ -31,7 +31,7 @@ def test_an_abstract_socket_is_meant_by_a_leading_at(tmp_path):
     name = f"heliocube-{tmp_path.name}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
         receiver.bind("\0" + name)
-        receiver.settimeout(2.0)
+        receiver.settimeout(60.0)
         Notifier({"NOTIFY_SOCKET": "@" + name}, pid=7).ready()
         assert receiver.recv(100) == b"READY=1"
 

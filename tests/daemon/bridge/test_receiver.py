@@ -90,7 +90,7 @@ class Desk:
 
 async def until_examined(receiver, expected):
     """Let the loop run until the receiver has examined so many datagrams."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(60):
         while True:
             counts = receiver.statistics
             if counts.accepted + counts.refused >= expected:

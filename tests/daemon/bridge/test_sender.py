@@ -37,7 +37,7 @@ def scan(sequence=0):
 @contextmanager
 def listening(port=0, family=socket.AF_INET, host="127.0.0.1"):
     with socket.socket(family, socket.SOCK_DGRAM) as listener:
-        listener.settimeout(5)
+        listener.settimeout(60)
         listener.bind((host, port))
         yield listener
 

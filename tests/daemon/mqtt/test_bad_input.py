@@ -185,7 +185,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
             env={"COLUMNS": "400"},
         ).stdout
         process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
     finally:
         if process.poll() is None:
             process.kill()

@@ -151,7 +151,7 @@ def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto
         assert client.command("stop").text == "standing"
         with pytest.raises(UserError, match=r"is not heliocube|does not answer"):
             client.command("goto", a_deg=1.0, b_deg=60.0)
-        serving.join(10)
+        serving.join(60)
     assert heard == ["/api/stop"] * 3 + ["/api/goto"]
 
 

@@ -230,7 +230,7 @@ class Prologix(threading.Thread):
 
     def end(self):
         os.write(self._slave, b"end\n")
-        self.join(5.0)
+        self.join(60.0)
         os.close(self._slave)
         os.close(self._master)
 

@@ -20,7 +20,7 @@ class Wire:
 
     def read(self):
         self._taken.release()
-        piece = self._pieces.get(timeout=5.0)
+        piece = self._pieces.get(timeout=60.0)
         if piece is None:
             raise LinkLostError("positioner", "pulled")
         return piece
@@ -36,7 +36,7 @@ class Wire:
     def end(self):
         self._taken.acquire()
         self._pieces.put(None)
-        assert self.closed.wait(5.0)
+        assert self.closed.wait(60.0)
 
     def echoes(self):
         return self.echo
@@ -121,7 +121,7 @@ def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
     other.echo = True
     echoing = TelemetryReader(other, lambda: other.now_s)
     other._pieces.put(b"")
-    assert other.closed.wait(5.0)
+    assert other.closed.wait(60.0)
     echoing.close()
     assert "echo" in echoing.lost
 
