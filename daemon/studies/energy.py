@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, cast
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import measured_weather, weather_notes
 from daemon.studies.energy_names import BOUND, FIXED, choice
+from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import (
     DAY_TYPES,
     DaylightWeather,
@@ -31,6 +33,7 @@ from solar.laws.law import Law, TrackerFacts
 from solar.laws.steer import by_readings
 
 IDEAL = Drive(np.inf, 0.0, 1)
+_HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 
 
@@ -122,24 +125,14 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
     moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
     lines = [
-        f"{np.count_nonzero(types >= 0)} days ({days}), {len(weather.utc_s)} minutes of daylight.",
+        f"{_days(int(np.count_nonzero(types >= 0)))} ({days}), {len(weather.utc_s)} minutes of daylight.",
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
         "Travel adds A and B from the night position on; the way back to it at night is in its own column.",
         "The skies agree with pvlib's above 5 deg of the sun's elevation; below it a horizontal plane keeps its GHI.",
     ]
-    head = f"{'law':16}{'kWh/m2':>9}{'gain %':>8}" + "".join(f"{name:>10}" for name in DAY_TYPES)
-    head += f"{'share %':>9}{'worst clear':>13}{'deg/day':>9}{'return':>8}{'moves':>7}"
-    sky_name = ""
-    for row in rows:
-        if row.sky != sky_name:
-            sky_name = row.sky
-            lines += ["", f"sky {sky_name}", head]
-        by_type = "".join(_cell(value, 10, "+.2f") for value in row.gain_by_type_pct)
-        lines.append(
-            f"{row.law:16}{row.energy_kwh_m2:9.1f}{row.gain_pct:+8.2f}{by_type}{row.share_pct:9.1f}"
-            f"{_cell(row.worst_clear_day_pct, 13, '+.3f')}{_cell(row.travel_deg_per_day, 9, '.0f')}"
-            f"{_cell(row.return_deg_per_day, 8, '.0f')}{_cell(row.moves_per_day, 7, '.0f')}"
-        )
+    lines = [line for text in lines for line in wrap(text, WIDTH)]
+    for name in dict.fromkeys(row.sky for row in rows):
+        lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
     return "\n".join(lines) + "\n"
 
 
@@ -158,8 +151,19 @@ def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -
     }
 
 
-def _cell(value: float, width: int, form: str) -> str:
-    return f"{'-' if np.isnan(value) else format(value, form):>{width}}"
+def _cells(row: EnergyRow) -> list[str]:
+    by_type = [signed(value, 2) for value in row.gain_by_type_pct]
+    travel = [_rounded(value) for value in (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)]
+    numbers = [f"{row.energy_kwh_m2:.1f}", signed(row.gain_pct, 2), *by_type, f"{row.share_pct:z.1f}"]
+    return [row.law, *numbers, signed(row.worst_clear_day_pct, 3), *travel]
+
+
+def _days(count: int) -> str:
+    return "1 day" if count == 1 else f"{count} days"
+
+
+def _rounded(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.0f}"
 
 
 def _row(

@@ -12,6 +12,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.inputs import instant
+from daemon.studies.text_table import signed, table
 from solar.compare import ChainBias, energy_wh, gain_pct
 from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array
@@ -129,16 +130,12 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
     """Return the gains as a table for people."""
     heads = (f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
-    widths = (12, 13, 9, 15, 15)
-    aligned = "".join(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))
-    lines = [f"{'date':11}{'period':18}{'from':7}{'to':7}{aligned}"]
+    lines: list[Sequence[str]] = [("date", "period", "from", "to", *heads)]
     for row in rows:
-        numbers = [_signed(value) for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
-        lines.append(
-            f"{row.date:11}{row.period[:17]:18}{row.start[11:16]:7}{row.end[11:16]:7}{row.cube_wh:12.1f}"
-            f"{row.chrono_wh:13.1f}{numbers[0]:>9}{numbers[1]:>15}{numbers[2]:>15}"
-        )
-    return "\n".join(lines) + "\n"
+        percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
+        energies = (f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
+        lines.append((row.date, row.period[:17], row.start[11:16], row.end[11:16], *energies, *percent))
+    return "\n".join(table(lines, keys=4)) + "\n"
 
 
 def write_csv(rows: Sequence[Gain], path: Path) -> None:
@@ -154,7 +151,3 @@ def _cell(value: object) -> object:
     if isinstance(value, float):
         return "" if value != value else f"{value:.4f}"
     return value
-
-
-def _signed(value: float) -> str:
-    return "" if value != value else f"{value:+.2f}"

@@ -20,6 +20,7 @@ from daemon.studies.compare.gains import WHOLE_DAY, Gain, Span, gains
 from daemon.studies.compare.pairs import Pairs, frame_of, pair
 from daemon.studies.compare.report import Table, bias_shown, experiment_figures, fit_table, modelled_curve, write_page
 from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.text_table import signed, table
 from solar.ephemeris import Site, sun_direction
 from solar.frames import Array, Limits, angles_within, normal_from_angles
 from solar.overcast import ISOTROPIC, STANDARD, overcast_factor
@@ -227,14 +228,12 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int)
 
 def as_text(found: Sequence[Verdict]) -> str:
     """Return paper and ours side by side, for people."""
-    lines = [f"{'period':14}{'paper/%':>9}{'asked for/%':>16}  {'sky':11}{'ours/%':>9}{'lowest..highest':>19}"]
+    lines = [("period", "sky", "paper/%", "asked for/%", "ours/%", "lowest..highest", "verdict")]
     for one in found:
         printed = one.printed
-        lines.append(
-            f"{printed.span.name:14}{printed.paper_pct:+9.2f}{_bounds(printed):>16}  {one.sky:11}"
-            f"{one.median_pct:+9.2f}{_range(one):>19}  {one.word}"
-        )
-    return "\n".join(lines) + "\n"
+        numbers = (signed(printed.paper_pct, 2), _bounds(printed), signed(one.median_pct, 2), _range(one))
+        lines.append((printed.span.name, one.sky, *numbers, one.word))
+    return "\n".join(table(lines, keys=2)) + "\n"
 
 
 def as_page(one: Verdict) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from daemon.studies.compare.fit import Fit
 from daemon.studies.compare.gains import Gain, Span, gains, spans_by_sky, write_csv
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.stored import KeptCurve
+from daemon.studies.text_table import signed
 from solar.ephemeris import DAY_S, Site
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
 
@@ -119,9 +120,9 @@ def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equ
     body = []
     for row in rows:
         texts = (row.date, row.period, row.start[11:16], row.end[11:16], f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
-        signed = [_signed(value) for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
+        percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
         beyond = "" if row.extrapolated_pct != row.extrapolated_pct else f"{row.extrapolated_pct:.0f}"
-        body.append((*texts, *signed, beyond))
+        body.append((*texts, *percent, beyond))
     return Table(heading, columns, body)
 
 
@@ -224,7 +225,3 @@ def _mark(pairs: Pairs) -> str:
 
 def _source(pairs: Pairs) -> str:
     return "simulated" if pairs.simulated else "measured"
-
-
-def _signed(value: float) -> str:
-    return "" if value != value else f"{value:+.2f}"

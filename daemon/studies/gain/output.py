@@ -11,8 +11,10 @@ from rich.console import Console
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
+from daemon.studies.text_table import signed, table
 
 LONGEST_TABLE = 200
+_NOTHING = 1e-9
 _CSV_BLOCK_ROWS = 50_000
 _NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
 _RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL: "K_DH"}
@@ -61,10 +63,8 @@ def show(columns: Columns, console: Console, sky_label: str | None) -> None:
 
 def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> None:
     when = f"day {row['n']:.0f}" if "n" in row else "the year"
-    _print(
-        f"Latitude {row['phi_deg']:g} deg, {when}, in theory: constant beam from sunrise to sunset, no atmosphere.",
-        console,
-    )
+    _print(f"Latitude {row['phi_deg']:g} deg, {when}, in theory:", console)
+    _print("constant beam from sunrise to sunset, no atmosphere.", console)
     titles: tuple[str, ...] = ("against", "tilt", "azimuth", "K", "dual gains", "over static")
     if sky_label:
         _print(f"Under the sky: {sky_label}.", console)
@@ -73,13 +73,25 @@ def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> 
     _print_aligned([titles, *lines], console)
     for name, value in row.items():
         if name.endswith(("_abs", "_min")) or "_eq" in name or "_script" in name:
-            _print(f"{name} = {value:.6g}", console)
+            told = f"{value:.6g}" if np.isfinite(value) else "not defined here"
+            _print(f"{_in_words(name)}: {told}", console)
+
+
+def _in_words(name: str) -> str:
+    """Return what a column of the CSV is, with its name there."""
+    quantity, _, source = name.rpartition("_")
+    if name == "K_DS_abs":
+        return "dual axis over a static panel that is lit from both sides (K_DS_abs)"
+    if source.startswith("eq"):
+        return f"{quantity} by the paper's equation ({source[2:]}) as printed ({name})"
+    if source == "min":
+        return f"least of the year by the paper's script {quantity[-1]} ({name})"
+    return f"{quantity} by the paper's script {source[-1]} ({name})"
 
 
 def _print_aligned(lines: list[tuple[str, ...]], console: Console) -> None:
-    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
-    for line in lines:
-        _print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)), console)
+    for line in table(lines):
+        _print(line, console)
 
 
 def _print(text: str, console: Console) -> None:
@@ -103,10 +115,12 @@ def _device(row: dict[str, float], device: Device, sky_label: str | None) -> tup
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:+.1f} %" if np.isfinite(share) else str(share)
+    return f"{signed(100.0 * share, 1)} %" if np.isfinite(share) else "-"
 
 
 def _number(name: str, value: float) -> str:
+    # A search for the best tilt ends some 1e-15 deg beside nothing.
+    value = 0.0 if abs(value) < _NOTHING else value
     return f"{value:.0f}" if name == "n" else f"{value:.6g}" if name.endswith("_deg") else f"{value:.5g}"
 
 

@@ -78,7 +78,7 @@ def test_other_weather_than_the_sites_is_said(monkeypatch, weather, tmp_path, ca
     page = json.loads(written.out)
     assert any("does not fit" in warning for warning in page["warnings"])
     (row,) = (row for row in page["rows"] if row["law"] == "flat")
-    assert f"{row['energy_kwh_m2']:9.1f}" in (tmp_path / "o" / "energy.txt").read_text()
+    assert f"  {row['energy_kwh_m2']:.1f} " in (tmp_path / "o" / "energy.txt").read_text()
 
 
 def test_ctrl_c_leaves_the_laws_that_were_done(monkeypatch, weather, tmp_path, capsys):

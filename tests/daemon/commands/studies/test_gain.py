@@ -42,8 +42,8 @@ def test_one_latitude_and_a_range_are_answered_together(heliocube):
 def test_one_latitude_compares_the_devices_at_their_best_tilts(heliocube):
     code, out, err = heliocube("gain", "--lat", "48.7")
     assert (code, err) == (0, "")
-    lines = out.splitlines()
-    assert lines[0].startswith("Latitude 48.7 deg, the year, in theory")
+    first, *lines = out.splitlines()
+    assert first == "Latitude 48.7 deg, the year, in theory:"
     assert lines[1].split() == ["against", "tilt", "azimuth", "K", "dual", "gains", "over", "static"]
     assert lines[2].split() == ["static", "panel", "45.4", "0", "1.6875", "+68.7", "%"]
     assert lines[3].split() == ["vertical", "axis", "63.5", "sun", "1.0465", "+4.7", "%", "+61.2", "%"]
