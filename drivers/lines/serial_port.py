@@ -188,6 +188,9 @@ def _holder(path: str) -> str:
             try:
                 if str(link.readlink()) != wanted or link.parts[2] == str(os.getpid()):
                     continue
+                # A container's terminals have the names of this machine's.
+                if not link.samefile(wanted):
+                    continue
                 name = (link.parents[1] / "comm").read_text(encoding="utf-8", errors="replace").strip()
             except OSError:
                 continue
