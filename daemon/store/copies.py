@@ -47,9 +47,9 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
     part = copy.with_name(f"{copy.name}.part")
     size = _bytes(connection)
     try:
-        free = shutil.disk_usage(path.parent).free
-        if free < size + _SPARE_BYTES:
-            _went_without(path, version, f"{size / 1e6:.0f} MB are needed and {free / 1e6:.0f} MB are free")
+        lacking = no_room(path, size)
+        if lacking is not None:
+            _went_without(path, version, lacking)
             return
         # Of a process that was killed at it.
         part.unlink(missing_ok=True)
@@ -68,6 +68,14 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
         )
     finally:
         part.unlink(missing_ok=True)
+
+
+def no_room(path: Path, size: int) -> str | None:
+    """Return why a copy of a store of that many bytes does not fit beside it, or None; raises `OSError`."""
+    free, needed = shutil.disk_usage(path.parent).free, size + _SPARE_BYTES
+    if free >= needed:
+        return None
+    return f"a copy needs {needed / 1e6:.0f} MB and {free / 1e6:.0f} MB are free"
 
 
 def _went_without(path: Path, version: int, why: str) -> None:

@@ -16,6 +16,7 @@ from daemon.commands.upgrade.finding import CONFIGURATION, Finding
 from daemon.config.file import ConfigError
 from daemon.config.settings import Settings
 from daemon.store.aside import aside_text
+from daemon.store.copies import no_room
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, unreadable
 from daemon.store.tables import COLUMNS
 
@@ -57,14 +58,17 @@ def store(settings: Settings) -> Finding:
     try:
         if not path.exists():
             return Finding("store", f"nothing in {directory} yet: the first start makes it")
-        return Finding("store", f"{path}: {_kept(path)}")
+        text, older = _kept(path)
+        lacking = no_room(path, path.stat().st_size) if older else None
+        return Finding("store", f"{path}: {text}", f"{lacking}: make room before the next start" if lacking else "")
     except UserError as error:
         return Finding("store", str(path), str(error))
     except OSError as error:
         return Finding("store", f"{path}: {error.strerror}", _AS_ITS_USER)
 
 
-def _kept(path: Path) -> str:
+def _kept(path: Path) -> tuple[str, bool]:
+    """Return what a store holds, and whether it is of an older version."""
     with closing(open_for_reading(path)) as connection:
         try:
             version: int = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -74,8 +78,8 @@ def _kept(path: Path) -> str:
     size = f"{path.stat().st_size / _MB:.1f} MB"
     latest = "no record yet" if latest_utc_s is None else f"the latest record of {iso_utc(latest_utc_s)[:19]}Z"
     if version == VERSION:
-        return f"version {version}, {size}, {latest}"
-    return f"version {version}, {size}, {latest}; the next start keeps a copy and makes it version {VERSION}"
+        return f"version {version}, {size}, {latest}", False
+    return f"version {version}, {size}, {latest}; the next start keeps a copy and makes it version {VERSION}", True
 
 
 def _latest_utc_s(connection: sqlite3.Connection) -> float | None:

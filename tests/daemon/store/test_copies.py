@@ -71,7 +71,7 @@ def test_without_room_the_store_is_changed_all_the_same_and_it_is_said(small_dis
     assert sorted(path.name for path in small_disk.glob("*.part")) == []
     assert version(small_disk / FILE_NAME) == VERSION
     (told,) = [message for message in caplog.messages if "WITHOUT a copy" in message]
-    assert "MB are needed and" in told
+    assert "a copy needs 67 MB and 0 MB are free" in told
 
 
 @pytest.fixture

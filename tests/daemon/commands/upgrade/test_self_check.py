@@ -13,9 +13,10 @@ from daemon.commands.main import main
 from daemon.commands.upgrade.running import program, service
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
+from tests.daemon.store.test_store import small_disk
 from tests.support.api import serve
 
-__all__ = ["serve"]
+__all__ = ["serve", "small_disk"]
 
 STALE_S = 60.0
 
@@ -111,6 +112,18 @@ def test_a_store_is_read_and_said_to_be_of_which_version(heliocube, config, spoi
     assert said in found["text"] + found["remedy"]
     assert found["ok"] is ok
     assert code == (0 if ok else 4)
+
+
+def test_a_copy_that_will_not_fit_is_told_before_the_restart(heliocube, tmp_path, small_disk):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"[api]\nenabled = false\n[store]\ndirectory = '{small_disk}'\n[bridge]\ninsecure = true\n")
+    open_for_writing(small_disk / FILE_NAME).close()
+    set_version(small_disk / FILE_NAME, VERSION - 1)
+    code, out, _ = heliocube("self-check", "--json", "-c", file)
+    assert code == 4
+    found = by_subject(out)
+    assert "a copy needs 67 MB and 0 MB are free: make room" in found["store"]["remedy"]
+    assert "make room" in found["disk"]["remedy"]
 
 
 def set_version(path, version):
