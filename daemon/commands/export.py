@@ -9,7 +9,7 @@ import typer
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json
-from daemon.commands.options import FILES, ForceOption, TableFormat
+from daemon.commands.options import CONFIG_VARIABLE, FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
 
 app = typer.Typer()
@@ -72,11 +72,13 @@ def export(
 
 
 def store_directory(command: str, store: Path | None, config: Path | None) -> Path:
-    """Return the folder of the store that is named or configured; raises `UserError`."""
+    """Return the folder of the store that is named or configured, in HELIOCUBE_CONFIG at last; raises `UserError`."""
+    if store is None and config is None and os.environ.get(CONFIG_VARIABLE):
+        config = Path(os.environ[CONFIG_VARIABLE])
     if store is not None and config is None:
         return store
     if store is not None or config is None:
-        raise UserError(f"{command} needs either --store DIR or --config FILE to find the store")
+        raise UserError(f"{command} needs either --store DIR or --config FILE to find the store, or {CONFIG_VARIABLE}")
     from daemon.commands.kept import records_of
     from daemon.config.file import load_settings
 

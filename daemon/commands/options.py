@@ -30,9 +30,10 @@ PositionerOption = Annotated[
         "--positioner", metavar="NAME", help="What turns it, as instruments.positioner.driver; a wrong one lists all."
     ),
 ]
+CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="The service's configuration, for its section api."),
+    typer.Option("--config", "-c", envvar=CONFIG_VARIABLE, help="The service's configuration, for its section api."),
 ]
 ApiOption = Annotated[
     str | None,

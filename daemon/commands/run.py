@@ -119,7 +119,9 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
             runner.run(_run(service, for_s, speed, releases, companions))
-    console.print(f"ended at {iso_utc(clock.utc())[:19]}Z; motion is stopped", highlight=False)
+    moving = [each.name for each in service.trackers if not each.left_standing]
+    stands = f"; motion is NOT known to be stopped: {', '.join(moving)}" if moving else "; motion is stopped"
+    console.print(f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}", highlight=False)
 
 
 def lacking(settings: Settings, role: Role) -> list[str]:

@@ -147,6 +147,7 @@ class Tracker:
             settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc()
         )
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
+        self.left_standing = False
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:
             self.curves = IvAcquisition(
@@ -235,6 +236,7 @@ class Tracker:
 
     async def _stop_motion(self) -> None:
         left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
+        self.left_standing = left is None
         if left is None:
             log.info("motion stopped: telemetry shows both axes standing")
         else:

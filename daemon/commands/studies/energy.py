@@ -37,7 +37,9 @@ def energy(
         ),
     ] = "perez1990",
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
-    speed: Annotated[float, typer.Option(min=0.01, max=90, help="Speed of each axis, deg/s.")] = 0.9,
+    speed: Annotated[
+        float, typer.Option("--axis-speed", min=0.01, max=90, metavar="DEG/S", help="Speed of each axis.")
+    ] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,

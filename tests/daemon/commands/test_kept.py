@@ -48,3 +48,4 @@ def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_se
     assert {"heliocube.sqlite", "started.json"} <= {path.name for path in kept.iterdir()}
     code, _, err = heliocube("export", "-c", file, "--out", tmp_path / "out", "--kind", "events")
     assert (code, err, (tmp_path / "out" / "events.csv").is_file()) == (0, "", True)
+    assert "motion is NOT known to be stopped: tracker" in heliocube(*run)[1]

@@ -282,7 +282,8 @@ def test_an_export_that_cannot_be_meant_is_one_sentence_and_code_2(heliocube, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_path):
+def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_path, monkeypatch):
+    monkeypatch.delenv("HELIOCUBE_CONFIG", raising=False)
     keep(*ALL, folder=tmp_path / "records")
     config = tmp_path / "heliocube.toml"
     config.write_text("[store]\ndirectory = 'records'\n")
@@ -296,7 +297,11 @@ def test_an_export_finds_the_store_by_the_configuration(heliocube, keep, tmp_pat
         f"heliocube: {config} sets no store.directory, and its rig is simulated: its service keeps no records\n",
     )
     code, _, err = heliocube("export", "--out", tmp_path / "out2")
-    assert (code, err) == (2, "heliocube: export needs either --store DIR or --config FILE to find the store\n")
+    assert (code, err.count("export needs either --store DIR or --config FILE to find the store")) == (2, 1)
+    config.write_text("[store]\ndirectory = 'records'\n")
+    monkeypatch.setenv("HELIOCUBE_CONFIG", str(config))
+    assert heliocube("export", "--out", tmp_path / "out2")[0] == 0
+    assert heliocube("export", "--store", tmp_path / "records", "--out", tmp_path / "out3")[0] == 0
 
 
 # A full disk
