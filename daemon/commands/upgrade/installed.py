@@ -10,6 +10,7 @@ from pathlib import Path
 from daemon.base.errors import UserError
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify"))
+_WANTED = ("active", "activating", "reloading", "failed")
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
 
@@ -97,7 +98,8 @@ class Installation:
 
 
 def _whole(folder: Path) -> bool:
-    return (folder / "bin" / "heliocube").is_file()
+    # What installs a release writes this last.
+    return (folder / ".complete").exists() and (folder / "bin" / "heliocube").is_file()
 
 
 def installed() -> Installation:
@@ -109,10 +111,11 @@ def installed() -> Installation:
 
 
 def stop_units() -> list[str]:
-    """Stop the units that run, and return them; none where there is no systemd."""
+    """Stop the units that run or should, and return them; none where there is no systemd."""
     if shutil.which("systemctl") is None or not _SYSTEMD.is_dir():
         return []
-    running = [unit for unit in _UNITS if _systemctl("is-active", "--quiet", unit).returncode == 0]
+    # One that the newer release cannot even start is the first reason to go back.
+    running = [unit for unit in _UNITS if _systemctl("is-active", unit).stdout.strip() in _WANTED]
     for unit in running:
         if _systemctl("stop", unit).returncode != 0:
             raise UserError(f"{unit} does not stop: see 'systemctl status {unit}'; nothing has been changed")
@@ -121,8 +124,10 @@ def stop_units() -> list[str]:
 
 def start_units(units: list[str]) -> list[str]:
     """Start units again, and return those that do not."""
+    if units:
+        _systemctl("reset-failed", *units)
     return [unit for unit in units if _systemctl("start", unit).returncode != 0]
 
 
-def _systemctl(*arguments: str) -> "subprocess.CompletedProcess[bytes]":
-    return subprocess.run(["systemctl", *arguments], capture_output=True, check=False)  # noqa: S603, S607 - our own
+def _systemctl(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(["systemctl", *arguments], capture_output=True, text=True, check=False)  # noqa: S603, S607 - our own

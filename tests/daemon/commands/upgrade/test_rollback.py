@@ -40,6 +40,7 @@ def program(tmp_path):
         for name, does in told.items():
             (folder / name).write_text(f"#!/bin/sh\n{does}\n")
             (folder / name).chmod(0o755)
+        (folder.parent / ".complete").touch()
         return folder / "heliocube"
 
     return make
@@ -188,17 +189,20 @@ def test_without_a_release_before_it_is_one_sentence(heliocube, config, to):
 
 @pytest.fixture
 def installation(program, tmp_path, monkeypatch):
-    """Two releases side by side, the newer of which runs this, and a manager of two units of which one is active."""
+    """Two releases side by side, the newer of which runs this, and a manager: one unit runs, and one cannot."""
     releases = tmp_path / "opt" / "releases"
-    for name in ("older", "newer"):
+    for name in ("older", "newer", "half"):
         program(VERSION, prefix=releases / name)
+    # An installation that was interrupted is no release to go back to.
+    (releases / "half" / ".complete").unlink()
     (releases.parent / "current").symlink_to("releases/newer")
     monkeypatch.setattr(sys, "prefix", str(releases / "newer"))
     monkeypatch.setattr("os.geteuid", lambda: 0)
 
     manager = tmp_path / "path" / "systemctl"
     manager.parent.mkdir()
-    answers = '[ "$1" != is-active ] || [ "$3" = heliocube-tracker ]'
+    states = "heliocube-tracker) echo active ;; heliocube-cube) echo failed ;; *) echo inactive ;;"
+    answers = f'[ "$1" != is-active ] || case $2 in {states} esac'
     manager.write_text(f'#!/bin/sh\necho "$*" >>{tmp_path}/asked\n{answers}\n')
     manager.chmod(0o755)
     monkeypatch.setenv("PATH", f"{manager.parent}{os.pathsep}{os.environ['PATH']}")
@@ -215,7 +219,13 @@ def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube,
     assert page["done"] == err.splitlines()[:-1]
     assert (installation.parent / "current").resolve() == installation / "older"
     asked = [line for line in (tmp_path / "asked").read_text().splitlines() if not line.startswith("is-active")]
-    assert asked == ["stop heliocube-tracker", "start heliocube-tracker"]
+    assert asked == [
+        "stop heliocube-tracker",
+        "stop heliocube-cube",
+        "reset-failed heliocube-tracker heliocube-cube",
+        "start heliocube-tracker",
+        "start heliocube-cube",
+    ]
 
     code, _, err = heliocube("rollback", "-c", config)
     assert code == 2
@@ -228,4 +238,4 @@ def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, confi
     assert code == 2
     assert "latitude_deg" in err
     assert (installation.parent / "current").resolve() == installation / "newer"
-    assert (tmp_path / "asked").read_text().splitlines()[-1] == "start heliocube-tracker"
+    assert "start heliocube-tracker" in (tmp_path / "asked").read_text().splitlines()
