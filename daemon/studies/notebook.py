@@ -170,7 +170,7 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> 
 
     def advance(_share: float) -> None:
         if interrupted.is_set():
-            raise InterruptedError
+            raise UserError("interrupted")
 
     with ThreadPoolExecutor(1) as thread:
         done = thread.submit(work, advance)

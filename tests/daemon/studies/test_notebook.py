@@ -1,6 +1,9 @@
 """The studies inside a notebook, whose kernel runs an event loop already."""
 
 import asyncio
+import os
+import signal
+import threading
 
 import pytest
 
@@ -23,3 +26,19 @@ def test_what_is_wrong_is_told_there_too():
 
     with pytest.raises(heliocube.UserError, match="none such"):
         asyncio.run(cell())
+
+
+def test_an_interrupted_cell_ends_soon_and_without_a_word_of_ours(capfd):
+    async def cell():
+        return heliocube.simulate("2022-10-14", days=300, weather="clear")
+
+    interrupt = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    loop = asyncio.new_event_loop()
+    interrupt.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            loop.run_until_complete(cell())
+    finally:
+        interrupt.cancel()
+        loop.close()
+    assert capfd.readouterr().err == ""
