@@ -21,6 +21,7 @@ from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
+from daemon.cube.told_faces import ToldFaces
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
 from daemon.service.inheritance import hand_on
@@ -91,6 +92,7 @@ class Service:
         self.bus = bus
         self._folder = kept_in(settings.store.directory)
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
+        self._told_faces = ToldFaces(self.cube_alarms)
         self._random = random
         self._kept_in = kept_in
         self._hold_why = hold_why
@@ -186,6 +188,8 @@ class Service:
         """Hand a scan of the bridge to every tracker, and to the bus."""
         for tracker in self.trackers:
             tracker.receive(scan)
+        if self.role is Role.TRACKER:
+            self._told_faces.note(scan)
         self.bus.publish(scan)
 
     async def run(self, stop: asyncio.Event, *companions: Coroutine[Any, Any, None]) -> None:
