@@ -1,6 +1,7 @@
 """What the pages point at is there: files and modules of this repository, and other pages."""
 
 import re
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -11,6 +12,7 @@ OURS = "solar|drivers|sim_drivers|daemon|tests|deploy|docs"
 PATH = re.compile(rf"`((?:{OURS}|heliocube)/[\w./-]*)`")
 MODULE = re.compile(rf"`((?:{OURS})(?:\.\w+)+)`")
 LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
+FOREIGN = re.compile(r"(?:\]\(|<)(https?:[^)>\n]*)[)>]")
 # Where campaigns put what failed.
 ELSEWHERE = {"tests/campaign/failed_once/"}
 # It tells of names that were tried and not taken.
@@ -33,3 +35,11 @@ def test_what_a_page_points_at_is_there(page):
         missing += [name for name in MODULE.findall(text) if not module(name)]
     missing += [link for link in LINK.findall(text) if not (page.parent / link).exists()]
     assert not set(missing) - ELSEWHERE
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_addresses_of_others_are_whole(page):
+    for address in FOREIGN.findall(page.read_text()):
+        parts = urlsplit(address)
+        assert re.fullmatch(r"[\w.-]+\.[a-z]{2,}|127\.0\.0\.1|tracker\.lab", parts.hostname or ""), address
+        assert not re.search(r"\s|[.,;]$", address), address
