@@ -1,5 +1,6 @@
 """Points about the Debian package: built in the tree, installed, put over the one of the commit before, and purged."""
 
+import os
 import shutil
 import tarfile
 import time
@@ -78,14 +79,30 @@ class Packages:
         pose, began_s = rig.rest(), time.monotonic()
         machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
         took_s = time.monotonic() - began_s
-        for unit in UNITS:
-            machine.wait_active(unit, BACK_WITHIN_S)
-            running = machine.run("cat", f"/proc/{machine.show(unit, 'MainPID')['MainPID']}/cmdline").partition("\0")[0]
-            if self._new.split("_")[1] not in running:
-                raise NotSeen(f"{unit} still is {running}")
+        self._see_running(machine, self._new)
         held = restarts.hold_until_released(pose)
         wait(lambda: self._caught_up(records), BACK_WITHIN_S, "the tracker's records after the upgrade")
         return f"{took_s:.0f} s; {held}; {records.lose_no_scan(before)}"
+
+    def go_back(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
+        """Go back to the commit before in one command, see that nothing moves, and put this commit's over it again."""
+        pose = rig.rest()
+        said = machine.run("heliocube", "rollback").strip().splitlines()
+        self._see_running(machine, self._old)
+        held = restarts.hold_until_released(pose)
+        pose = rig.rest()
+        machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
+        self._see_running(machine, self._new)
+        restarts.hold_until_released(pose)
+        return f'"{said[-1]}"; {held}; and forward again'
+
+    def _see_running(self, machine: Machine, package: str) -> None:
+        """Wait until both units are active, and see that their processes are those of a package."""
+        for unit in UNITS:
+            machine.wait_active(unit, BACK_WITHIN_S)
+            running = machine.run("cat", f"/proc/{machine.show(unit, 'MainPID')['MainPID']}/cmdline").partition("\0")[0]
+            if f"/{package.split('_')[1]}/" not in running:
+                raise NotSeen(f"{unit} is {running}")
 
     def _caught_up(self, records: Records) -> bool:
         sessions = {session for session, _ in records.scans("cube")}
@@ -120,8 +137,12 @@ class Packages:
         return f"left are {len(records)} stores, the reports, and of /etc/heliocube {', '.join(kept)}"
 
     def _files(self) -> set[str]:
-        root = self._tree.root
-        names = (str(path.relative_to(root)) for path in root.rglob("*") if not path.is_dir() or path.is_symlink())
+        root = str(self._tree.root)
+        names = (
+            f"{folder}/{name}"[len(root) + 1 :]
+            for folder, folders, files in os.walk(root)
+            for name in (*files, *folders)
+        )
         return {name for name in names if not name.startswith(_NOT_OURS)}
 
 

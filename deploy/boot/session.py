@@ -62,6 +62,7 @@ class Session:
         point("the first readings and the wind", restarts.wait_for_wind)
         point("systemctl status", restarts.tell_status)
         point("an upgrade at work", lambda: self._packages.upgrade(machine, rig, records, restarts))
+        point("the way back", lambda: self._packages.go_back(machine, rig, restarts))
         point("manual and completion", lambda: self._packages.pages(machine))
         sandbox, companions = Sandbox(machine), Companions(machine)
         before = {role: records.scans(role) for role in ROLES}
