@@ -4,11 +4,12 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from boot.host import NotSeen
+from boot.host import NotSeen, wait
 from boot.machine import Machine
 from boot.rig import TRACKER, UNITS
 
 ROLES = ("cube", "tracker")
+WRITTEN_WITHIN_S = 30.0
 
 
 class Records:
@@ -46,15 +47,22 @@ class Records:
 
     def lose_no_scan(self, before: dict[str, set[tuple[str, int]]]) -> str:
         """See that no number is missing in the cube's store, nor what stood in either before."""
-        now = {role: self.scans(role) for role in ROLES}
-        for session in {session for session, _ in now["cube"]}:
-            numbers = sorted(number for one, number in now["cube"] if one == session)
+        heard = self.scans("tracker")
+        # Each role writes at its own times: what the tracker has just heard the cube may have yet to write.
+        made = wait(lambda: self._made(heard), WRITTEN_WITHIN_S, "in the cube's store what the tracker has heard")
+        for session in {session for session, _ in made}:
+            numbers = sorted(number for one, number in made if one == session)
             if len(numbers) != numbers[-1] + 1:
                 raise NotSeen(f"the cube's store has {len(numbers)} scans up to number {numbers[-1]} of a session")
-        if any(before[role] - now[role] for role in ROLES) or now["tracker"] - now["cube"]:
-            raise NotSeen("a store lacks what it had, or the tracker has what the cube has not")
-        missed = len(now["cube"] - now["tracker"] - before["cube"])
-        return f"each of {len(now['cube'])} scans is in the cube's store; the tracker did not hear {missed} of them"
+        if before["cube"] - made or before["tracker"] - heard:
+            raise NotSeen("a store lacks what it had")
+        missed = len(made - heard - before["cube"])
+        return f"each of {len(made)} scans is in the cube's store; the tracker did not hear {missed} of them"
+
+    def _made(self, heard: set[tuple[str, int]]) -> set[tuple[str, int]]:
+        """Return the cube's scans once all that were heard are among them; else none."""
+        made = self.scans("cube")
+        return made if heard <= made else set()
 
     def have_fields(self) -> str:
         """See that the journal knows whose a line is and how urgent, and has the fields in it."""

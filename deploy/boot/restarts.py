@@ -62,7 +62,7 @@ class Restarts:
 
         Where both releases are the same program it tracks by itself, as after any restart.
         """
-        wait(self._waits_for_wind, TRACKS_WITHIN_S, lambda: f"waiting for the wind; {self._rig.mode()}")
+        wait(self._holds_or_waits, TRACKS_WITHIN_S, lambda: f"a hold, or waiting for the wind; {self._rig.mode()}")
         self._rig.must_not_move(before)
         self._rig.wind(CALM_M_S)
         mode = wait(self._mode_at_work, TRACKS_WITHIN_S, lambda: f"a mode of work; it is {self._rig.mode()}")
@@ -73,6 +73,10 @@ class Restarts:
         self._machine.run("heliocube", "auto", "--config", "/etc/heliocube/tracker.toml")
         self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
         return f'held with "{reason}", tracks since a person said auto'
+
+    def _holds_or_waits(self) -> bool:
+        # Whatever had been asked for before goes before the wait for the wind.
+        return self._rig.mode()[0] == "hold" or self._waits_for_wind()
 
     def _mode_at_work(self) -> str:
         mode, _ = self._rig.mode()
@@ -196,6 +200,9 @@ class Restarts:
                 pid = self._machine.show(unit, "MainPID")["MainPID"]
                 return pid if pid not in {"0", last} else ""
 
-            last = wait(process, BACK_WITHIN_S, f"a process of {unit}")
+            try:
+                last = wait(process, BACK_WITHIN_S, f"a process of {unit}")
+            except NotSeen:
+                break
             self._machine.try_to("systemctl", "kill", "--kill-whom=main", "--signal=KILL", unit)
         self._killed_in_s = time.monotonic() - began_s
