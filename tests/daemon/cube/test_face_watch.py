@@ -186,3 +186,12 @@ def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_t
 @pytest.mark.parametrize("start_utc_s", [MORNING_UTC_S - 5 * 3600, 1671602400.0])
 def test_a_sound_cube_is_believed_on_a_day_of_passing_clouds(start_utc_s):
     assert WatchedDay(start_utc_s).minutes(16 * 60) == [None] * 4
+
+
+@pytest.mark.parametrize(("at_w_m2", "found"), [(1800.0, True), (1200.0, False)])
+def test_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
+    day = WatchedDay(MORNING_UTC_S)
+    day.minutes(10)
+    minutes = day.minutes(15, frozen=3, at_w_m2=at_w_m2)
+    assert [each is not None for each in minutes] == [False, False, False, found]
+    assert ["more than sun and sky can give" in alarm.text for alarm in day.alarms.active] == [True] * found

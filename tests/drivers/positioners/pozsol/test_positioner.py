@@ -14,18 +14,20 @@ from drivers.positioners.pozsol.stream import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryStream
+from solar.frames import Angles
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
-def on_unit(scenario):
+def on_unit(scenario, setup=None):
     """Run a scenario with an open driver, its unit, and the time."""
 
     async def scene():
         now = asyncio.get_running_loop().time
-        core = PositionerCore(now())
+        core = PositionerCore(now(), setup)
         positioner = PozsolPositioner(InMemoryStream(core, now), now, A, B)
         await positioner.open()
         await scenario(positioner, core, now)
@@ -49,6 +51,23 @@ def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_s
         assert core.truth(now()) == pytest.approx(stands, abs=0.01)
 
     on_unit(scenario)
+
+
+def test_own_tracking_is_off_only_when_both_axes_stand():
+    async def scenario(positioner, core, now):
+        core.inject("own_tracking", now())
+        await asyncio.sleep(10.0)
+        assert (await positioner.read_telemetry()).autonomous
+        before = core.truth(now())
+        await asyncio.sleep(1.0)
+        assert core.truth(now()) != pytest.approx(before, abs=0.1), "it drives by itself"
+        await positioner.disable_autonomy()
+        assert not (await positioner.read_telemetry()).autonomous
+        stands = core.truth(now())
+        await asyncio.sleep(60.0)
+        assert core.truth(now()) == pytest.approx(stands, abs=0.01)
+
+    on_unit(scenario, Setup(own_target=lambda _now: Angles(-40.0, 20.0)))
 
 
 def test_a_unit_that_is_deaf_while_it_moves_is_told_as_still_moving():
