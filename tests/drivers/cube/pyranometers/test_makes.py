@@ -67,6 +67,21 @@ def test_an_smp_says_who_it_is():
     assert Smp().identify((2023, 180123, 108, 5, 1), (633, 107)).text == "SMP12 no. 180123 of 2023, software 108"
 
 
+@pytest.mark.parametrize(("name", "kinds"), [
+    ("SMP3", (601, 602)), ("SMP11", (603, 604)), ("SMP21", (605, 606)), ("SMP22", (607, 608)), ("SMP10", (617, 618)),
+    ("SMP6", (619, 620)), ("SMP12", (633,)), ("SMP of type 611", (611,)),
+])  # fmt: skip
+def test_every_type_of_smp_has_its_name(name, kinds):
+    for kind in kinds:
+        assert Smp().identify((2023, 1, 108, 5, 1), (kind, 107)).text == f"{name} no. 1 of 2023, software 108"
+
+
+@pytest.mark.parametrize("kind", [599, 609, 610, 613, 614, 700])
+def test_what_is_next_to_them_is_none(kind):
+    with pytest.raises(WrongSensorError):
+        smp(kind=kind)
+
+
 def test_an_sr20_is_divided_by_its_own_scale():
     make = Hukseflux()
     model = tuple(ord(low) | ord(high) << 8 for low, high in ("SR", "20", "-D", "2 ", "  "))
