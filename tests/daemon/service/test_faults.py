@@ -443,16 +443,17 @@ def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
 def test_every_way_to_move_goes_through_one_guard(run_rig):
     """R24: in the service the only caller of the positioner's move and home commands is the runner of Motion.
 
-    `heliocube probe` is a command of its own, run while the service is not, and holds to the driver's limits.
+    `heliocube probe` and `heliocube setup` are commands of their own, run while the service is not, and hold to the
+    driver's limits.
     """
 
     callers = {
-        path.name
+        path.as_posix()
         for path in Path("daemon").rglob("*.py")
         if not path.name.startswith("probe")
         and any(call in path.read_text() for call in ("positioner.move_to(", "positioner.home("))
     }
-    assert callers == {"runs.py"}
+    assert callers == {"daemon/motion/runs.py", "daemon/commands/setup/first_move.py"}
 
 
 def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
