@@ -105,6 +105,8 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
                 log.warning("SIMULATED by a bench, says instruments.bench: all records are marked so")
             if not isinstance(clock, SystemClock):
                 log.warning("the clock is a bench's: it shows %s", iso_utc(clock.utc()))
+        # A service that is refused its address leaves no run in a store.
+        runner.run(service.open())
         with _store(service, role, loop, console) as store:
 
             def see() -> Snapshot:

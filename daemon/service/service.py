@@ -93,6 +93,7 @@ class Service:
         self._folder = kept_in(settings.store.directory)
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
         self._told_faces = ToldFaces(self.cube_alarms)
+        self._is_open = False
         self._random = random
         self._kept_in = kept_in
         self._hold_why = hold_why
@@ -192,6 +193,15 @@ class Service:
             self._told_faces.note(scan)
         self.bus.publish(scan)
 
+    async def open(self) -> None:
+        """Take the bridge's address, before anything is begun that another service would have to share.
+
+        Raises `UserError` if it cannot be used. `run` does it too, where it has not been done.
+        """
+        if not self._is_open:
+            await self._open_bridge()
+            self._is_open = True
+
     async def run(self, stop: asyncio.Event, *companions: Coroutine[Any, Any, None]) -> None:
         """Run until `stop` is set; motion is stopped before anything else ends.
 
@@ -209,7 +219,7 @@ class Service:
             software under a driver hangs for good.
         """
         try:
-            await self._open_bridge()
+            await self.open()
             for tracker in self.trackers:
                 tracker.check_wind_source()
                 tracker.check_folder()

@@ -1,5 +1,6 @@
 """The commands agree on the folder of a service whose file names none."""
 
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +45,14 @@ def test_what_is_kept_without_being_asked_is_found_by_export_and_by_no_second_se
         code, _, err = heliocube(*run)
         assert (code, sorted(kept.iterdir())) == (2, before)
         assert f"heliocube: {kept} is where another tracker service, which runs, keeps" in err
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        other = tmp_path / "west.toml"
+        other.write_text(file.read_text().replace("127.0.0.1:0", f"127.0.0.1:{taken.getsockname()[1]}"))
+        code, _, err = heliocube("run", "--role", "tracker", "--config", other, "--for", "0.3")
+        assert (code, "is in use by another program" in err) == (2, True)
+        assert not [path for path in (tmp_path / "west-records").iterdir() if path.suffix == ".sqlite"]
+        assert not (tmp_path / "west-records" / "configuration.json").exists()
     assert heliocube(*run)[0] == 0
     assert {"heliocube.sqlite", "started.json"} <= {path.name for path in kept.iterdir()}
     code, _, err = heliocube("export", "-c", file, "--out", tmp_path / "out", "--kind", "events")
