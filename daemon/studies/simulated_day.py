@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,8 @@ class WeatherOfSpan(Protocol):
         """Return the conditions, with `dni_w_m2` and `dhi_w_m2`."""
 
 
-class PlaneInsolation(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class PlaneInsolation:
     """What a tracker's plane received and what it would have where an ideal chronometric tracker stands [kWh/m2]."""
 
     tracker: str
