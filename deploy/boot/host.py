@@ -71,3 +71,12 @@ def wait(found: Callable[[], Found], within_s: float, what: Callable[[], str] | 
             raise NotSeen(f"not within {within_s:g} s: {what() if callable(what) else what}")
         time.sleep(pause_s)
     return seen
+
+
+def own_cgroups() -> list[Path]:
+    """Return the folder of this process in each hierarchy that systemd uses beside others."""
+    lines = Path("/proc/self/cgroup").read_text(encoding="ascii").splitlines()
+    own = {controller: path for _, controller, path in (line.split(":", 2) for line in lines)}
+    top = Path("/sys/fs/cgroup")
+    hierarchies = (("name=systemd", top / "systemd"), ("", top / "unified"))
+    return [folder / own[name].lstrip("/") for name, folder in hierarchies if name in own and folder.is_dir()]

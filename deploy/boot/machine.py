@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from boot.host import LeftOut, NotSeen, run, wait
+from boot.host import LeftOut, NotSeen, own_cgroups, run, wait
 
 FOREIGN = "203.0.113.5"
 """An address that the machine has and that is not its own network's: of RFC 5737, for documentation."""
@@ -157,14 +157,9 @@ class Machine:
 
 def _make_cgroups(name: str) -> list[Path]:
     """Make a folder beside this process's own in each hierarchy that systemd uses, where that can be done."""
-    lines = Path("/proc/self/cgroup").read_text(encoding="ascii").splitlines()
-    own = {controller: path for _, controller, path in (line.split(":", 2) for line in lines)}
-    top = Path("/sys/fs/cgroup")
     made = []
-    for controller, hierarchy in (("name=systemd", top / "systemd"), ("", top / "unified")):
-        if controller in own and hierarchy.is_dir():
-            group = hierarchy / own[controller].lstrip("/") / name
-            with contextlib.suppress(OSError):
-                group.mkdir()
-                made.append(group)
+    for group in own_cgroups():
+        with contextlib.suppress(OSError):
+            (group / name).mkdir()
+            made.append(group / name)
     return made

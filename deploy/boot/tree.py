@@ -1,5 +1,6 @@
 """A small Debian in a folder, with what a rig's machine has; made once and kept, and copied for each run."""
 
+import contextlib
 import hashlib
 import os
 import shutil
@@ -7,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from boot.host import ROOT, LeftOut, NotSeen, run
+from boot.host import ROOT, LeftOut, NotSeen, own_cgroups, run
 
 DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
 CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
@@ -108,6 +109,11 @@ class Tree:
         """Remove what this run has made, but for the cache."""
         if self._work != Path():
             shutil.rmtree(self._work)
+        # What systemd-nspawn has made and does not remove; somebody else's at work cannot be.
+        for group in own_cgroups():
+            for name in ("payload", "supervisor"):
+                with contextlib.suppress(OSError):
+                    (group / name).rmdir()
 
 
 def _suite() -> str:
