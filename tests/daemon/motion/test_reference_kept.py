@@ -434,3 +434,18 @@ def test_a_homing_run_that_is_broken_off_ends_with_stop(run_rig, monkeypatch, ho
         assert sent[0][1].startswith(STOP_PACKET)
 
     run_rig(scenario)
+
+
+def test_a_homing_run_that_is_given_up_is_stopped_and_no_unexplained_motion(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.home()
+        await rig.until(lambda: rig.motion.homing, 5, "homing")
+        await asyncio.sleep(10)
+        rig.motion.rest()
+        await rig.until(lambda: not rig.motion.homing, 5, "the end of homing")
+        assert rig.motion.stands_since_s is not None
+        await asyncio.sleep(5)
+        assert rig.motion.unexplained is None
+
+    run_rig(scenario)
