@@ -2,9 +2,11 @@
 
 import contextlib
 import logging
+import os
 import re
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 # sd-daemon(3): syslog's priorities, in front of each line of standard error.
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _DEBUG_PRIORITY = 7
+# sd_listen_fds(3): what the manager hands over begins here.
+_FIRST_HANDED = 3
+_BARRIER_S = 5.0
 _PLAIN_VALUE = re.compile(r'[^\s="\\]+')
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
@@ -124,6 +129,7 @@ class Notifier:
         # A leading @ stands for the NUL byte of Linux's abstract socket names.
         self._address = "\0" + path[1:] if path.startswith("@") else path
         self._interval_s = _interval_s(environment, pid)
+        self._kept = _handed(environment, pid)
 
     @property
     def watchdog_interval_s(self) -> float | None:
@@ -146,14 +152,58 @@ class Notifier:
         """Tell that shut-down has begun."""
         self._send("STOPPING=1")
 
-    def _send(self, message: str) -> None:
-        family = getattr(socket, "AF_UNIX", None)
-        if not self._address or family is None:
+    def keep(self, name: str, opened: socket.socket) -> None:
+        """Give the manager a socket to hold while this process ends and the next one begins (FileDescriptorStoreMax=).
+
+        Parameters
+        ----------
+        name
+            By which the next process finds it; letters, digits, hyphens.
+        opened
+            Stays the caller's too.
+        """
+        self._send(f"FDSTORE=1\nFDNAME={name}", opened)
+
+    def take_kept(self, name: str) -> socket.socket | None:
+        """Return the socket that a process before this one gave the manager under a name, or None.
+
+        All others that it gave are closed, and the manager has let go of them when this returns: nobody would read what
+        comes to them, and one may have the port that is wanted now.
+        """
+        found, handed, self._kept = None, self._kept, []
+        for other, number in handed:
+            if other == name and found is None:
+                os.set_inheritable(number, False)
+                found = socket.socket(fileno=number)
+                continue
+            os.close(number)
+            if other != name:
+                self._send(f"FDSTOREREMOVE=1\nFDNAME={other}")
+        if handed and found is None:
+            self._wait_until_done()
+        return found
+
+    def _wait_until_done(self) -> None:
+        """Wait until the manager has done what it was told so far, as sd_notify_barrier(3) does."""
+        ours, theirs = socket.socketpair()
+        with ours:
+            with theirs:
+                self._send("BARRIER=1", theirs)
+            ours.settimeout(_BARRIER_S)
+            with contextlib.suppress(OSError):
+                ours.recv(1)
+
+    def _send(self, message: str, handed: socket.socket | None = None) -> None:
+        if sys.platform == "win32" or not self._address or not hasattr(socket, "AF_UNIX"):
             return
         try:
-            with socket.socket(family, socket.SOCK_DGRAM) as sender:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
                 sender.setblocking(False)
-                sender.sendto(message.encode(), self._address)
+                sender.connect(self._address)
+                if handed is None:
+                    sender.send(message.encode())
+                else:
+                    socket.send_fds(sender, [message.encode()], [handed.fileno()])
         except OSError:
             return
 
@@ -165,6 +215,15 @@ def _interval_s(environment: Mapping[str, str], pid: int) -> float | None:
     if environment.get("WATCHDOG_PID", str(pid)) != str(pid):
         return None
     return int(microseconds) / 2e6
+
+
+def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
+    """Return name and number of each descriptor that the manager handed to this process."""
+    count = environment.get("LISTEN_FDS", "")
+    if not count.isdecimal() or environment.get("LISTEN_PID", "") != str(pid):
+        return []
+    names = environment.get("LISTEN_FDNAMES", "").split(":")
+    return list(zip(names, range(_FIRST_HANDED, _FIRST_HANDED + int(count)), strict=False))
 
 
 @contextlib.contextmanager

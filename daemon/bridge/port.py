@@ -1,14 +1,19 @@
 """The bridge's UDP port: read in batches, and with a buffer of its own for whoever sends true scans."""
 
 import asyncio
+import contextlib
 import errno
+import hashlib
 import logging
 import socket
+import struct
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
 from daemon.base.addresses import Address, BridgeError
+from daemon.base.process import Notifier
 
 _log = logging.getLogger("heliocube.bridge")
 
@@ -23,6 +28,14 @@ _BUFFER_BYTES = 4 << 20
 _MOST_LINES = 4
 # Nobody loses a line for somebody else's sake within this time after the last scan that came over it.
 _HELD_S = 60.0
+# socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
+_SO_TIMESTAMPNS = 35
+_STAMP = struct.Struct("@ll")
+_STAMP_BYTES = 64
+# Whatever waited while no process read: more than a buffer holds, and an end to it where somebody floods the port.
+_MOST_WAITING = 8192
+# A longer wait is a clock that was set meanwhile.
+_LONGEST_WAIT_S = 300.0
 
 
 class UdpPort:
@@ -38,17 +51,26 @@ class UdpPort:
     group, interface
         The multicast group to join, or None, and the address of the network to join it in.
     receive
-        Called with each datagram and its peer; must not raise.
+        Called with each datagram, its peer, and how long it has waited for a process to read it [s]; must not raise.
+    keeper
+        The service manager, which holds the port while the process is restarted: nothing that comes meanwhile is lost.
     """
 
     def __init__(
-        self, listen: Address, group: Address | None, interface: str, receive: Callable[[bytes, Peer], None]
+        self,
+        listen: Address,
+        group: Address | None,
+        interface: str,
+        receive: Callable[[bytes, Peer, float], None],
+        keeper: Notifier,
     ) -> None:
         self._listen = listen
         self._group = group
         self._interface = interface
         self._receive = receive
+        self._keeper = keeper
         self._bound: socket.socket | None = None
+        self._was_kept = False
         self._lines: dict[Peer, socket.socket] = {}
         self._proven_s: dict[Peer, float] = {}
 
@@ -57,10 +79,27 @@ class UdpPort:
         """Where it listens; the true port once it is open."""
         return self._listen if self._bound is None else Address(*self._bound.getsockname()[:2])
 
-    def open(self) -> None:
-        """Bind the port, join the group, and read from now on in the running loop; raises `BridgeError`."""
-        self._bound = self._bind()
-        self._read_from(self._bound)
+    def bind(self) -> socket.socket:
+        """Take the port, kept or new, and join the group; reads nothing yet. Raises `BridgeError`."""
+        kept = self._keeper.take_kept(self._name_kept)
+        self._was_kept = kept is not None
+        self._bound = self._bind() if kept is None else kept
+        self._bound.setblocking(False)
+        if kept is None:
+            self._keeper.keep(self._name_kept, self._bound)
+        return self._bound
+
+    def open(self) -> bool:
+        """Read from now on in the running loop, first what waited; binds if that is not done. Raises `BridgeError`.
+
+        Returns whether something may have waited.
+        """
+        bound = self._bound or self.bind()
+        waited, self._was_kept = self._was_kept, False
+        if waited:
+            self._read_what_waited(bound)
+        self._read_from(bound)
+        return waited
 
     def close(self) -> None:
         """Release the port."""
@@ -89,9 +128,25 @@ class UdpPort:
             self._lines[peer], self._proven_s[peer] = line, now_s
             self._read_from(line)
 
+    @property
+    def _name_kept(self) -> str:
+        """Another name for other settings, so that a port that was kept is never taken for one that it is not."""
+        settings = f"{self._listen} {self._group} {self._interface}"
+        return "bridge-" + hashlib.sha256(settings.encode()).hexdigest()[:16]
+
+    def _read_what_waited(self, kept: socket.socket) -> None:
+        if sys.platform == "win32":
+            return
+        with contextlib.suppress(OSError):
+            for _ in range(_MOST_WAITING):
+                data, ancillary, _, peer = kept.recvmsg(_LARGEST_READ, _STAMP_BYTES)
+                self._receive(data, peer, _waited_s(ancillary))
+
     def _drop(self, peer: Peer) -> None:
         line = self._lines.pop(peer)
         del self._proven_s[peer]
+        # What has come over it would be lost with it.
+        self._read(line)
         asyncio.get_running_loop().remove_reader(line)
         line.close()
 
@@ -108,7 +163,7 @@ class UdpPort:
                 # What it means, if anything, the missing scans will show.
                 _log.debug("the bridge's port reports: %s", error)
                 return
-            self._receive(data, peer)
+            self._receive(data, peer, 0.0)
 
     def _connected(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
         """Return a second socket on the port that hears one peer; None where the system does not let it."""
@@ -153,6 +208,18 @@ class UdpPort:
 def _prepare(opened: socket.socket) -> None:
     opened.setblocking(False)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    if sys.platform == "linux":
+        opened.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+
+def _waited_s(ancillary: list[tuple[int, int, bytes]]) -> float:
+    """Return how long ago a datagram came by the kernel's stamp [s]; 0 where that cannot be known."""
+    for level, kind, stamp in ancillary:
+        if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(stamp) == _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack(stamp)
+            waited_s = time.time() - (seconds + 1e-9 * nanoseconds)
+            return waited_s if 0.0 <= waited_s <= _LONGEST_WAIT_S else 0.0
+    return 0.0
 
 
 def _why_not_bound(error: OSError) -> str:

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
+from daemon.base.process import Notifier
 from daemon.bridge import senml, signing
 from daemon.bridge.port import Peer, UdpPort
 from daemon.bridge.refusals import Refusal, ScanRefusedError, Statistics, Tally
@@ -34,6 +35,8 @@ class BridgeReceiver:
     on_scan
         Called with each accepted scan, in order. Monotonic times are the receiver's and never decrease; UTC and the
         age of each face within the scan are as sent. Must not raise.
+    keeper
+        The service manager, which holds the port while the process is restarted; None where there is none.
 
     Raises
     ------
@@ -43,7 +46,12 @@ class BridgeReceiver:
     """
 
     def __init__(
-        self, settings: "BridgeSettings", key: bytes | None, clock: "Clock", on_scan: Callable[["Scan"], None]
+        self,
+        settings: "BridgeSettings",
+        key: bytes | None,
+        clock: "Clock",
+        on_scan: Callable[["Scan"], None],
+        keeper: Notifier | None = None,
     ) -> None:
         require_key(key, insecure=settings.insecure)
         self._keys: tuple[bytes, ...] = () if key is None else (key,)
@@ -58,7 +66,7 @@ class BridgeReceiver:
         self._guard = SequenceGuard(settings.clock_skew_s, settings.late_after_s)
         self._tally = Tally()
         interface = settings.multicast_interface or ANY_INTERFACE
-        self._port = UdpPort(self._listen, self._group, interface, self.datagram_received)
+        self._port = UdpPort(self._listen, self._group, interface, self.datagram_received, keeper or Notifier({}, 0))
 
     @property
     def address(self) -> str:
@@ -75,9 +83,18 @@ class BridgeReceiver:
         """What was refused since the last scan that was passed on, in words; empty for nothing."""
         return self._tally.since_accepted
 
+    def bind(self) -> None:
+        """Take the port and join the group, and read nothing yet; `BridgeError` says why that is not possible."""
+        self._port.bind()
+
     async def open(self) -> None:
-        """Bind the port and join the group; `BridgeError` says in one sentence why that is not possible."""
-        self._port.open()
+        """Bind the port if that is not done, and read from now on, first what came while no process did.
+
+        `BridgeError` says in one sentence why that is not possible.
+        """
+        if self._port.open():
+            # Waiting is no time on the way, and a clock may have been set meanwhile.
+            self._guard.forget_delays()
 
     async def close(self) -> None:
         """Release the port. The memory of sessions stays, so that nothing can be replayed after a reopening."""
@@ -87,18 +104,21 @@ class BridgeReceiver:
         """Accept what any of these keys has signed from now on; not for a receiver that was made without a key."""
         self._keys = keys
 
-    def datagram_received(self, data: bytes, addr: Peer) -> None:
-        """Examine one datagram from `addr`, (host, port, ...), and pass its scan on or count the refusal."""
-        if self._take(data, addr, addr[0]):
+    def datagram_received(self, data: bytes, addr: Peer, waited_s: float = 0.0) -> None:
+        """Examine one datagram from `addr`, (host, port, ...), and pass its scan on or count the refusal.
+
+        It came `waited_s` ago [s], and is judged and dated by the time when it came.
+        """
+        if self._take(data, addr, addr[0], waited_s):
             self._port.favour(addr, self._clock.monotonic())
 
     def take(self, data: bytes, sender: str) -> None:
         """Examine what came over a transport that knows no IP addresses, like a datagram."""
         self._take(data, sender, None)
 
-    def _take(self, data: bytes, sender: str | Peer, host: str | None) -> bool:
-        now_s = self._clock.monotonic()
-        utc_s = self._clock.utc()
+    def _take(self, data: bytes, sender: str | Peer, host: str | None, waited_s: float = 0.0) -> bool:
+        now_s = self._clock.monotonic() - waited_s
+        utc_s = self._clock.utc() - waited_s
         try:
             scan = self._examine(data, host, utc_s, now_s)
         except ScanRefusedError as refused:

@@ -46,6 +46,11 @@ class SequenceGuard:
         """Sequence numbers that never came, over all sessions."""
         return self._lost_before + sum(session.numbers.lost for session in self._sessions)
 
+    def forget_delays(self) -> None:
+        """Learn anew how long a scan is under way at the least."""
+        for session in self._sessions:
+            session.delays = _SlidingMinimum(DELAY_WINDOW_S)
+
     def admit(self, scan: Scan, arrival_utc_s: float, arrival_monotonic_s: float) -> Scan:
         """Return `scan` with its monotonic times on the receiver's clock, never decreasing from scan to scan.
 

@@ -109,7 +109,7 @@ class Service:
         self.trackers: tuple[Tracker, ...] = ()
         if role is not Role.CUBE:
             self.trackers = tuple(self._build_trackers(random, polling, stow_sources))
-            self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive)
+            self.receiver = BridgeReceiver(settings.bridge, key, clock, self._receive, notifier)
         if role is not Role.TRACKER:
             self._build_cube()
         self.loop_watch = LoopWatch(clock, speed)
@@ -223,6 +223,9 @@ class Service:
             for tracker in self.trackers:
                 tracker.check_wind_source()
                 tracker.check_folder()
+            if self._listens and self.receiver is not None:
+                # Not before whoever keeps records listens too.
+                await self.receiver.open()
             try:
                 async with asyncio.TaskGroup() as group:
                     tasks = [
@@ -250,10 +253,14 @@ class Service:
                 tracker.folder.close()
             self._folder.close()
 
+    @property
+    def _listens(self) -> bool:
+        return self.role is Role.BOTH or (self.role is Role.TRACKER and self.settings.bridge.transport != "mqtt")
+
     async def _open_bridge(self) -> None:
         bridge = self.settings.bridge
-        if self.receiver is not None and not (self.role is Role.TRACKER and bridge.transport == "mqtt"):
-            await self.receiver.open()
+        if self._listens and self.receiver is not None:
+            self.receiver.bind()
         if self.role is Role.TRACKER or (self.role is Role.CUBE and bridge.transport == "mqtt"):
             return
         if self.receiver is not None:

@@ -46,7 +46,7 @@ class Records:
         return ", ".join(f"{role} {len(now[role])} scans" for role in ROLES) + f", {sessions} sessions, files whole"
 
     def lose_no_scan(self, before: dict[str, set[tuple[str, int]]]) -> str:
-        """See that no number is missing in the cube's store, nor what stood in either before."""
+        """See that no number is missing in the cube's store, nor in the tracker's, nor what stood in either before."""
         heard = self.scans("tracker")
         # Each role writes at its own times: what the tracker has just heard the cube may have yet to write.
         made = wait(lambda: self._made(heard), WRITTEN_WITHIN_S, "in the cube's store what the tracker has heard")
@@ -56,8 +56,12 @@ class Records:
                 raise NotSeen(f"the cube's store has {len(numbers)} scans up to number {numbers[-1]} of a session")
         if before["cube"] - made or before["tracker"] - heard:
             raise NotSeen("a store lacks what it had")
-        missed = len(made - heard - before["cube"])
-        return f"each of {len(made)} scans is in the cube's store; the tracker did not hear {missed} of them"
+        # What is newer than all that the tracker has heard may be on its way.
+        newest = {session: max(number for one, number in heard if one == session) for session, _ in heard}
+        missed = {(one, number) for one, number in made - before["cube"] if number < newest.get(one, 0)} - heard
+        if missed:
+            raise NotSeen(f"the tracker did not hear {len(missed)} of {len(made)} scans")
+        return f"each of {len(made)} scans is in the cube's store, and none since is missing in the tracker's"
 
     def _made(self, heard: set[tuple[str, int]]) -> set[tuple[str, int]]:
         """Return the cube's scans once all that were heard are among them; else none."""

@@ -1,5 +1,9 @@
 import importlib.util
+import os
 import socket
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -80,3 +84,57 @@ def test_a_machine_without_unix_sockets_imports_it_and_stays_silent(monkeypatch)
     copy = importlib.util.module_from_spec(found)
     found.loader.exec_module(copy)
     copy.Notifier({"NOTIFY_SOCKET": "/run/x"}, pid=7).ready()
+
+
+@pytest.fixture
+def handed_over(tmp_path):
+    """Run lines in a process that systemd would have handed a socket to; returns what it prints."""
+
+    def run(lines, opened, names, path=""):
+        script = (
+            "import os, sys\n"
+            "from daemon.base.process import Notifier\n"
+            "os.dup2(int(sys.argv[1]), 3)\n"
+            "given = {'LISTEN_PID': str(os.getpid()), 'LISTEN_FDS': '1', 'LISTEN_FDNAMES': sys.argv[2]}\n"
+            "notifier = Notifier(given | {'NOTIFY_SOCKET': sys.argv[3]}, os.getpid())\n"
+        )
+        command = [sys.executable, "-c", script + lines, str(opened.fileno()), names, path]
+        return subprocess.run(command, pass_fds=[opened.fileno()], capture_output=True, text=True, check=True).stdout
+
+    return run
+
+
+def test_a_socket_is_given_to_the_manager_with_its_name(manager):
+    receiver, path = manager
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
+        port.bind(("127.0.0.1", 0))
+        Notifier({"NOTIFY_SOCKET": path}, pid=7).keep("bridge-1", port)
+        said, numbers, _, _ = socket.recv_fds(receiver, 1000, 1)
+        assert said == b"FDSTORE=1\nFDNAME=bridge-1"
+        with socket.socket(fileno=numbers[0]) as kept:
+            assert kept.getsockname() == port.getsockname()
+
+
+def test_the_next_process_finds_its_socket_by_its_name_and_once(handed_over):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
+        port.bind(("127.0.0.1", 0))
+        lines = "print(notifier.take_kept('bridge-1').getsockname()[1], notifier.take_kept('bridge-1'))"
+        assert handed_over(lines, port, "bridge-1").split() == [str(port.getsockname()[1]), "None"]
+
+
+def test_a_socket_of_other_settings_is_let_go_before_the_port_is_taken(handed_over, manager):
+    receiver, path = manager
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port, ThreadPoolExecutor(1) as threads:
+        running = threads.submit(handed_over, "print(notifier.take_kept('bridge-2'))", port, "bridge-1", path)
+        assert receiver.recv(1000) == b"FDSTOREREMOVE=1\nFDNAME=bridge-1"
+        said, numbers, _, _ = socket.recv_fds(receiver, 1000, 1)
+        assert said == b"BARRIER=1"
+        assert not running.done()
+        for number in numbers:
+            os.close(number)
+        assert running.result().strip() == "None"
+
+
+@pytest.mark.parametrize("environment", [{}, {"LISTEN_FDS": "1", "LISTEN_PID": "8"}, {"LISTEN_FDS": "x"}])
+def test_what_is_handed_to_another_process_is_not_ours(environment):
+    assert Notifier(environment | {"LISTEN_FDNAMES": "bridge-1"}, pid=7).take_kept("bridge-1") is None

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import sys
+import time
 from contextlib import ExitStack
 
 import pytest
@@ -129,5 +130,74 @@ def test_a_flood_does_not_keep_the_other_tasks_of_the_loop_waiting():
                     rounds += 1
                     assert rounds < 10_000
             assert rounds >= 640 // 64, "a round of the loop takes a part of what waits, and no more"
+
+    asyncio.run(main())
+
+
+class Manager:
+    """What systemd does with a socket that it is given: it holds a copy, and hands it to the next process."""
+
+    def __init__(self):
+        self.held = {}
+
+    def keep(self, name, opened):
+        self.held[name] = opened.dup()
+
+    def take_kept(self, name):
+        for other in set(self.held) - {name}:
+            self.held.pop(other).close()
+        return self.held[name].dup() if name in self.held else None
+
+
+@pytest.fixture
+def manager():
+    manager = Manager()
+    yield manager
+    for each in manager.held.values():
+        each.close()
+
+
+@only_linux
+def test_what_comes_while_the_service_is_restarted_is_heard_and_dated_by_when_it_came(manager):
+    async def main():
+        clock, scans = HandClock(), []
+        before = BridgeReceiver(BridgeSettings(listen="127.0.0.1:0"), KEY, clock, scans.append, manager)
+        await before.open()
+        place = place_of(before)
+        with udp() as cube:
+            cube.sendto(signed(scan(0)), place)
+            await until_accepted(before, 1)
+            # Both ways in: over the line that the cube has by now, and over the port.
+            cube.sendto(signed(scan(1, time_s=0.5)), place)
+            await before.close()
+            cube.sendto(signed(scan(2, time_s=0.6)), place)
+            time.sleep(1.0)  # noqa: ASYNC251 - there is nobody else
+            clock.now_s += 2.0
+            after = BridgeReceiver(BridgeSettings(listen="127.0.0.1:0"), KEY, clock, scans.append, manager)
+            after.bind()
+            await asyncio.sleep(0.01)
+            assert [got.sequence for got in scans] == [0, 1], "heard before anybody asked"
+            await after.open()
+            assert [got.sequence for got in scans] == [0, 1, 2]
+            assert clock.now_s - 2.0 <= scans[2].time_monotonic_s <= clock.now_s - 1.0
+            cube.sendto(signed(scan(3, time_s=2.0)), place)
+            await until_accepted(after, 2)
+            assert scans[3].time_monotonic_s == clock.now_s
+            await after.close()
+
+    asyncio.run(main())
+
+
+@only_linux
+def test_a_port_of_other_settings_is_not_taken_for_this_one(manager):
+    async def main():
+        first = BridgeReceiver(BridgeSettings(listen="127.0.0.1:0"), KEY, HandClock(), print, manager)
+        second = BridgeReceiver(BridgeSettings(listen="0.0.0.0:0"), KEY, HandClock(), print, manager)
+        first.bind()
+        second.bind()
+        assert len(manager.held) == 1
+        assert first.address != second.address
+        await first.close()
+        await second.close()
 
     asyncio.run(main())
