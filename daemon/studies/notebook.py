@@ -173,10 +173,10 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> 
             raise UserError("interrupted")
 
     with ThreadPoolExecutor(1) as thread:
-        done = thread.submit(work, advance)
         try:
-            done.result()
+            thread.submit(work, advance).result()
         except KeyboardInterrupt:
+            # It may have come before the submission was over, and the work goes on all the same.
             interrupted.set()
             raise
 
