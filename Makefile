@@ -44,7 +44,7 @@ run: $(BIN)/.runtime
 # What the computing ones say comes last, in one piece.
 test: $(BIN)/.dev
 	@said=$$(mktemp); trap 'rm -f "$$said"' EXIT; set -x; \
-	nice -n 5 $(BIN)/python -m pytest --live without -n $(WORKERS) --dist worksteal $(ARGS) >"$$said" 2>&1 & \
+	nice -n 19 $(BIN)/python -m pytest --live without -n $(WORKERS) --dist worksteal $(ARGS) >"$$said" 2>&1 & \
 	{ computing=$$!; trap 'kill $$computing' INT TERM; } 2>/dev/null; \
 	$(BIN)/python -m pytest --live only -n $(WAITING) --dist worksteal -o cache_dir=.pytest_cache/live $(ARGS); \
 	{ second=$$?; set +x; } 2>/dev/null; \

@@ -35,7 +35,7 @@ def test_the_page_needs_nothing_but_itself_and_anybody_can_read_it(tmp_path):
                 assert opened.locator("script").count() == 0
                 wide, screen = opened.evaluate("[document.documentElement.scrollWidth, innerWidth]")
                 assert wide <= screen, f"{viewport}: it fits the screen"
-                assert opened.locator("figure svg").count() == 5
+                assert opened.locator("figure svg").count() == 6
                 assert opened.locator("figure svg").first.bounding_box()["height"] > 200
                 violations = axe.Axe().run(opened).response["violations"]
                 assert [(found["id"], found["nodes"][0]["html"]) for found in violations] == []

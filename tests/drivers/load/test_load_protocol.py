@@ -20,10 +20,10 @@ LEVELS = (36.0, 31.5, 10.0)
 NUMBER = re.compile(rb"[+-]?\d+\.\d+(E[+-]\d\d)?")
 
 
-def load_on(link, make="chroma63600", *, channel=1, deadline_s=0.5, least_v=3.0):
+def load_on(link, make="chroma63600", *, channel=1, deadline_s=0.5, least_v=3.0, settle_s=0.02):
     where = VisaSettings(f"ASRL{link}::INSTR", device="load", section="load")
     line = ThreadedLine("load", partial(VisaLine, where))
-    settings = SweepSettings(0.02, least_v, deadline_s)
+    settings = SweepSettings(settle_s, least_v, deadline_s)
     return Chroma63600(line, channel, settings) if make == "chroma63600" else Agilent6063B(line, settings)
 
 
@@ -78,7 +78,8 @@ def test_the_simulated_load_answers_the_same_bytes(transcript, load_host, make):
 def test_a_sweep_measures_the_modules_curve_and_leaves_the_input_off(load_host, make):
     async def scene():
         async with load_host(make) as host:
-            load = load_on(host.port.link, make)
+            # Voltage and current are one point only once the voltage stands, on a busy machine too.
+            load = load_on(host.port.link, make, settle_s=0.2)
             await load.open()
             swept = await load.sweep(lambda open_v: np.linspace(open_v - 0.5, 4.0, 15), never)
             assert not host.core.on

@@ -90,10 +90,13 @@ def test_a_target_is_reached_and_shown_in_the_tracker_s_angles(start_rotctld, ru
         seen = await arrive(driver, -30.0, 45.0)
         assert (going.destination_a, going.destination_b) == (seen.destination_a, seen.destination_b)
         assert (seen.destination_a, seen.destination_b) == pytest.approx((azimuth_deg, 37.76), abs=0.01)
-        return server.azimuth_deg()
+        # The last twentieth of a degree takes the dummy a while.
+        async with asyncio.timeout(PATIENCE_S):
+            while server.azimuth_deg() != pytest.approx(azimuth_deg, abs=0.02):  # noqa: ASYNC110 - it tells nobody
+                await asyncio.sleep(0.05)
 
     turns = {"azimuth_min_deg": 0.0, "azimuth_max_deg": 360.0, "elevation_min_deg": 35.0, "elevation_max_deg": 90.0}
-    assert run(driver_of(server.place, equator_deg=equator_deg, **turns), act) == pytest.approx(azimuth_deg, abs=0.02)
+    run(driver_of(server.place, equator_deg=equator_deg, **turns), act)
 
 
 def test_a_stop_is_sent_behind_a_move_that_is_not_answered_yet_and_both_are_understood(start_rotctld, run):
