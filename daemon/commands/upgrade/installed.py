@@ -42,6 +42,11 @@ class Program:
         """Return whether it finds nothing wrong with a configuration."""
         return self._run("heliocube", "config", "check", str(config)).returncode == 0
 
+    def release(self) -> str:
+        """Return which release it is, as its service says it; what people know it by where it does not say."""
+        done = self._run("python", "-c", "from daemon.base.installation import release; print(release())")
+        return (done.stdout.strip() if done.returncode == 0 else "") or self.name
+
     def store_version(self) -> int | None:
         """Return which version of a store it writes, or None where it does not say."""
         done = self._run("python", "-c", "from daemon.store.schema import VERSION; print(VERSION)")

@@ -63,7 +63,7 @@ def _held(settings: Settings, to: Program) -> Iterator[str]:
         file = WishFile(folder)
         wishes = file.load()
         if wishes == Wishes():
-            why = f"the program was changed back from {release()} to {to.name}, and nobody has looked yet"
+            why = f"the program was changed back from {release()} to {to.release()}, and nobody has looked yet"
             file.save(Wishes(hold=Wish(why=why, by=PROGRAM, since_utc_s=SystemClock().utc())))
             if folder.unsaved is not None:
                 raise UserError(folder.unsaved)

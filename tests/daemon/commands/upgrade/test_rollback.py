@@ -33,10 +33,11 @@ def config(tmp_path):
 def program(tmp_path):
     """Lay down a heliocube of another release, which knows a version of stores and accepts files or does not."""
 
-    def make(version=OLDER, *, accepts=True, prefix=None):
+    def make(version=OLDER, *, accepts=True, prefix=None, release="echo 0.0.9+4f1c"):
         folder = (prefix or tmp_path / "0.0.9") / "bin"
         folder.mkdir(parents=True, exist_ok=True)
-        told = {"heliocube": f"exit {0 if accepts else 2}", "python": f"echo {version}"}
+        asked = f"case $2 in *release*) {release} ;; *) echo {version} ;; esac"
+        told = {"heliocube": f"exit {0 if accepts else 2}", "python": asked}
         for name, does in told.items():
             (folder / name).write_text(f"#!/bin/sh\n{does}\n")
             (folder / name).chmod(0o755)
@@ -114,7 +115,15 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     assert "west is held until 'heliocube auto'" in out
     assert json.loads((tmp_path / "records" / "east" / "operator.json").read_text()) == stop
     hold = json.loads((tmp_path / "records" / "west" / "operator.json").read_text())["hold"]
-    assert (hold["by"], "changed back from" in hold["why"]) == ("heliocube", True)
+    assert hold["by"] == "heliocube"
+    assert hold["why"] == f"the program was changed back from {release()} to 0.0.9+4f1c, and nobody has looked yet"
+
+
+def test_a_release_that_does_not_say_which_it_is_goes_by_the_name_of_its_folder(heliocube, config, program, tmp_path):
+    (tmp_path / "records").mkdir()
+    heliocube("rollback", "-c", config, "--to", program(VERSION, release="echo no module; exit 1"))
+    hold = json.loads((tmp_path / "records" / "operator.json").read_text())["hold"]
+    assert "to 0.0.9, and nobody" in hold["why"]
 
 
 def test_without_a_copy_a_new_store_can_begin_and_nothing_is_lost(heliocube, config, program, upgraded):
