@@ -60,6 +60,7 @@ lint: $(BIN)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/mypy --platform win32 --no-warn-unreachable --follow-imports=silent -p solar -p drivers -p daemon
+	MYPYPATH=deploy $(BIN)/mypy -p boot
 	$(BIN)/lint-imports
 
 docs: $(BIN)/.docs

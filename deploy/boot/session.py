@@ -4,6 +4,7 @@ import signal
 from pathlib import Path
 
 from boot.companions import Companions
+from boot.emulated import Emulated
 from boot.machine import Machine
 from boot.packages import Packages
 from boot.records import ROLES, Records
@@ -64,7 +65,8 @@ class Session:
         point("an upgrade at work", lambda: self._packages.upgrade(machine, rig, records, restarts))
         point("the way back", lambda: self._packages.go_back(machine, rig, restarts))
         point("manual and completion", lambda: self._packages.pages(machine))
-        sandbox, companions = Sandbox(machine), Companions(machine)
+        sandbox = Sandbox(machine, Emulated(self._tree.cache, self._tree.base))
+        companions = Companions(machine)
         before = {role: records.scans(role) for role in ROLES}
         point("kill -9", restarts.survive_kill)
         point("a storm across a restart", restarts.stay_stowed)
@@ -74,8 +76,6 @@ class Session:
         point("systemd-analyze security", sandbox.rate)
         sandbox.prepare()
         point("the sandbox", sandbox.refuse)
-        point("a foreign address", sandbox.refuse_addresses)
-        point("a foreign device", sandbox.refuse_devices)
         point("silence reaches people", companions.tell_people)
         point("the nightly report", companions.report_nightly)
         point("the watchdog", restarts.thaw)
@@ -83,4 +83,7 @@ class Session:
         point("the stores", lambda: records.survive(before))
         point("the journal's fields", records.have_fields)
         point("the journal's limits", records.stay_quiet)
+        # Another machine may have to be started for these, which no restart is to wait for.
+        point("a foreign address", sandbox.refuse_addresses)
+        point("a foreign device", sandbox.refuse_devices)
         point("a purge", lambda: self._packages.purge(machine))

@@ -26,6 +26,10 @@ class Tree:
 
     Attributes
     ----------
+    cache
+        As given.
+    base
+        The Debian without heliocube.
     root
         The root of its file system.
     packages
@@ -33,21 +37,22 @@ class Tree:
     """
 
     def __init__(self, cache: Path) -> None:
-        self._cache = cache
+        self.cache = cache
+        self.base = Path()
         self._work = Path()
         self.root = Path()
         self.packages = Path()
 
     def make(self) -> str:
         """Make the tree, from the cache where it is there, and return what was done in words."""
-        self._cache.mkdir(parents=True, exist_ok=True)
-        base, made = self._base()
+        self.cache.mkdir(parents=True, exist_ok=True)
+        self.base, made = self._base()
         fetched = self._fetch_wheels()
-        self._work = Path(tempfile.mkdtemp(prefix="run-", dir=self._cache))
+        self._work = Path(tempfile.mkdtemp(prefix="run-", dir=self.cache))
         self.root = self._work / "root"
         self.packages = self._work / "packages"
         self.packages.mkdir()
-        run("cp", "-a", "--reflink=auto", base, self.root)
+        run("cp", "-a", "--reflink=auto", self.base, self.root)
         for name in (CHECKOUT, WHEELS, PACKAGES):
             (self.root / name.lstrip("/")).mkdir(parents=True)
         try:
@@ -59,10 +64,10 @@ class Tree:
     def _base(self) -> tuple[Path, str]:
         suite = _suite()
         key = hashlib.sha256(repr((suite, DEBIAN)).encode()).hexdigest()[:12]
-        base = self._cache / f"debian-{suite}-{key}"
+        base = self.cache / f"debian-{suite}-{key}"
         if base.exists():
             return base, f"{base.name} as kept"
-        building = Path(tempfile.mkdtemp(prefix="building-", dir=self._cache))
+        building = Path(tempfile.mkdtemp(prefix="building-", dir=self.cache))
         # Without a mirror named it takes this machine's own.
         try:
             run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(DEBIAN)}", suite, building)
@@ -76,7 +81,7 @@ class Tree:
         """Fetch what the locks name with this machine's pip and its settings; the tree itself has no network."""
         locks = [ROOT / "deploy" / "lock" / f"{name}.txt" for name in LOCKS]
         key = hashlib.sha256(b"".join(lock.read_bytes() for lock in locks)).hexdigest()
-        wheels, mark = self._cache / "wheels", self._cache / "wheels" / ".complete"
+        wheels, mark = self.cache / "wheels", self.cache / "wheels" / ".complete"
         if mark.exists() and mark.read_text() == key:
             return "wheels as kept"
         shutil.rmtree(wheels, ignore_errors=True)
@@ -94,7 +99,7 @@ class Tree:
         return run(
             *("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--pipe", "--private-network"),
             *("-D", self.root, f"--machine={self.machine}"),
-            *(f"--bind-ro={sources}:{CHECKOUT}", f"--bind-ro={self._cache / 'wheels'}:{WHEELS}"),
+            *(f"--bind-ro={sources}:{CHECKOUT}", f"--bind-ro={self.cache / 'wheels'}:{WHEELS}"),
             f"--bind={self.packages}:{PACKAGES}",
             *("--setenv=PIP_NO_INDEX=1", f"--setenv=PIP_FIND_LINKS={WHEELS}"),
             *command,
