@@ -95,7 +95,9 @@ def test_the_service_manager_hears_of_start_work_and_end(tmp_path):
         heard = []
         while heard.count("WATCHDOG=1") < 4:
             heard += manager.recv(4096).decode().split("\n")
-        assert heard[0] == "READY=1"
+        # First the bridge's port, for the process after this one.
+        assert heard[0] == "FDSTORE=1"
+        assert heard[2] == "READY=1"
         assert any(line.startswith("STATUS=starting") for line in heard)
 
         process.send_signal(signal.SIGSTOP)
