@@ -143,10 +143,10 @@ class UdpPort:
                 self._receive(data, peer, _waited_s(ancillary))
 
     def _drop(self, peer: Peer) -> None:
+        # What has come over it would be lost with it; read before it goes, it asks for no second line.
+        self._read(self._lines[peer])
         line = self._lines.pop(peer)
         del self._proven_s[peer]
-        # What has come over it would be lost with it.
-        self._read(line)
         asyncio.get_running_loop().remove_reader(line)
         line.close()
 
