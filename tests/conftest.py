@@ -27,6 +27,7 @@ pytest_plugins = (
     "tests.support.leaks",
     "tests.support.rig",
     "tests.support.api",
+    "tests.support.command_line",
     "tests.support.ports",
     "tests.support.mqtt",
 )

@@ -1,5 +1,4 @@
 import json
-import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,7 +8,7 @@ import pytest
 from typer.main import get_command
 
 from daemon.commands.answers import print_json
-from daemon.commands.main import app, main
+from daemon.commands.main import app
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
 WITHOUT = {"run", "bench", "dashboard", "notify", "setup", "config init", "config migrate", "samples", "bench-ctl"}
@@ -19,18 +18,6 @@ WITHOUT = {"run", "bench", "dashboard", "notify", "setup", "config init", "confi
 class Answer:
     value: float
     where: Path
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code, written.out, written.err
-
-    return run
 
 
 def commands(command, path=()):

@@ -1,5 +1,4 @@
 import stat
-import sys
 
 import pytest
 
@@ -8,7 +7,6 @@ from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
 from daemon.commands.config import write_example
 from daemon.commands.file_check import check_file
-from daemon.commands.main import main
 from daemon.config.settings import Settings
 
 REAL = """
@@ -21,20 +19,6 @@ resource = "GPIB0::16::INSTR"
 [bridge]
 insecure = true
 """
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code, written.out, written.err
-
-    return run
 
 
 @pytest.mark.parametrize("role", ["both", "cube", "tracker"])

@@ -20,7 +20,6 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.records import Estimate, Event, Pose
-from daemon.commands.main import main
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, schema
 from daemon.store.store import Origin, Store
@@ -248,20 +247,6 @@ def test_a_store_of_a_newer_version_is_refused_by_an_export(keep, tmp_path):
     with pytest.raises(UserError, match=sentence):
         export(folder, tmp_path / "out", "csv", None, None, ())
     assert not (tmp_path / "out").exists()
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code, written.out, written.err
-
-    return run
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,9 @@ from daemon.config.migrate import before
 from daemon.store.copies import copies_of, copy_path
 from daemon.store.place import claimed
 from daemon.store.schema import FILE_NAME, VERSION
-from tests.daemon.commands.upgrade.test_self_check import heliocube
 from tests.daemon.store.test_copies import OLDER, made_older, opened
 from tests.daemon.store.test_store import count
 from tests.daemon.store.test_tables import ALL, scan
-
-__all__ = ["heliocube"]
 
 
 @pytest.fixture

@@ -3,13 +3,11 @@
 import asyncio
 import json
 import sqlite3
-import sys
 
 import pytest
 
 from daemon.base.installation import release
 from daemon.base.records import Mode
-from daemon.commands.main import main
 from daemon.commands.upgrade.running import program, service
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
@@ -19,20 +17,6 @@ from tests.support.api import serve
 __all__ = ["serve", "small_disk"]
 
 STALE_S = 60.0
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code, written.out, written.err
-
-    return run
 
 
 @pytest.fixture

@@ -1,0 +1,21 @@
+"""The command line as a person calls it, in the test's own process."""
+
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def heliocube(monkeypatch, capsys):
+    """Runs the command line; returns its exit code and what it wrote to either stream."""
+    # The commands import much, and most tests need none of them.
+    from daemon.commands.main import main  # noqa: PLC0415
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        written = capsys.readouterr()
+        return ended.value.code, written.out, written.err
+
+    return run
