@@ -58,7 +58,7 @@ class ClockWatch:
         if stepped and abs(step_s) > _DISTRUST_S:
             self._distrust_until_s = now_s + _SETTLE_S
             self._why = (
-                f"the clock was set by {step_s:+.0f} s: the sun's position is not used before it has kept time for"
+                f"the clock was set by {step_s:+z.0f} s: the sun's position is not used before it has kept time for"
                 f" {_SETTLE_S / 60:.0f} minutes; check the time"
             )
         self._report(now_s)

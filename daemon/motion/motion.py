@@ -140,7 +140,7 @@ class Motion(MotionState):
         """
         if not self._limits.contain(target.a_deg, target.b_deg):
             raise ValueError(
-                f"target A {target.a_deg:.2f}, B {target.b_deg:.2f} deg is outside the limits ({self._limits})"
+                f"target A {target.a_deg:z.2f}, B {target.b_deg:.2f} deg is outside the limits ({self._limits})"
             )
         self._refuse_frozen()
         obstacle = self.blocked or (None if stow else self.doubt)
@@ -246,8 +246,8 @@ class Motion(MotionState):
         told = self._note_link(name)
         if before is not None and self._jumped(before, pose):
             text = (
-                f"positioner stands at A {pose.a_deg:.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "
-                f"A {before.a_deg:.1f}, B {before.b_deg:.1f} deg"
+                f"positioner stands at A {pose.a_deg:z.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "
+                f"A {before.a_deg:z.1f}, B {before.b_deg:.1f} deg"
             )
             if told:
                 self._report(text)

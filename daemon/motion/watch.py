@@ -183,7 +183,7 @@ class Watch:
 
     def _moved(self, at: int, before: Telemetry, after: Telemetry) -> str:
         see = _angles if self._axes_are_angles else _positions
-        return f"{self._names[at]} moved from {see(before)[at]:+.1f} to {see(after)[at]:+.1f} deg"
+        return f"{self._names[at]} moved from {see(before)[at]:+z.1f} to {see(after)[at]:+z.1f} deg"
 
 
 def _positions(telemetry: Telemetry) -> tuple[float, float]:
@@ -204,6 +204,6 @@ def _leap(before: Telemetry, after: Telemetry, *, by_angles: bool) -> str | None
     if _near(see(before), see(after), most_deg):
         return None
     return (
-        f"the count jumped from A {before.a_deg:+.1f}, B {before.b_deg:.1f}"
-        f" to A {after.a_deg:+.1f}, B {after.b_deg:.1f} deg"
+        f"the count jumped from A {before.a_deg:+z.1f}, B {before.b_deg:.1f}"
+        f" to A {after.a_deg:+z.1f}, B {after.b_deg:.1f} deg"
     )

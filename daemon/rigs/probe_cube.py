@@ -84,7 +84,7 @@ async def probe_voltmeter(
             voltage_v = await meter.read_voltage()
             took_ms = (now() - start_s) * 1e3
             readings.append({"mv": voltage_v * 1e3, "took_ms": took_ms})
-            say(f"  {voltage_v * 1e3:+.4f} mV in {took_ms:.0f} ms")
+            say(f"  {voltage_v * 1e3:+z.4f} mV in {took_ms:.0f} ms")
     finally:
         await meter.close()
     return page
@@ -160,5 +160,5 @@ async def _measured(meter: Keithley2000, settings: Settings, name: str | None) -
     except OverRangeError:
         return "beyond the range", None
     if name not in FACES:
-        return f"{voltage_mv:+.4f} mV", voltage_mv
-    return f"{voltage_mv:+.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2", voltage_mv
+        return f"{voltage_mv:+z.4f} mV", voltage_mv
+    return f"{voltage_mv:+z.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):.1f} W/m2", voltage_mv

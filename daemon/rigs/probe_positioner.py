@@ -133,7 +133,7 @@ def _report_stream(counts: Counter[int], seconds: float, say: Say) -> None:
 
 def _report_state(telemetry: Telemetry, fields: dict[int, str], say: Say) -> None:
     say(
-        f"A {telemetry.a_deg:.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:.1f} deg at"
+        f"A {telemetry.a_deg:z.1f} deg at {telemetry.position_a:g}, B {telemetry.b_deg:.1f} deg at"
         f" {telemetry.position_b:g}; supply {telemetry.supply_v:g} V; mode '{telemetry.details['mode']}'"
     )
     states = {
@@ -167,11 +167,11 @@ def _report_geometry(telemetry: Telemetry, setups: tuple[AxisSetup, AxisSetup], 
     for name, setup, angle_deg, position in _axes(telemetry, setups):
         expected = setup.geometry.position(angle_deg)
         if setup.fits(angle_deg, position):
-            say(f"geometry of {name.upper()} fits: {angle_deg:.1f} deg is {expected:.1f}, it shows {position:g}")
+            say(f"geometry of {name.upper()} fits: {angle_deg:z.1f} deg is {expected:z.1f}, it shows {position:g}")
         else:
             say(
-                f"geometry of {name.upper()} does NOT fit: instruments.positioner.{name}_axis makes {expected:.1f} of"
-                f" {angle_deg:.1f} deg, it shows {position:g}; no move will be taken"
+                f"geometry of {name.upper()} does NOT fit: instruments.positioner.{name}_axis makes {expected:z.1f} of"
+                f" {angle_deg:z.1f} deg, it shows {position:g}; no move will be taken"
             )
 
 
@@ -206,7 +206,7 @@ async def _time_moves(
             for target_deg in (here_deg + way, here_deg):
                 targets = (target_deg, start.b_deg) if axis == "a" else (start.a_deg, target_deg)
                 await positioner.move_to(*targets)
-                say(f"  {axis.upper()} to {target_deg:.1f} deg: {await _watch(positioner, axis, clock)}")
+                say(f"  {axis.upper()} to {target_deg:z.1f} deg: {await _watch(positioner, axis, clock)}")
     finally:
         await positioner.halt()
 
@@ -230,5 +230,5 @@ async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> 
         return "it did not move"
     return (
         f"began after {first_s - begin_s:.1f} s, took {took_s:.1f} s, {abs(position - start) / took_s:.2f} units/s,"
-        f" {abs(end_deg - start_deg) / took_s:.2f} deg/s, stands at {end_deg:.1f} deg, position {position:g}"
+        f" {abs(end_deg - start_deg) / took_s:.2f} deg/s, stands at {end_deg:z.1f} deg, position {position:g}"
     )

@@ -302,7 +302,7 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: 
         for at, row in enumerate(some):
             mode = log.modes[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
-            texts = [f"{value:.3f}" for value in (a_set, b_set, a, b)]
+            texts = [f"{value:z.3f}" for value in (a_set, b_set, a, b)]
             writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at]])
 
 

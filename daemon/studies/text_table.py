@@ -11,8 +11,7 @@ def signed(value: float, digits: int, missing: str = "-") -> str:
     """Return a number with its sign, never a minus before what is rounded to nothing; `missing` for NaN."""
     if math.isnan(value):
         return missing
-    text = f"{value:+.{digits}f}"
-    return f"+{text[1:]}" if float(text) == 0.0 else text
+    return f"{value:+z.{digits}f}"
 
 
 def table(rows: Sequence[Sequence[str]], *, keys: int = 1) -> list[str]:

@@ -249,7 +249,7 @@ class Control(Doors):
     def _watch_clock(self) -> None:
         step_s = self._clock_watch.step_s()
         if step_s is not None:
-            text = f"the clock was set by {step_s:+.1f} s"
+            text = f"the clock was set by {step_s:+z.1f} s"
             log.warning(text)
             self._report(text)
 
@@ -388,4 +388,4 @@ class Control(Doors):
 
 
 def _log_fields(law: str, target: Target) -> dict[str, str]:
-    return {"law": law, "a_deg": f"{target.a_deg:.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}
+    return {"law": law, "a_deg": f"{target.a_deg:z.2f}", "b_deg": f"{target.b_deg:.2f}", "why": target.why}

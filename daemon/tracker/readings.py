@@ -141,7 +141,7 @@ class Readings:
             why = f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2"
         else:
             self._night = sun_deg < (0.5 if self._night else 0.0)
-            why = f"the sun stands at {sun_deg:.1f} deg"
+            why = f"the sun stands at {sun_deg:z.1f} deg"
         return why if self._night else None
 
     def _night_as_it_was(self, seen: Irradiances | None) -> str | None:

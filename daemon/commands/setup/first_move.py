@@ -96,11 +96,10 @@ class Leg:
         if seen.button_pressed:
             return "somebody presses a button on its box"
         if not (angle - self.from_deg) * way >= -_ASTRAY_DEG:
-            return (
-                f"{name} went the wrong way: from {self.from_deg:.1f} to {angle:.1f} deg, and not to {self.to_deg:.1f}"
-            )
+            went = f"from {self.from_deg:z.1f} to {angle:z.1f} deg, and not to {self.to_deg:z.1f}"
+            return f"{name} went the wrong way: {went}"
         if not (angle - self.to_deg) * way <= tolerance_deg:
-            return f"{name} went beyond {self.to_deg:.1f} deg, to {angle:.1f}"
+            return f"{name} went beyond {self.to_deg:z.1f} deg, to {angle:z.1f}"
         if not abs(other - self.other_deg) <= _ASTRAY_DEG:
             return f"{still} moved, to {other:.1f} deg, where only {name} should"
         return None
@@ -119,7 +118,7 @@ def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | 
         return "a mode of its own is on and may move it"
     if not _close_to(limits, seen):
         return (
-            f"it stands at A {seen.a_deg:.1f}, B {seen.b_deg:.1f} deg, outside the limits {limits}; 'back' widens them"
+            f"it stands at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg, outside the limits {limits}; 'back' widens them"
         )
     return None
 

@@ -78,9 +78,9 @@ async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
             say(f"  {name:<7} {sample.flaw}")
         elif reading.unit == "V":
             voltage_mv = sample.value * 1e3
-            say(f"  {name:<7} {voltage_mv:+9.3f} mV  {calibrated(voltage_mv, face):8.1f} W/m2")
+            say(f"  {name:<7} {voltage_mv:+z9.3f} mV  {calibrated(voltage_mv, face):z8.1f} W/m2")
         else:
-            say(f"  {name:<7} {sample.value:8.1f} W/m2")
+            say(f"  {name:<7} {sample.value:z8.1f} W/m2")
     for note in (*reading.notes, *(() if reading.proven else ("the self-test of switch and meter has FAILED",))):
         say(f"  {note}")
 
@@ -96,7 +96,7 @@ async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None
         say(f"found: {identity.board} {identity.firmware} {identity.serial}".rstrip())
         await asyncio.sleep(_LISTEN_S)
         seen = await positioner.read_telemetry()
-        say(f"  it stands at A {seen.a_deg:.1f} deg, B {seen.b_deg:.1f} deg")
+        say(f"  it stands at A {seen.a_deg:z.1f} deg, B {seen.b_deg:.1f} deg")
         for sentence in (*identity.setup_conflicts, *seen.faults, *filter(None, [seen.reference_doubt])):
             say(f"  {sentence}")
     finally:

@@ -254,7 +254,7 @@ def _where(tracker: dict[str, Any]) -> str:
     if tracker["homing"]:
         return f"{where}, homing"
     if target is not None:
-        return f"{where}, moving to A {target['a_deg']:+.1f}, B {target['b_deg']:.1f} deg"
+        return f"{where}, moving to A {target['a_deg']:+z.1f}, B {target['b_deg']:.1f} deg"
     return where
 
 
@@ -300,7 +300,7 @@ def _received(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     if light is None or light["gain"] is None:
         return
     actual, chronometric = _energies(light["actual_kwh_m2"], light["chronometric_kwh_m2"])
-    text = f"{100 * light['gain']:+.1f} % over chronometric: {actual} against {chronometric}"
+    text = f"{100 * light['gain']:+z.1f} % over chronometric: {actual} against {chronometric}"
     since = _since(light["since"], time)
     yield "received", Text(f"{text} {since}, a model's result from the faces")
 

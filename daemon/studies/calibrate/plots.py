@@ -33,7 +33,7 @@ def draw_comparison(found: Comparison, path: Path) -> None:
         scatter.plot([0.0, top], [0.0, top], color=_LINE, linewidth=0.8)
         scatter.set(xlim=(0.0, top), ylim=(0.0, top), ylabel=f"{name} [W/m2]")
         agreed = face.after
-        in_time.set_title(f"{name}: MBE {agreed.mbe:+.1f}, MAE {agreed.mae:.1f} W/m2 after", fontsize="medium")
+        in_time.set_title(f"{name}: MBE {agreed.mbe:+z.1f}, MAE {agreed.mae:.1f} W/m2 after", fontsize="medium")
         for panel in (in_time, by_angle):
             panel.axhline(0.0, color=_LINE, linewidth=0.8)
             panel.set_ylabel("sensor - reference [W/m2]")

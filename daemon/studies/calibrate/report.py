@@ -33,10 +33,10 @@ def comparison_lines(found: Comparison) -> list[str]:
             f"{found.utc_s.size} minutes of clear and stable sky of {found.minutes} common by daylight, "
             f"{span_text(found.utc_s)}."
         ),
-        f"The sensors' clock is {found.lag_s:+.1f} s ahead."
+        f"The sensors' clock is {found.lag_s:+z.1f} s ahead."
         if found.lag_known
         else "The readings do not tell a lag between the clocks; it is taken as 0 (give it with --lag).",
-        f"Night offset of the reference {found.reference_offset_w_m2:+.1f} W/m2; those of the sensors from "
+        f"Night offset of the reference {found.reference_offset_w_m2:+z.1f} W/m2; those of the sensors from "
         + (f"{found.night_readings} readings at night." if found.night_readings else "a line through the readings."),
         "",
     ]
@@ -49,7 +49,7 @@ def comparison_lines(found: Comparison) -> list[str]:
                 f"{gain.value:.4f}",
                 f"{gain.half_width:.4f}",
                 f"{face.gain_uncertainty_percent:.1f} %",
-                f"{face.offset_mv.value:+.4f}",
+                f"{face.offset_mv.value:+z.4f}",
                 f"{face.offset_mv.half_width:.4f}",
                 f"{series.kept.size}",
                 f"{np.count_nonzero(~series.kept)}",
@@ -99,8 +99,8 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
                 name,
                 f"{found.gains_w_m2_per_mv[place]:.4f}",
                 f"{200.0 * fit.errors.response[place] / fit.response[place]:.1f} %",
-                f"{100.0 * (1.0 / fit.response[place] - 1.0):+.1f} %",
-                f"{found.offsets_mv[place]:+.4f}",
+                f"{100.0 * (1.0 / fit.response[place] - 1.0):+z.1f} %",
+                f"{found.offsets_mv[place]:+z.4f}",
             )
         )
     standing = _standing(found, latitude)
@@ -112,7 +112,7 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         "",
         *_aligned(rows),
         "",
-        f"yaw     {fit.attitude.yaw_deg:+.2f} +- {standing['yaw_uncertainty_deg']:.2f} deg, clockwise from above",
+        f"yaw     {fit.attitude.yaw_deg:+z.2f} +- {standing['yaw_uncertainty_deg']:.2f} deg, clockwise from above",
         (
             f"tilt    {fit.attitude.tilt_deg:.2f} +- {standing['tilt_uncertainty_deg']:.2f} deg, towards azimuth "
             f"{standing['tilt_azimuth_deg']:.0f} deg"

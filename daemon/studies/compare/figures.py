@@ -71,7 +71,7 @@ def bias_figure(flat: Pairs, found: Fit) -> Figure:
         axes.plot(reference, power, ".", color=_CUBE, markersize=2, alpha=0.4, rasterized=True)
         axes.plot([0.0, top], [0.0, top], color="black", linewidth=0.8)
         axes.set(xlabel=f"Pmpp of {chrono} [W]", ylabel=f"Pmpp of {cube} [W]", xlim=(0.0, top), ylim=(0.0, top))
-        axes.set_title(f"{what}: rMBE {how.rmbe_percent:+.2f} %, rMAE {how.rmae_percent:.2f} %", fontsize=10)
+        axes.set_title(f"{what}: rMBE {how.rmbe_percent:+z.2f} %, rMAE {how.rmae_percent:.2f} %", fontsize=10)
         axes.set_aspect("equal")
     return figure
 

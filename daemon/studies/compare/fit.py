@@ -100,13 +100,13 @@ def as_text(found: Fit) -> str:
             f" {bias.lowest_w:.0f} to {bias.highest_w:.0f} W"
         ),
         (
-            f"{chrono} = {bias.constant_w:+.4f} W {bias.linear:+.5f} P {bias.quadratic_per_w:+.3e} P^2"
+            f"{chrono} = {bias.constant_w:+z.4f} W {bias.linear:+z.5f} P {bias.quadratic_per_w:+.3e} P^2"
             f" for a power P of {cube}"
         ),
         f"{'':8}{'MBE/W':>9}{'rMBE/%':>9}{'MAE/W':>9}{'rMAE/%':>9}",
     ]
     for name, one in (("before", found.before), ("after", found.after)):
-        lines.append(f"{name:8}{one.mbe:9.3f}{one.rmbe_percent:9.2f}{one.mae:9.3f}{one.rmae_percent:9.2f}")
+        lines.append(f"{name:8}{one.mbe:z9.3f}{one.rmbe_percent:z9.2f}{one.mae:9.3f}{one.rmae_percent:9.2f}")
     return "\n".join(lines) + "\n"
 
 

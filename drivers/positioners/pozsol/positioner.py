@@ -153,7 +153,7 @@ class PozsolPositioner:
             whole: dict[AxisName, int] = {"a": a.destination(a_deg), "b": b.destination(b_deg)}
         except ValueError as error:
             raise RefusedError(_DEVICE, f"is not given a target: {error}") from error
-        what = f"the target A {a_deg:.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
+        what = f"the target A {a_deg:z.2f}, B {b_deg:.2f} deg (destinations {whole['a']} and {whole['b']})"
         self._require_fit(what)
         stops, sent_s = self._stops, 0.0
         for axis in (first, "b" if first == "a" else "a"):
@@ -366,7 +366,7 @@ def _why_not_standing(seen: Telemetry, standstill: Standstill) -> str:
     if standstill.still:
         aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
         return f"takes no stop: it stands, but is still to go from {aims}"
-    return f"keeps moving after {_STAND_WITHIN_S:g} s of stops, at A {seen.a_deg:.1f}, B {seen.b_deg:.1f} deg"
+    return f"keeps moving after {_STAND_WITHIN_S:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
 
 
 def _likely_cause(seen: Telemetry) -> str:

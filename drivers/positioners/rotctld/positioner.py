@@ -158,7 +158,7 @@ class RotctldPositioner:
         try:
             aim = self._known_mount().place(a_deg, b_deg, here)
         except UnreachableError as error:
-            message = f"is not given the target A {a_deg:.1f}, B {b_deg:.1f} deg: it lies at {error}"
+            message = f"is not given the target A {a_deg:z.1f}, B {b_deg:.1f} deg: it lies at {error}"
             raise RefusedError(_DEVICE, message) from None
         if self._stops != stops:
             raise RefusedError(_DEVICE, "a stop came in between")
