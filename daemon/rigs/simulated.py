@@ -30,7 +30,7 @@ from daemon.rigs.simulated_cube import build_bench_sensors, build_cube_cores, bu
 from daemon.rigs.simulated_positioner import build_unit
 from daemon.rigs.simulated_rotator import build_rotator, build_simulated_rotator, rotator_truth
 from daemon.service.rig import Rig, Role, TrackerInstruments
-from drivers.interfaces import ElectronicLoad, Positioner
+from drivers.interfaces import Cube, ElectronicLoad, Positioner
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.connection import sweep_settings
 from drivers.positioners.rotctld.driver import RotctldSettings
@@ -116,9 +116,7 @@ def build_simulated_rig(settings: Settings, role: Role, clock: Clock, weather: W
     rig = _under(scene, clock, weather)
     if role is not Role.TRACKER:
         cube = build_simulated_cube(settings, clock, scene)
-        if isinstance(weather, MeasuredWeather):
-            cube = CubeInGaps(cube, weather, settings.site.place(), clock)
-        rig = replace(rig, cube=cube)
+        rig = replace(rig, cube=_in_gaps(cube, settings, clock, weather))
     if role is not Role.CUBE:
         built = [
             _build_tracker(own, clock, scene, Q_PEAK_G4_1_305, _noise_of_load(settings, number))
@@ -140,7 +138,7 @@ class SimulatedPair:
         Where each tracker's axes truly stand at a monotonic time.
     overhead
         The sky over them, the temperature of the air [degC] and the wind [m/s] at instants (n,) [s UTC]; NaN for
-        what the weather does not tell.
+        what the weather does not tell, the light in its gaps included.
     """
 
     rigs: tuple[Rig, Rig]
@@ -153,17 +151,21 @@ def build_simulated_pair(
 ) -> SimulatedPair:
     """Build the simulated instruments of a cube and two trackers; `UserError` for a real load."""
     scene = _build_scene(settings, weather)
-    cube = build_simulated_cube(settings, clock, scene)
+    cube = _in_gaps(build_simulated_cube(settings, clock, scene), settings, clock, weather)
     (one, first), (other, second) = (
         _build_tracker(settings, clock, scene, module, np.random.default_rng([settings.simulation.seed, 2, number]))
         for number, module in enumerate(modules)
     )
 
     def overhead(utc_s: Array) -> tuple[Sky, Array, Array]:
-        now = weather.at(utc_s)
+        covered = weather.covers(utc_s)
+        told = weather.at(utc_s[covered])
+        columns = (told.dni_w_m2, told.dhi_w_m2, told.temp_air_degc, told.wind_speed_m_s)
+        dni, dhi, air, wind = (np.full(utc_s.shape, np.nan) for _ in columns)
+        for whole, part in zip((dni, dhi, air, wind), columns, strict=True):
+            whole[covered] = part
         sun, extra = sun_direction(utc_s, *settings.site.place()), extraterrestrial_dni(utc_s)
-        light = sky(settings.simulation.sky, sun, now.dni_w_m2, now.dhi_w_m2, extra)
-        return light, now.temp_air_degc, now.wind_speed_m_s
+        return sky(settings.simulation.sky, sun, dni, dhi, extra), air, wind
 
     around = _under(scene, clock, weather)
     rigs = (
@@ -171,6 +173,11 @@ def build_simulated_pair(
         replace(around, trackers=(second,)),
     )
     return SimulatedPair(rigs, (one, other), overhead)
+
+
+def _in_gaps(cube: Cube, settings: Settings, clock: Clock, weather: Weather) -> Cube:
+    """Return a cube that does not answer in the gaps of measured weather."""
+    return CubeInGaps(cube, weather, settings.site.place(), clock) if isinstance(weather, MeasuredWeather) else cube
 
 
 def build_weather_in_parts(settings: Settings, parts: Sequence[tuple[float, WeatherName]]) -> Weather:

@@ -9,7 +9,8 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
 from daemon.rigs.measured import gap_note, missing_by_day, weather_notes
-from daemon.rigs.simulated import build_weather
+from daemon.rigs.simulated import build_simulated_pair, build_weather
+from daemon.studies.compare.side_by_side import MODULES, side_by_side, two_trackers
 from daemon.studies.simulate import simulate
 from sim_drivers.weather_files import load_weather
 from solar.ephemeris import DAY_S, Site
@@ -67,6 +68,26 @@ def test_a_day_with_gaps_is_simulated_and_the_cube_reads_nothing_in_them(gaps, t
     (longest,) = np.flatnonzero(steps > 300.0)
     assert (times[longest] / 3600, times[longest + 1] / 3600) == pytest.approx((11.0, 12.3), abs=0.05)
     assert 0.9 * 3600 < summary.mode_s["fallback"] < 1.5 * 3600
+
+
+def test_a_comparison_measures_nothing_while_the_weather_is_missing(gaps):
+    settings = settings_under(gaps)
+    begin_s = MIDNIGHT + 10.9 * 3600
+    weather, told = build_weather(settings, begin_s, begin_s + 1.6 * 3600, with_gaps=True)
+    assert "1.3 h of daylight are missing" in told
+    powers = side_by_side(
+        settings,
+        two_trackers("flat", "flat"),
+        lambda clock: build_simulated_pair(settings, clock, weather, MODULES),
+        begin_s,
+        1.6 / 24,
+        lambda _name, _record: None,
+        lambda _share: None,
+    )
+    hours = np.unique([(power.time - MIDNIGHT) / 3600 for power in powers])
+    (longest,) = np.flatnonzero(np.diff(hours) > 0.1)
+    assert (hours[longest], hours[longest + 1]) == pytest.approx((11.0, 12.3), abs=0.05)
+    assert hours[-1] > 12.45
 
 
 def test_what_lies_outside_the_file_by_day_is_refused(gaps):
