@@ -3,7 +3,7 @@
 Our CSV has a header ``time,ghi,dni,dhi`` and optionally ``wind_speed,temp_air`` in any order, plain or gzipped.
 ``time`` is ISO 8601; without an offset it is UTC. Irradiance is in W/m2, wind in m/s, temperature in deg C; an empty
 cell is a missing value, and so is a number out of the quantity's range. Negative irradiance at night (a pyranometer's
-thermal offset) becomes zero.
+thermal offset) becomes zero. A column ``simulated`` with ``true`` in any row says that nobody has measured it.
 
 A value is taken to hold at the instant it is stamped with, and to change linearly until the next. The hours of TMY3
 are stamped at their end; they are moved back to their middle, and the typical year, whose months come from different
@@ -57,6 +57,8 @@ class MeasuredWeather:
         Where it was measured, if the file tells.
     impossible
         Numbers out of their quantity's range, taken as missing, each with its place.
+    simulated
+        Whether the file says of itself that a model made it.
 
     Raises
     ------
@@ -71,12 +73,15 @@ class MeasuredWeather:
         values: dict[str, Array],
         site: Site | None = None,
         impossible: Sequence[str] = (),
+        *,
+        simulated: bool = False,
     ) -> None:
         complete = np.all([np.isfinite(values[quantity]) for quantity in IRRADIANCES], axis=0)
         if not complete.any():
             raise WeatherFileError(f"{name} has no record with ghi, dni and dhi all present")
         self.name = name
         self.site = site
+        self.simulated = simulated
         self.impossible = tuple(impossible)
         self.utc_s = utc_s[complete]
         self.irradiance_w_m2 = {key: np.maximum(values[key][complete], 0.0) for key in IRRADIANCES}
@@ -250,7 +255,8 @@ def _csv(path: Path) -> MeasuredWeather:
         wrong = np.flatnonzero(~possible & ~np.isnan(numbers))
         impossible += [f"in line {line[row]}: {column} {text.iloc[row]}, not in {low:g}..{high:g}" for row in wrong]
         values[column] = np.where(possible, numbers, np.nan)
-    return MeasuredWeather(f"weather file {path}", utc_s, values, impossible=impossible)
+    simulated = "simulated" in found and bool((cells["simulated"].str.lower() == "true").any())
+    return MeasuredWeather(f"weather file {path}", utc_s, values, impossible=impossible, simulated=simulated)
 
 
 def _bsrn(path: Path) -> MeasuredWeather:

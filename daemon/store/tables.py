@@ -28,11 +28,15 @@ class TableError(UserError):
 
 
 class Column(NamedTuple):
-    """One column: its name, where in the record its value is, and what it holds."""
+    """One column: its name, where in the record its value is, and what it holds.
+
+    One whose value is the same in `always` every row comes after all that the records tell.
+    """
 
     name: str
     path: str
     holds: Literal["time", "float", "int", "bool", "text"]
+    always: bool | None = None
 
 
 def _same(holds: Literal["float", "text"], *names: str) -> list[Column]:
@@ -227,7 +231,7 @@ class _Table(Protocol):
 class _CsvTable:
     def __init__(self, path: Path, columns: list[Column]) -> None:
         self.path, self.part = path, _part(path)
-        self._values = attrgetter(*[column.path for column in columns])
+        self._values = _values_of(columns)
         self._texts = [_TEXT[column.holds] for column in columns]
         self._file = self.part.open("w", newline="", encoding="utf-8", buffering=_BUFFER_BYTES)
         self._writer = csv.writer(self._file, lineterminator="\n")
@@ -247,7 +251,7 @@ class _ParquetTable:
 
         self.path, self.part = path, _part(path)
         self._columns = columns
-        self._values = attrgetter(*[column.path for column in columns])
+        self._values = _values_of(columns)
         types = {
             "time": pa.timestamp("us", tz="UTC"),
             "float": pa.float64(),
@@ -285,12 +289,20 @@ class _ParquetTable:
         self._rows.clear()
 
 
+def _values_of(columns: list[Column]) -> Callable[[Row], tuple[Any, ...]]:
+    """Return what takes a record's values for its columns, in their order."""
+    told = attrgetter(*[column.path for column in columns if column.always is None])
+    always = tuple(column.always for column in columns if column.always is not None)
+    return (lambda record: (*told(record), *always)) if always else told
+
+
 def _part(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
 def _number(value: float) -> float | str:
-    return "" if value != value else value
+    # Adding nothing takes the minus from nothing.
+    return "" if value != value else value + 0.0
 
 
 def _truth(value: bool) -> str:

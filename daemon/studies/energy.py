@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,25 +106,26 @@ def run_benchmark(
     progress(1.0)
 
 
-def write_csv(rows: Sequence[EnergyRow], path: Path) -> None:
-    """Write the rows, one line each."""
+def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:
+    """Write the rows, one line each, with whether the weather was simulated."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         names = ("sky", "law", "energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct")
-        writer.writerow((*names, "travel_deg_per_day", "return_deg_per_day", "moves_per_day"))
+        writer.writerow((*names, "travel_deg_per_day", "return_deg_per_day", "moves_per_day", "simulated"))
         for row in rows:
             numbers = (row.energy_kwh_m2, row.gain_pct, *row.gain_by_type_pct, row.share_pct, row.worst_clear_day_pct)
             travel = (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)
             cells = ("" if np.isnan(value) else f"{value:.4f}" for value in (*numbers, *travel))
-            writer.writerow((row.sky, row.law, *cells))
+            writer.writerow((row.sky, row.law, *cells, "true" if simulated else "false"))
 
 
-def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -> str:
+def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:
     """Return the tables of all skies and what they assume, for reading."""
     types = weather.day_types()
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
     moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
     lines = [
+        *(["SIMULATED: at least one weather file says that it was not measured."] if simulated else []),
         f"{_days(int(np.count_nonzero(types >= 0)))} ({days}), {len(weather.utc_s)} minutes of daylight.",
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
         "Travel adds A and B from the night position on; the way back to it at night is in its own column.",
@@ -136,10 +137,11 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -
     return "\n".join(lines) + "\n"
 
 
-def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms) -> dict[str, Any]:
+def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> dict[str, Any]:
     """Return the same for scripts: gains in percent over ideal chronometric, by type of day under its name."""
     types = weather.day_types()
     return {
+        "simulated": simulated,
         "days": {name: int(np.count_nonzero(types == index)) for index, name in enumerate(DAY_TYPES)},
         "minutes_of_daylight": len(weather.utc_s),
         "albedo": terms.albedo,
@@ -208,8 +210,30 @@ def _steer(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> S
     return by_readings(law_of, weather, faces, terms.limits)
 
 
-def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, Array, list[str]]:
-    """Read weather files: UTC [s] of whole minutes, DNI and DHI [W/m2], each of shape (n,), and warnings.
+class Minutes(NamedTuple):
+    """Weather by the minute.
+
+    Attributes
+    ----------
+    utc_s
+        Whole minutes [s], shape (n,).
+    dni_w_m2, dhi_w_m2
+        At each of them, shape (n,).
+    warnings
+        What a person should know, a sentence each.
+    simulated
+        Whether any file says that it was not measured.
+    """
+
+    utc_s: Array
+    dni_w_m2: Array
+    dhi_w_m2: Array
+    warnings: list[str]
+    simulated: bool
+
+
+def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
+    """Read weather files.
 
     Between records up to an hour apart the weather is linear. Where files overlap, the first counts. Impossible values
     are missing ones, and a warning counts them.
@@ -221,8 +245,10 @@ def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, A
     """
     parts: list[tuple[Array, Array, Array]] = []
     warnings: list[str] = []
+    simulated = False
     for path in files:
         weather = measured_weather(path)
+        simulated |= weather.simulated
         minutes = np.arange(np.ceil(weather.start_utc_s / 60.0), weather.end_utc_s / 60.0 + 1e-6) * 60.0
         minutes = minutes[weather.covers(minutes)]
         conditions = weather.at(minutes)
@@ -230,4 +256,4 @@ def measured_minutes(files: Sequence[Path], site: Site) -> tuple[Array, Array, A
         warnings += weather_notes(weather, site)
     utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
     utc_s, first = np.unique(utc_s, return_index=True)
-    return utc_s, dni[first], dhi[first], warnings
+    return Minutes(utc_s, dni[first], dhi[first], warnings, simulated)

@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from daemon.studies.energy import EnergyRow
 from daemon.studies.energy_names import FIXED
+from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
 
 if TYPE_CHECKING:
@@ -30,9 +31,10 @@ _MOVING_WORST_PCT = -5.0
 _LOWEST_SHARE_PCT = -60.0
 
 
-def plot(rows: Sequence[EnergyRow], path: Path) -> None:
+def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> None:
     """Draw both panels to a PNG file; laws that lose more than 5 % (planes that never move) get no bars."""
     figure = Figure(figsize=(12.0, 5.6), layout="constrained")
+    stamped(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
     laws = list(dict.fromkeys(_law_of(row) for row in rows if _is_drawn(row)))

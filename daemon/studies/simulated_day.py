@@ -17,6 +17,7 @@ from solar.sky import sky
 
 _STEP_S = 60.0
 _PLANE = [Column(name, name, "float") for name in ("surface_tilt", "surface_azimuth")]
+_SIMULATED = Column("simulated", "simulated", "bool", always=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +28,16 @@ class PlacedPose(Pose):
     surface_azimuth: float = 0.0
 
 
+def _of_simulation(kind: type[Row], columns: list[Column]) -> list[Column]:
+    marked = any(column.name == _SIMULATED.name for column in columns)
+    return [*columns, *(_PLANE if kind is Pose else ()), *(() if marked else (_SIMULATED,))]
+
+
 SIMULATED_COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
-    PlacedPose if kind is Pose else kind: (name, [*columns, *_PLANE] if kind is Pose else columns)
+    PlacedPose if kind is Pose else kind: (name, _of_simulation(kind, columns))
     for kind, (name, columns) in COLUMNS.items()
 }
-"""The tables of a simulation: the service's own, with pvlib's names for poses."""
+"""The tables of a simulation: the service's own, with pvlib's names for poses, each row marked as simulated."""
 
 
 def placed(record: Record, latitude_deg: float) -> Record:

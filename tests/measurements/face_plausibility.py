@@ -71,7 +71,7 @@ def stays(utc_s: Array, faces: Array, sun: Array) -> int:
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
-    utc_s, dni, dhi, _ = measured_minutes(files, LYNGBY)
+    utc_s, dni, dhi, *_ = measured_minutes(files, LYNGBY)
     sun = sun_direction(utc_s, *LYNGBY)
     # Zero irradiance in daylight is the station's outage and no weather.
     day = (sun[:, 2] > np.sin(np.radians(5.0))) & (dni * sun[:, 2] + dhi > 0.1)

@@ -29,10 +29,11 @@ def steered(law, weather, faces=None):
 @pytest.fixture(scope="module")
 def january_and_june(measured):
     files = [measured / "dtu_lyngby_2016" / f"2016-{month}.csv.gz" for month in ("01", "06")]
-    utc_s, dni, dhi, warnings = measured_minutes(files, LYNGBY)
+    utc_s, dni, dhi, warnings, simulated = measured_minutes(files, LYNGBY)
     # January's one gap by day is told, and counts as missing.
     (warning,) = warnings
     assert "1.1 h of daylight are missing" in warning
+    assert not simulated
     return lay_out(utc_s, dni, dhi, LYNGBY)
 
 

@@ -15,7 +15,7 @@ from daemon.store.outputs import check_outputs
 from daemon.studies.inputs import check_weather_file, instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from daemon.base.records import Record
     from daemon.studies.compare.pairs import Pairs
@@ -93,7 +93,7 @@ def simulate(
     from daemon.studies.compare.stored import keeping
     from solar.ephemeris import DAY_S
 
-    sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S)
+    sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S, with_gaps=True)
     console = Console(stderr=True)
     if warning:
         console.print(f"heliocube: warning: {warning}", markup=False, highlight=False, soft_wrap=True)
@@ -152,6 +152,7 @@ def fit(
     from daemon.studies.compare import figures
     from daemon.studies.compare.fit import as_text, flat_pairs, write
     from daemon.studies.compare.fit import fit as fit_bias
+    from daemon.studies.stamp import stamped
 
     pairs, _ = _pairs(data, store, cube, chrono)
     flat = flat_pairs(
@@ -161,11 +162,13 @@ def fit(
     )
     found = fit_bias(flat)
     write(found, out)
-    figures.save(figures.bias_figure(flat, found), out.parent, out.stem)
+    figures.save(stamped(figures.bias_figure(flat, found), flat.simulated), out.parent, out.stem)
     if as_json:
         agreement = {"before": found.before._asdict(), "after": found.after._asdict()}
-        print_json(asdict(found) | agreement | {"written": out})
+        print_json({"simulated": flat.simulated} | asdict(found) | agreement | {"written": out})
         return
+    if flat.simulated:
+        typer.echo("SIMULATED")
     typer.echo(as_text(found), nl=False)
     typer.echo(f"written to {out}")
 
@@ -213,11 +216,13 @@ def report(
         # The days of the fit need not be among those of the report.
         flat = None
     curve = kept_curve([parse_store(text) for text in store or []], cube)
-    rows = write_report(pairs, found, flat, place, spans, curve, out)
+    rows = write_report(pairs, found, flat, place, spans, curve, out, force=force)
     if as_json:
-        page = {"trackers": pairs.names, "corrected": found is not None, "gains": rows, "page": out / "report.html"}
-        print_json(page)
+        page = {"simulated": pairs.simulated, "trackers": pairs.names, "corrected": found is not None}
+        print_json(page | {"gains": rows, "page": out / "report.html"})
         return
+    if pairs.simulated:
+        typer.echo("SIMULATED")
     typer.echo(as_text(rows, pairs.names), nl=False)
     if found is None:
         typer.echo(f"{cube}'s power is not corrected: name the file of 'heliocube compare fit' with --bias")
@@ -239,7 +244,7 @@ def paper(
     as_json: JsonOption = False,
 ) -> None:
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
-    check_outputs([out / name for name in ("paper.html", "paper.txt", "paper.csv")], "--out", force=force)
+    check_outputs(list(_paper_files(out)), "--out", force=force)
     from typing import get_args
 
     from daemon.commands.studies.simulate import progress_bar
@@ -260,11 +265,20 @@ def paper(
     found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
     write_paper(runs, found, paragraphs, settings.site.place(), out)
     if as_json:
-        print_json({"periods": [as_page(one) for one in found], "notes": paragraphs, "page": out / "paper.html"})
+        page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}
+        print_json(page | {"page": out / "paper.html"})
         return
     typer.echo(as_text(found))
     typer.echo("\n\n".join(paragraphs))
     typer.echo(f"\nfigures and page: {out / 'paper.html'}")
+
+
+def _paper_files(out: Path) -> "Iterator[Path]":
+    """Yield what `compare paper` writes, without loading the science: its two days are fixed."""
+    yield from (out / name for name in ("paper.html", "paper.txt", "paper.csv"))
+    days = ("2022-10-12", "2022-10-14")
+    figures = ("curve", "bias", *(f"{what}-{day}" for day in days for what in ("power", "movement")))
+    yield from (out / f"{name}.{ending}" for name in figures for ending in ("png", "svg"))
 
 
 def _forget(_name: str, _record: object) -> None:

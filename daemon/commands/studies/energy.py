@@ -75,11 +75,11 @@ def _compare(
     from solar.frames import Limits
 
     errors, done = Console(stderr=True), "all"
-    utc_s, dni, dhi, warnings = measured_minutes(weather, Site(*place))
-    for warning in warnings:
+    minutes = measured_minutes(weather, Site(*place))
+    for warning in minutes.warnings:
         errors.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
     try:
-        days = lay_out(utc_s, dni, dhi, Site(*place))
+        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
     except ValueError as error:
         raise UserError(f"the weather cannot be used: {error}") from error
     drive = IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s)
@@ -93,16 +93,18 @@ def _compare(
             done = f"{len(rows)} of {len(skies) * len(names)}"
             if not rows:
                 raise
-    text = as_text(rows, days, terms)
+    simulated = minutes.simulated
+    text = as_text(rows, days, terms, simulated=simulated)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "energy.txt").write_text(text, encoding="utf-8")
-        write_csv(rows, out / "energy.csv")
-        plot(rows, out / "energy.png")
+        write_csv(rows, out / "energy.csv", simulated=simulated)
+        plot(rows, out / "energy.png", simulated=simulated)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
-        print_json(as_page(rows, days, terms) | {"tables": out, "warnings": warnings})
+        page = as_page(rows, days, terms, simulated=simulated)
+        print_json(page | {"tables": out, "warnings": minutes.warnings})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if done != "all":

@@ -14,6 +14,7 @@ from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 from daemon.store.outputs import check_outputs
+from daemon.studies.text_table import signed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,14 +81,8 @@ def _received(one: "PlaneInsolation", *, several: bool) -> str:
     of = f" of {one.tracker}" if several else ""
     return (
         f"on the module{of}: {one.received_kwh_m2:.2f} kWh/m2 by {one.law}, {one.chronometric_kwh_m2:.2f} where an"
-        f" ideal chronometric tracker stands: {signed(one.gain_pct)} %"
+        f" ideal chronometric tracker stands: {signed(one.gain_pct, 2)} %"
     )
-
-
-def signed(percent: float) -> str:
-    """Return a percentage with its sign, never a minus before what is rounded to nothing."""
-    text = f"{percent:+.2f}"
-    return "+0.00" if text == "-0.00" else text
 
 
 _PICTURES = ("light", "angles", "received")
@@ -199,9 +194,9 @@ def replay(
 
         pages = report_replay(settings, span, rows, out, report_to, local, force=force)
     if as_json:
-        print_json({"rows": done, "law": settings.law.driver, "table": out, "reports": pages})
+        print_json({"simulated": True, "rows": done, "law": settings.law.driver, "table": out, "reports": pages})
     else:
-        typer.echo(f"{done} rows by {settings.law.driver}: {out}")
+        typer.echo(f"{done} rows by {settings.law.driver} on a SIMULATED tracker: {out}")
         tell_pages(pages)
     if done < len(rows):
         raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}")

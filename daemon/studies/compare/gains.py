@@ -53,6 +53,8 @@ class Gain:
         The same of the irradiance on the modules' planes; NaN where it is not known.
     extrapolated_pct
         Share of T-Cube's energy above the powers that the correction was fitted to; NaN without one.
+    simulated
+        Whether any of it was simulated.
     """
 
     date: str
@@ -66,6 +68,7 @@ class Gain:
     uncorrected_pct: float
     irradiation_pct: float
     extrapolated_pct: float
+    simulated: bool
 
 
 def corrected_power(pairs: Pairs, bias: ChainBias | None) -> Array:
@@ -124,6 +127,7 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
         uncorrected_pct=gain_pct(energy_wh(time, pairs.cube.pmpp_w), chrono),
         irradiation_pct=gain_pct(*irradiation),
         extrapolated_pct=beyond,
+        simulated=pairs.simulated,
     )
 
 
@@ -149,5 +153,5 @@ def write_csv(rows: Sequence[Gain], path: Path) -> None:
 
 def _cell(value: object) -> object:
     if isinstance(value, float):
-        return "" if value != value else f"{value:.4f}"
-    return value
+        return "" if value != value else f"{value:z.4f}"
+    return str(value).lower() if isinstance(value, bool) else value

@@ -197,7 +197,7 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int)
     """Return what the experiment assumes and what it cannot show, a paragraph each."""
     limits = settings.limits.limits()
     closed = ceilings(settings.site.place(), limits)
-    texts = ", ".join(f"{period} {sky} {gain:+.1f} %" for period, sky, gain in closed)
+    texts = ", ".join(f"{period} {sky} {gain:+z.1f} %" for period, sky, gain in closed)
     assumed = (
         f"SIMULATED. T-Cube runs {cube_law}, T-Chrono chronometric, as two services fed by one cube with default noise"
         f" and gain errors. Built-in weather, seeds 1 to {seeds} for each sky: on 12 October clear until 10:20,"
@@ -263,10 +263,10 @@ def write_paper(
         [
             (
                 one.printed.span.name,
-                f"{one.printed.paper_pct:+.2f}",
+                f"{one.printed.paper_pct:+z.2f}",
                 _bounds(one.printed),
                 one.sky,
-                f"{one.median_pct:+.2f}",
+                f"{one.median_pct:+z.2f}",
                 _range(one),
                 one.word,
             )
@@ -283,11 +283,12 @@ def write_paper(
         (out / "paper.txt").write_text(text, encoding="utf-8")
         with (out / "paper.csv").open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
-            rows.writerow(("sky", "seed", "period", "cube_wh", "chrono_wh", "gain_pct", "irradiation_pct"))
+            names = ("sky", "seed", "period", "cube_wh", "chrono_wh", "gain_pct", "irradiation_pct", "simulated")
+            rows.writerow(names)
             for run in runs:
                 for row in run.gains:
                     numbers = (row.cube_wh, row.chrono_wh, row.gain_pct, row.irradiation_pct)
-                    rows.writerow((run.sky, run.seed, row.period, *(f"{value:.4f}" for value in numbers)))
+                    rows.writerow((run.sky, run.seed, row.period, *(f"{value:z.4f}" for value in numbers), "true"))
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from None
     title = "T-Cube and T-Chrono at SIRTA, 12 and 14 October 2022, simulated"
@@ -301,4 +302,4 @@ def _bounds(printed: Printed) -> str:
 
 
 def _range(one: Verdict) -> str:
-    return f"{min(one.gains_pct):+.2f}..{max(one.gains_pct):+.2f}"
+    return f"{min(one.gains_pct):+z.2f}..{max(one.gains_pct):+z.2f}"

@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
+from daemon.store.outputs import check_outputs
 from daemon.studies.compare import figures
 from daemon.studies.compare.fit import Fit
 from daemon.studies.compare.gains import Gain, Span, gains, spans_by_sky, write_csv
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.stored import KeptCurve
+from daemon.studies.stamp import stamped
 from daemon.studies.text_table import signed
 from solar.ephemeris import DAY_S, Site
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
@@ -77,7 +79,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
 def bias_shown(flat: Pairs, found: Fit) -> Shown:
     """Return the figure of the fit."""
     caption = f"{flat.names[0]} against {flat.names[1]} while both lay flat (the paper's Figure 4)."
-    return Shown("bias", caption, figures.bias_figure(flat, found))
+    return Shown("bias", _mark(flat) + caption, stamped(figures.bias_figure(flat, found), flat.simulated))
 
 
 def modelled_curve(pairs: Pairs) -> Shown | None:
@@ -133,8 +135,8 @@ def fit_table(found: Fit) -> Table:
         (
             name,
             str(one.pairs),
-            f"{one.mbe:+.3f}",
-            f"{one.rmbe_percent:+.2f}",
+            f"{one.mbe:+z.3f}",
+            f"{one.rmbe_percent:+z.2f}",
             f"{one.mae:.3f}",
             f"{one.rmae_percent:.2f}",
         )
@@ -151,6 +153,8 @@ def write_report(
     spans: Sequence[Span],
     kept: KeptCurve | None,
     out: Path,
+    *,
+    force: bool,
 ) -> list[Gain]:
     """Write ``gains.csv``, the figures and ``report.html`` to a folder, and return the gains.
 
@@ -168,13 +172,22 @@ def write_report(
         Periods; where there are none they are told by the diffuse fraction.
     kept
         A measured I-V curve of T-Cube's module; without one it is modelled where light and warmth are known.
+    force
+        Whether files that are there are replaced.
+
+    Raises
+    ------
+    UserError
+        `out` cannot take the files, or one of them is there already.
     """
-    rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site))
     curve_shown = modelled_curve(pairs) if kept is None else kept_curve_shown(kept, pairs)
     shown = [one for one in (curve_shown,) if one is not None]
     if found is not None and flat is not None:
         shown.append(bias_shown(flat, found))
     shown += experiment_figures(pairs, found, site)
+    # Which figures there are is known only now; what is written is looked at before any of it is.
+    check_outputs([out / "report.html", out / "gains.csv", *figure_files(out, shown)], "--out", force=force)
+    rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site))
     tables = [gain_table(rows, pairs.names)] + ([] if found is None else [fit_table(found)])
     notes = [
         f"{pairs.names[0]}'s power is "
@@ -191,6 +204,11 @@ def write_report(
     title = f"{_mark(pairs)}{pairs.names[0]} and {pairs.names[1]}"
     write_page(out / "report.html", title, notes, tables, shown)
     return rows
+
+
+def figure_files(out: Path, shown: Sequence[Shown]) -> list[Path]:
+    """Return the files that the figures take in a folder."""
+    return [out / f"{one.name}.{ending}" for one in shown for ending in ("png", "svg")]
 
 
 def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Table], shown: Sequence[Shown]) -> None:

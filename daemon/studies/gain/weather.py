@@ -121,7 +121,8 @@ def file_sky_source(
     if not instants.size:
         raise UserError(f"weather file {path} has no daylight at {latitude_deg:g} N, {site.longitude_deg:g} E")
     spans = [np.datetime_as_string(np.datetime64(int(end), "s"), unit="D") for end in (steps[0], steps[-1])]
-    label = f"{path.name}, {spans[0]} to {spans[1]}, {instants.size / lit.size:.0%} of its daylight"
+    name = f"SIMULATED {path.name}" if weather.simulated else path.name
+    label = f"{name}, {spans[0]} to {spans[1]}, {instants.size / lit.size:.0%} of its daylight"
     warning = "; ".join(weather_notes(weather, site)) or None
     covered = np.unique(series.day).size
     if warning is None and days is None and covered < _NEARLY_A_YEAR:

@@ -20,12 +20,13 @@ from daemon.studies.report.pictures import Drawing
 from daemon.studies.report.told import AlarmSpan, Note, alarms_of, notes_of
 from daemon.studies.report.words import NO_FIGURE, clock, length, number, summary
 from daemon.studies.report.yields import RecordedLight, Yield, light_of, module_kwh, yield_of
+from daemon.studies.stamp import MARK
 from solar.ephemeris import DAY_S
 
 _COLOURS = {
     pictures.INK: "var(--ink)",
     pictures.FAINT: "var(--grid)",
-    pictures.MARK: "var(--mark)",
+    MARK: "var(--mark)",
     pictures.NIGHT: "var(--night)",
 }
 _MOST_LINES = 300

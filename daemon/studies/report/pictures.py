@@ -16,11 +16,12 @@ from daemon.base.records import FACES
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import NOT_RECORDED, RecordedMotion
 from daemon.studies.report.yields import RecordedLight, Yield
+from daemon.studies.stamp import stamped
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Array, angles_within
 
-INK, FAINT, MARK, NIGHT = "#15191d", "#b9c0c7", "#a03c00", "#3b4a63"
-"""Of text and lines, of grids, of SIMULATED and of the night; the page puts its own in their place."""
+INK, FAINT, NIGHT = "#15191d", "#b9c0c7", "#3b4a63"
+"""Of text and lines, of grids and of the night; the page puts its own in their place."""
 
 # Okabe & Ito's colours, which the colour-blind can tell apart; each with a line of its own, which is left in grey.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
@@ -233,7 +234,7 @@ def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool)
         lower.set_xticks(places[::step], [name[5:] for name in names[::step]])
         lower.set_xlabel("day of the site, from solar midnight (month-day)")
         _legend(upper, 3)
-        return _marked(figure, simulated)
+        return stamped(figure, simulated)
 
 
 PICTURES = {
@@ -280,7 +281,7 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
     day = "" if span.duration_s > 1.5 * DAY_S else f"{here:%d %B %Y}, ".lstrip("0")
     lowest.set_xlabel(f"{day}UTC" if not here.utcoffset() else f"{day}UTC; below it local time, {here:%Z}")
     figure.align_ylabels()
-    return _marked(figure, drawing.material.simulated)
+    return stamped(figure, drawing.material.simulated)
 
 
 def _clock(drawing: Drawing) -> Callable[[float, int], str]:
@@ -294,13 +295,6 @@ def _clock(drawing: Drawing) -> Callable[[float, int], str]:
         return f"{there:{form}}" if not here.utcoffset() or long else f"{there:{form}}\n{here:{form}}"
 
     return text
-
-
-def _marked(figure: Figure, simulated: bool) -> Figure:
-    if simulated:
-        # A title has a line of its own, where no data can be.
-        figure.suptitle("SIMULATED", x=0.995, ha="right", color=MARK, weight="bold", size=11.0)
-    return figure
 
 
 def _dates(utc_s: Array) -> NDArray[np.datetime64]:

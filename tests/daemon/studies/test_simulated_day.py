@@ -3,13 +3,14 @@
 from datetime import UTC, datetime
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from daemon.base.records import Pose
-from daemon.commands.studies.simulate import signed
+from daemon.base.records import Event, Mode, ModeChange, Pose
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_weather
-from daemon.studies.simulated_day import Poses, placed
+from daemon.store.tables import TableWriter
+from daemon.studies.simulated_day import SIMULATED_COLUMNS, Poses, placed
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Limits, angles_within
 
@@ -29,6 +30,27 @@ def test_a_pose_says_where_its_plane_faces(a_deg, b_deg, latitude_deg, tilt, azi
     assert (found.time_utc_s, found.a_deg, found.b_deg, found.tracker) == (NOON, a_deg, b_deg, "roof")
     west = placed(Pose(NOON, 0.0, 40.0, 60.0, False), 48.0)
     assert 180.0 < west.surface_azimuth < 270.0
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_every_row_of_every_table_says_that_it_is_simulated(tmp_path, form):
+    records = [
+        placed(Pose(NOON, 0.0, -0.0, 90.0, False, "roof"), 48.0),
+        Event(time_utc_s=NOON, time_monotonic_s=0.0, subject="clock", text="set", tracker="roof"),
+        ModeChange(
+            time_utc_s=NOON, time_monotonic_s=0.0, before=Mode.STARTING, after=Mode.NIGHT, why="dark", tracker="roof"
+        ),
+    ]
+    with TableWriter(tmp_path, form, SIMULATED_COLUMNS) as tables:
+        for record in records:
+            tables.write(record)
+    for name, _ in SIMULATED_COLUMNS.values():
+        path = tmp_path / f"{name}.{form}"
+        table = pd.read_csv(path) if form == "csv" else pd.read_parquet(path)
+        assert "simulated" in table, name
+        assert table["simulated"].all(), name
+    if form == "csv":
+        assert "-0.0" not in (tmp_path / "poses.csv").read_text()
 
 
 def received(poses):
@@ -58,7 +80,3 @@ def test_who_follows_the_sun_receives_what_chronometric_does():
     half, _ = received([pose for pose in zip(utc_s.tolist(), angles.tolist(), strict=True) if pose[0] >= NOON])
     assert half.chronometric_kwh_m2 == pytest.approx(0.5 * found.chronometric_kwh_m2, rel=0.05)
     assert half.gain_pct == pytest.approx(0.0, abs=0.02), "time without a pose counts in neither"
-
-
-def test_nothing_is_printed_as_minus_nothing():
-    assert [signed(value) for value in (-0.004, 0.004, -1.0, 1.0)] == ["+0.00", "+0.00", "-1.00", "+1.00"]

@@ -77,7 +77,13 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
     assert (tmp_path / "bias.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (tmp_path / "bias.svg").read_text()
 
-    code, out, err = compare("report", day, flat, "--bias", tmp_path / "bias.json", "--site", SITE, "--out", tmp_path)
+    asked = ("report", day, flat, "--bias", tmp_path / "bias.json", "--site", SITE, "--out")
+    code, _, err = compare(*asked, tmp_path)
+    assert code == 2
+    assert err == f"heliocube: {tmp_path}/bias.png is there already: --force overwrites it, or name another --out\n"
+    assert not (tmp_path / "gains.csv").exists()
+    tmp_path /= "result"
+    code, out, err = compare(*asked, tmp_path)
     assert (code, err) == (0, "")
     rows = list(csv.DictReader((tmp_path / "gains.csv").read_text().splitlines()))
     # A chain that shows 97 W measures 100: 100 against 98, and against 102.

@@ -46,6 +46,23 @@ def test_it_writes_table_csv_and_picture(monkeypatch, weather, tmp_path, capsys)
     assert (tmp_path / "o" / "energy.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(monkeypatch, weather, tmp_path, capsys):
+    lines = weather.read_text().splitlines()
+    weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
+    out = tmp_path / "o"
+    assert energy(monkeypatch, weather, "--site", SITE, "--laws", "flat", "--out", out) == 0
+    assert capsys.readouterr().out.startswith("SIMULATED: ")
+    (row,) = csv.DictReader((out / "energy.csv").read_text().splitlines())
+    assert row["simulated"] == "true"
+    assert energy(monkeypatch, weather, "--site", SITE, "--laws", "flat", "--out", out, "--force", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["simulated"] is True
+    marked = (out / "energy.png").read_bytes()
+    weather.write_text("\n".join(lines))
+    energy(monkeypatch, weather, "--site", SITE, "--laws", "flat", "--out", out, "--force")
+    assert (out / "energy.png").read_bytes() != marked
+    assert "SIMULATED" not in (out / "energy.txt").read_text()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -37,6 +37,16 @@ def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp
         assert (tmp_path / f"{name}.png").stat().st_size > 5000
         assert (tmp_path / f"{name}.svg").stat().st_size > 5000
     assert (tmp_path / "paper.html").read_text().count("data:image/png;base64,") == 6
+    # Before the minutes of work each of its files is looked for.
+    for path in tmp_path.iterdir():
+        other = tmp_path.with_name("other") / path.name
+        other.mkdir(parents=True)
+        monkeypatch.setattr(sys, "argv", ["heliocube", "compare", "paper", "--seeds", "1", "--out", str(other)])
+        path.rename(other / path.name)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 2, path.name
+        assert f"{path.name} is there already" in capsys.readouterr().err
 
 
 def test_the_ceiling_of_an_overcast_noon_by_hand():
