@@ -256,4 +256,4 @@ def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
         warnings += weather_notes(weather, site)
     utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
     utc_s, first = np.unique(utc_s, return_index=True)
-    return Minutes(utc_s, dni[first], dhi[first], warnings, simulated)
+    return Minutes(utc_s=utc_s, dni_w_m2=dni[first], dhi_w_m2=dhi[first], warnings=warnings, simulated=simulated)
