@@ -32,7 +32,6 @@ class RefusedRequestError(Exception):
     """
 
     def __init__(self, code: int) -> None:
-        super().__init__(f"exception {code}")
         self.code = code
 
 

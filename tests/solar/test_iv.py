@@ -57,6 +57,12 @@ def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
     assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.02)
 
 
+@pytest.mark.parametrize("points", [19, 20, 30])
+def test_a_sparse_curve_is_fitted_through_seven_points_or_more(points):
+    _, voltage, current = swept(800.0, 0.0, points)
+    assert measured_maximum(voltage, current).points >= 7
+
+
 @given(irradiances, temperatures, seeds)
 def test_the_order_of_the_points_means_nothing(irradiance, temperature, seed):
     _, voltage, current = swept(irradiance, temperature)

@@ -3,12 +3,13 @@
 import asyncio
 import math
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import pytest
 
-from daemon.base.records import Event, Mode
+from daemon.base.records import Event, Mode, Target
 from daemon.config.settings import Settings
-from daemon.service.operator import CommandError, Operator
+from daemon.service.operator import CommandError, Operator, _Approach
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.rig import Role
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
@@ -229,3 +230,26 @@ def test_the_cubes_process_has_no_tracker_to_command():
                 await operators.carry_out(parse(name, body, "test"))
 
     asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("a_deg", "b_deg", "heads_for", "seen"),
+    [
+        (0.0, 40.0, (20.0, 40.0), None),
+        (0.14, 40.0, (20.0, 40.0), None),
+        (0.16, 40.0, (20.0, 40.0), "under-way"),
+        (0.1, 39.9, (20.0, 40.0), None),
+        (5.0, 40.0, (-20.0, 40.0), None),
+        (-5.0, 40.0, (20.0, 40.0), None),
+    ],
+)
+def test_under_way_is_a_tracker_that_was_seen_to_come_nearer_to_the_place_that_was_asked_for(
+    a_deg, b_deg, heads_for, seen
+):
+    motion = SimpleNamespace(
+        pose=SimpleNamespace(a_deg=0.0, b_deg=40.0), connected=True, target=Target(*heads_for, ""), homing=False
+    )
+    approach = _Approach(motion, Target(20.0, 40.0, ""), 0.5)
+    assert approach.seen() is None
+    motion.pose = SimpleNamespace(a_deg=a_deg, b_deg=b_deg)
+    assert approach.seen() == seen

@@ -106,6 +106,14 @@ def test_words_in_another_order_are_no_labjack(monkeypatch):
     on_simulated(work)
 
 
+def test_its_line_is_the_one_of_the_settings():
+    clock, lines = SystemClock(), []
+    around = CubeSurroundings(clock.utc, clock.monotonic, 2.0, lambda: None)
+    for line in ("tcp:192.168.1.60:502", None):
+        build(LabjackSettings(line=line), around, lambda each: lines.append(each))
+    assert lines == ["tcp:192.168.1.60:502", ""]
+
+
 def test_odd_inputs_are_for_a_t8_alone():
     async def work(cube, device):
         with pytest.raises(ProtocolError, match="3 is odd"):

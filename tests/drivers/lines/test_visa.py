@@ -112,6 +112,7 @@ def test_a_line_that_is_gone_is_a_lost_link_and_can_be_closed(ends):
     (VisaSettings("ASRL/dev/none-of-ours::INSTR"), ConnectError, "there is no /dev/none-of-ours: is it plugged in"),
     (VisaSettings("GPIB0::16::INSTR"), DriverMissingError, 'linux-gpib, or instruments.voltmeter.prologix_port'),
     (VisaSettings("GPIB0::16::INSTR", section="instruments.load"), DriverMissingError, 'instruments.load.visa = "ni"'),
+    (VisaSettings("nonsense"), ConnectError, "nonsense cannot be opened: VI_ERROR_INV_RSRC_NAME"),
     (VisaSettings("GPIB0::16::INSTR", prologix_port="/dev/none"), ConnectError, "there is no /dev/none: "),
 ])  # fmt: skip
 def test_what_cannot_be_opened_says_what_to_do(settings, error, words):

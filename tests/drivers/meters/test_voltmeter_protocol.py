@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from daemon.base.timeloop import VirtualTimeLoop
 from drivers.errors import (
     ConnectError,
     DeadlineError,
@@ -21,6 +22,7 @@ from drivers.errors import (
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.meters.keithley2000 import Keithley2000
+from sim_drivers.transports import InMemoryLine
 from sim_drivers.voltmeter.core import VoltmeterCore
 
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
@@ -109,6 +111,34 @@ def test_a_voltage_beyond_the_range_is_an_error_and_never_a_number(voltmeter_hos
             await meter.close()
 
     asyncio.run(scene())
+
+
+class Telling(InMemoryLine):
+    """The line of a meter whose conversions are what somebody writes."""
+
+    told = ""
+
+    async def receive(self, within_s):
+        reply = await super().receive(within_s)
+        return self.told if READING.fullmatch(f"{reply}\n".encode()) else reply
+
+
+@pytest.mark.computes
+@pytest.mark.parametrize("told", ["+1.2201E+00", "-1.2201E+00", "+9.9E37", "-9.9E37"])
+def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_believed(told):
+    async def scene():
+        core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
+        line = Telling("voltmeter", core, asyncio.get_running_loop().time)
+        meter = Keithley2000(line, range_v=1.0)
+        await meter.open()
+        line.told = "+1.1999E+00"
+        assert await meter.read_voltage() == 1.1999
+        line.told = told
+        with pytest.raises(OverRangeError, match="beyond the 1 V range"):
+            await meter.read_voltage()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
 
 
 def test_a_garbled_reply_is_no_reading_and_the_next_one_is_right(voltmeter_host):

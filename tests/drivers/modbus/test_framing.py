@@ -152,7 +152,7 @@ def test_a_server_of_rtu_takes_questions_that_are_joined_and_split():
     server, client = RtuServer(), RtuClient()
     wanted = [ASKED, write_register(3, 1, 2), write_registers(4, 0, [1, 2, 3])]
     stream = b"".join(client.begin(each) for each in wanted)
-    found = server.feed(stream[:11], 0.0) + server.feed(stream[11:], 0.01)
+    found = server.feed(stream[:11], 100.0) + server.feed(stream[11:], 100.01)
     assert [asked.request for asked in found] == wanted
 
 

@@ -1,3 +1,4 @@
+import re
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,7 @@ from sim_drivers.scene import FaceGeometry, Scene, SensorModel
 from sim_drivers.weather import GeneratedWeather
 from sim_drivers.weather_files import load_weather
 from solar.calibration.attitude import Attitude, attitude, face_orientations, rotation, to_site
-from solar.calibration.in_place import UndeterminedError, calibrate_in_place, jackknife_error
+from solar.calibration.in_place import UndeterminedError, _unsure, calibrate_in_place, jackknife_error
 from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
 from solar.frames import azimuth_from_direction
 from tests.support.clear_sky import ClearSky
@@ -143,6 +144,26 @@ def test_more_days_are_surer_but_never_surer_than_a_percent():
     assert (more.errors.response > 0.01).all()
     assert (more.errors.response < few.errors.response).all()
     assert more.errors.albedo < few.errors.albedo
+
+
+@pytest.mark.parametrize(
+    ("place", "sure", "unsure", "words"),
+    [
+        (0, 0.0299, 0.0301, "the gains: .* 0.03 is the most"),
+        (3, 0.0299, 0.0301, "the gains"),
+        (4, 0.499, 0.501, "yaw and tilt: .* 0.5 deg is the most"),
+        (6, 0.499, 0.501, "yaw and tilt"),
+        (7, 0.0999, 0.1001, "the albedo: .* 0.1 is the most"),
+        (5, 0.0, np.nan, "yaw and tilt"),
+    ],
+)
+def test_days_that_disagree_are_refused_by_what_they_disagree_on(place, sure, unsure, words):
+    spread = np.zeros(8)
+    spread[place] = sure
+    assert _unsure(spread, 0.0, 0.0) == []
+    spread[place] = unsure
+    (sentence,) = _unsure(spread, 0.0, 0.0)
+    assert re.search(words, sentence)
 
 
 def test_two_days_are_refused():

@@ -83,6 +83,19 @@ def test_a_sensor_that_comes_back_is_used_again(on_rig):
     assert back.notes == ()
 
 
+def test_opening_again_forgets_what_was_missed_before(on_rig):
+    async def opened_again(rig):
+        rig.sensors[3].silent = True
+        at_last = (await rig.scans(6))[0].notes
+        await rig.cube.open()
+        return at_last, (await rig.scans())[0].notes
+
+    at_last, after_two = on_rig(opened_again)
+    assert len(at_last) == 1
+    assert "does not answer" in at_last[0]
+    assert after_two == ()
+
+
 def test_one_lost_reply_is_worth_no_word_and_no_pause(on_rig):
     async def garbles(rig):
         rig.sensors[3].corrupt = 1

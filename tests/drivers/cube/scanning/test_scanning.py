@@ -10,7 +10,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from drivers.cube.scanning.dialects import DIALECTS
 from drivers.cube.scanning.driver import ScanningMeterSettings, build
 from drivers.cube.scanning.meter import DEVICE
-from drivers.errors import ConnectError, DeadlineError, IdentityError, LinkLostError, ProtocolError
+from drivers.errors import ConnectError, DeadlineError, DeviceError, IdentityError, LinkLostError, ProtocolError
 from drivers.settings import CubeSurroundings
 from sim_drivers.scanner.core import ScannerCore
 from sim_drivers.scanner.instrument import NO_CARD
@@ -297,6 +297,28 @@ DAQ = {
     ":ROUT:SCAN:COUN:SCAN?": "1",
     DIALECTS["daq6510"].scan: "4.2715E-03,101,1.3213E-03,102,3.653E-03,103,9.9E+37,104",
 }
+
+
+@pytest.mark.parametrize(
+    ("range_v", "answer", "problem"),
+    [
+        ("+1.00000000E-01", "+1.00000000E-01", None),
+        ("+1.00000050E-01", "+9.99999500E-02", None),
+        ("+1.00000150E-01", "+1.00000000E-01", "RANG"),
+        ("+1.00000000E-01", "+9.99998500E-02", "RANG"),
+        ("+1.00000000E-01", "AUTO", "RANG"),
+    ],
+)
+def test_a_range_that_is_not_the_asked_one_on_any_channel_is_refused(range_v, answer, problem):
+    asked = ":SENS:VOLT:DC:RANG? (@101,102,103,104)"
+    line = Published(AGILENT | {asked: f"{range_v},{answer},{range_v},{range_v}"})
+    around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
+    cube = build(ScanningMeterSettings(driver="scanning-meter", meter="agilent34970a"), around, line)
+    if problem is None:
+        asyncio.run(cube.open())
+    else:
+        with pytest.raises(DeviceError, match=problem):
+            asyncio.run(cube.open())
 
 
 @pytest.mark.parametrize(("meter", "answers"), [("agilent34970a", AGILENT), ("daq6510", DAQ)])
