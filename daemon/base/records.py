@@ -321,16 +321,28 @@ def concerns(record: Record, tracker: str) -> bool:
 
 
 class Bus:
-    """Hands every record to every subscriber, at once and in order; subscribers must not block."""
+    """Hands every record to every subscriber whom it concerns, at once and in order; subscribers must not block."""
 
     def __init__(self) -> None:
         self._subscribers: list[Subscriber] = []
+        self._of_one: dict[str, list[Subscriber]] = {}
 
-    def subscribe(self, subscriber: Subscriber) -> None:
-        """Add a subscriber for all records from now on."""
-        self._subscribers.append(subscriber)
+    def subscribe(self, subscriber: Subscriber, tracker: str = "") -> None:
+        """Add a subscriber for all records from now on, or for those that concern one tracker: its own and nobody's.
+
+        With hundreds of trackers, each of which asked every record whose it is, the asking would be most of the work.
+        """
+        if tracker:
+            self._of_one.setdefault(tracker, []).append(subscriber)
+        else:
+            self._subscribers.append(subscriber)
 
     def publish(self, record: Record) -> None:
         """Hand one record on."""
         for subscriber in self._subscribers:
             subscriber(record)
+        tracker = "" if isinstance(record, Scan) else record.tracker
+        chosen = (self._of_one.get(tracker, ()),) if tracker else self._of_one.values()
+        for subscribers in chosen:
+            for subscriber in subscribers:
+                subscriber(record)

@@ -108,7 +108,7 @@ class Mqtt:
         self._telemetry = TelemetryPublisher(
             self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
         )
-        service.bus.subscribe(self._telemetry.note)
+        service.bus.subscribe(self._telemetry.note, self._tracker)
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)

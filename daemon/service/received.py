@@ -1,5 +1,6 @@
 """What the module has received today, beside a chronometric tracker and the best pose, by the light on the cube."""
 
+import asyncio
 import logging
 import math
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Pose, Quality, Scan
+from daemon.tracker.phase import ALONE, Phase
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Limits
 from solar.received import received
@@ -68,11 +70,20 @@ class ReceivedToday:
         Where the count is kept over a restart.
     utc_s
         The time of construction [s].
+    phase
+        When its turn is among the trackers of the process.
     """
 
     def __init__(
-        self, site: Site, limits: Limits, albedo: Callable[[], float], folder: StateFolder, utc_s: float
+        self,
+        site: Site,
+        limits: Limits,
+        albedo: Callable[[], float],
+        folder: StateFolder,
+        utc_s: float,
+        phase: Phase = ALONE,
     ) -> None:
+        self._phase = phase
         self._site, self._limits, self._albedo = site, limits, albedo
         self._file = StateFile(folder, FILE_NAME, Insolation, log, "the light received today")
         self._today = self._load() or Insolation(day=self._day_of(utc_s))
@@ -104,6 +115,11 @@ class ReceivedToday:
             self._end_mean(utc_s)
 
     @property
+    def counted(self) -> Insolation:
+        """The count without the minutes that wait to be taken in."""
+        return self._today
+
+    @property
     def today(self) -> Insolation:
         """The count so far; a started minute does not count yet."""
         self._take_in()
@@ -118,8 +134,15 @@ class ReceivedToday:
         means = [total / seconds if seconds > 0.0 else math.nan for total, seconds in pairs]
         self._waiting.append((utc_s - self._elapsed_s, self._elapsed_s, means))
         self._begin_mean()
-        if len(self._waiting) >= _MOST_WAITING:
+        if len(self._waiting) == _MOST_WAITING:
+            self._take_in_in_turn()
+
+    def _take_in_in_turn(self) -> None:
+        """Take in at once, or while the next mean is made: all trackers of a process have as many that wait."""
+        if self._phase.place == 0:
             self._take_in()
+        else:
+            asyncio.get_running_loop().call_later(self._phase.delay_s(_MEAN_S), self._take_in)
 
     def _take_in(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""

@@ -27,6 +27,7 @@ from daemon.service.health import LoopWatch, Watchdog
 from daemon.service.inheritance import hand_on
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
+from daemon.tracker.phase import Phase
 from daemon.tracker.stow import StowSource
 from drivers.errors import DriverHungError
 from solar.ephemeris import SunElevation
@@ -142,7 +143,7 @@ class Service:
             hand_on(self.settings.store.directory, [name for name, _ in wanted])
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
-        for (name, settings), instruments in zip(wanted, self.rig.trackers, strict=True):
+        for place, ((name, settings), instruments) in enumerate(zip(wanted, self.rig.trackers, strict=True)):
             same_place = settings.site.place() == self.settings.site.place()
             tracker = Tracker(
                 name=name,
@@ -156,12 +157,12 @@ class Service:
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
                 folder=self._kept_in(settings.store.directory),
-                alone=len(wanted) == 1,
+                phase=Phase(place, len(wanted)),
                 refused=self._refused,
                 muted=self._mute_cube,
                 hold_why=self._hold_why,
             )
-            self.bus.subscribe(tracker.note)
+            self.bus.subscribe(tracker.note, name)
             yield tracker
 
     @property

@@ -24,6 +24,7 @@ from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.orders import Orders
+from daemon.tracker.phase import Phase
 from daemon.tracker.pointing import build_pointing
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
@@ -45,6 +46,8 @@ _NOTHING_KEPT = (
     "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
     " are kept"
 )
+# So that all connect, and are then looked at, one after the other.
+_CONNECT_WITHIN_S = 0.5
 # The unit needs a second or two; systemd waits 15 s for the whole of it.
 _STAND_WITHIN_S = 8.0
 
@@ -74,8 +77,9 @@ class Tracker:
         Reasons to stow besides the rig's wind sensor and the operator.
     folder
         Where its state is kept over a restart.
-    alone
-        Whether it is the process' only tracker: then a driver that hangs for good ends the process.
+    phase
+        When its turn is among the trackers of the process. A driver of the only one that hangs for good ends the
+        process.
     refused
         Returns what the bridge has refused since the last scan, in words; empty for nothing.
     muted
@@ -98,7 +102,7 @@ class Tracker:
         stow_sources: Sequence[StowSource],
         folder: StateFolder,
         *,
-        alone: bool,
+        phase: Phase,
         refused: Callable[[], str],
         muted: Callable[[], None],
         hold_why: str | None = None,
@@ -110,7 +114,8 @@ class Tracker:
         self.alarms = Alarms(clock, self.publish, muted, AlarmFile(folder))
         self._rig = rig
         self.folder = folder
-        self.alone = alone
+        self.alone = phase.trackers == 1
+        self._phase = phase
         sources: list[StowSource] = [*stow_sources]
         if rig.wind_speed_m_s is not None:
             sources.append(WindStow(settings.safety, rig.wind_speed_m_s))
@@ -142,9 +147,10 @@ class Tracker:
             folder,
             self._clock_watch,
             refused,
+            phase,
         )
         self.received = ReceivedToday(
-            settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc()
+            settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc(), phase
         )
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
@@ -180,13 +186,11 @@ class Tracker:
         return float(getattr(self.control.pointing.law.learned, "albedo", _ALBEDO))
 
     def note(self, record: Record) -> None:
-        """Take in a record of the bus: its own poses and modes, and every scan."""
+        """Take in a record of the bus that concerns it: its own poses and modes, and every scan."""
         if isinstance(record, Pose):
-            if record.tracker == self.name:
-                self.control.note(record)
+            self.control.note(record)
         elif isinstance(record, ModeChange):
-            if record.tracker == self.name:
-                self.mode_times.note(record)
+            self.mode_times.note(record)
         elif self.curves is not None:
             self.curves.note(record)
 
@@ -244,6 +248,8 @@ class Tracker:
 
     async def _move(self) -> None:
         try:
+            if not self.alone:
+                await asyncio.sleep(self._phase.delay_s(_CONNECT_WITHIN_S))
             await self.motion.run()
         except DriverHungError as error:
             if self.alone:

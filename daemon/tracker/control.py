@@ -19,6 +19,7 @@ from daemon.tracker.doors import Doors
 from daemon.tracker.modes import Data, Situation, next_mode
 from daemon.tracker.orders import RELEASE, Orders
 from daemon.tracker.parking import Parking
+from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import Foresight, NamedLaw, Pointing, Whereabouts, ask, foresee
 from daemon.tracker.readings import Readings
 from daemon.tracker.reminders import Reminders
@@ -95,6 +96,8 @@ class Control(Doors):
         Tells whether the time of day may be used.
     refused
         Returns what the bridge has refused since the last scan, in words; empty for nothing.
+    phase
+        When its turn is among the trackers of the process.
     """
 
     def __init__(
@@ -111,8 +114,9 @@ class Control(Doors):
         folder: StateFolder,
         clock_watch: ClockWatch | None = None,
         refused: Callable[[], str] = str,
+        phase: Phase = ALONE,
     ) -> None:
-        super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order))
+        super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order), phase)
         self.pointing = pointing
         self._clock = clock
         self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
@@ -142,7 +146,7 @@ class Control(Doors):
             self.pointing.receive(scan, self._clock.utc())
         if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
             # It may be what was waited for.
-            self._wake.set()
+            self._decide_in_turn()
 
     def note(self, record: Record) -> None:
         """Take in a record of the bus: each pose comes with the telemetry that may show a pressed button."""
@@ -215,9 +219,11 @@ class Control(Doors):
         return self.mode is Mode.TRACKING and self._data is not Data.FRESH
 
     def _until_next_tick(self) -> float:
+        now_s = self._clock.monotonic()
+        tick_s = self._phase.next_s(now_s, _TICK_S) - now_s
         if not self._waits_for_data and self.mode in (Mode.TRACKING, Mode.FALLBACK):
-            return min(_TICK_S, max(self._due_s - self._clock.monotonic(), _SHORTEST_WAIT_S))
-        return _TICK_S
+            return min(tick_s, max(self._due_s - now_s, _SHORTEST_WAIT_S))
+        return tick_s
 
     def tick(self) -> None:
         """Judge the situation once, change mode if it calls for that, and act in the mode."""
@@ -333,7 +339,7 @@ class Control(Doors):
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
         chosen = self._deciding
-        self._due_s = now_s + chosen.law.decide_every_s
+        self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
         utc_s = self._clock.utc()
         whereabouts, deadband_deg = self._whereabouts, self._settings.motion.deadband_deg
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)

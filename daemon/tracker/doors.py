@@ -7,8 +7,12 @@ from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.tracker.orders import RELEASE, Orders
 from daemon.tracker.parking import Parking
+from daemon.tracker.phase import Phase
 from daemon.tracker.wishes import Wishes
 from drivers.errors import RefusedError
+
+# Hundreds of first decisions take a second or two.
+_ALL_WITHIN_S = 3.0
 
 
 class Doors:
@@ -24,6 +28,8 @@ class Doors:
         What persons asked for.
     parking
         Brings the tracker to fixed positions.
+    phase
+        When its turn is among the trackers of the process.
 
     Attributes
     ----------
@@ -31,11 +37,12 @@ class Doors:
         What the tracker does, and the reason.
     """
 
-    def __init__(self, settings: Settings, motion: Motion, orders: Orders, parking: Parking) -> None:
+    def __init__(self, settings: Settings, motion: Motion, orders: Orders, parking: Parking, phase: Phase) -> None:
         self._settings = settings
         self._motion = motion
         self._orders = orders
         self._parking = parking
+        self._phase = phase
         self._wake = asyncio.Event()
         self.mode = Mode.STARTING
         self.why = "starting"
@@ -43,6 +50,13 @@ class Doors:
     def decide_again(self) -> None:
         """Request a tick at once, which judges the situation anew."""
         self._wake.set()
+
+    def _decide_in_turn(self) -> None:
+        """Request a tick for what all trackers have been waiting for: at once, or soon, one after the other."""
+        if self._phase.place == 0:
+            self._wake.set()
+        else:
+            asyncio.get_running_loop().call_later(self._phase.delay_s(_ALL_WITHIN_S), self._wake.set)
 
     @property
     def wishes(self) -> Wishes:
