@@ -37,6 +37,8 @@ class Api:
     ----------
     see
         Takes a snapshot of the service.
+    glance
+        Takes one without what is long to find out, for those who do not show it; `see` where it is None.
     recent
         Hands on what comes over its bus.
     operators
@@ -60,20 +62,23 @@ class Api:
         clock: Clock,
         speed: float,
         hosts: Iterable[str] = (),
+        glance: Callable[[], Snapshot] | None = None,
     ) -> None:
-        self._see = see
+        self._glance = glance = glance or see
         self._speed = speed
         self._operators = operators
         self.refusals = ApiRefusals(clock.monotonic)
         self._scan_log, self._feed = ScanLog(), Feed()
         recent.follow(self._scan_log.note)
         recent.follow(self._feed.note)
-        self._state_page = KeptPage(lambda: to_json(state_json(see())), clock.monotonic, speed)
-        self._metrics_page = KeptPage(Metrics(see, self.refusals).text, clock.monotonic, speed)
+        self._state_page = KeptPage(see, lambda seen: to_json(state_json(seen)), clock.monotonic, speed)
+        self._metrics_page = KeptPage(
+            lambda: Metrics(glance(), dict(self.refusals.counts)), Metrics.text, clock.monotonic, speed
+        )
         self._closing = asyncio.Event()
         self._turns = ReadTurns(clock.monotonic, speed)
         self._bodies = Bodies(speed)
-        history = History(see)
+        history = History(glance)
         routes = Starlette(
             routes=[
                 Route("/api/state", self._state),
@@ -99,14 +104,14 @@ class Api:
         self._turns.close()
 
     async def _state(self, _: Request) -> Response:
-        return Response(self._state_page.get(), media_type="application/json")
+        return Response(await self._state_page.get(), media_type="application/json")
 
     async def _scans(self, request: Request) -> Response:
         since_utc_s = _since(request.query_params.get("since"))
         return Response(self._scan_log.page(since_utc_s), media_type="application/json")
 
     async def _sun(self, request: Request) -> Response:
-        seen = self._see()
+        seen = self._glance()
         given = request.query_params.get("at")
         at_s = seen.time_utc_s if given is None else instant("at", given)
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
@@ -130,7 +135,7 @@ class Api:
                 while not self._closing.is_set():
                     if loop.time() >= due_s:
                         due_s = loop.time() + _STATE_EVERY_S * self._speed
-                        yield event_of("state", self._state_page.get())
+                        yield event_of("state", await self._state_page.get())
                     following = asyncio.create_task(events.get())
                     try:
                         await asyncio.wait(
@@ -150,7 +155,7 @@ class Api:
 
     async def _health(self, _: Request) -> Response:
         """Answer whether the work goes on; a device that is down is named, and no reason for a restart."""
-        seen = self._see()
+        seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
         down = [f"cube: {seen.cube_down_why}"] if seen.cube_down_why else []
         for tracker in seen.trackers:
@@ -171,7 +176,8 @@ class Api:
         return JSONResponse(found, status_code=503 if troubles else 200)
 
     async def _metrics_text(self, _: Request) -> Response:
-        return Response(self._metrics_page.get(), media_type="text/plain; version=0.0.4; charset=utf-8")
+        page = await self._metrics_page.get()
+        return Response(page, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     def _command(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def command(request: Request) -> Response:

@@ -1,14 +1,13 @@
 """A snapshot of the service as metrics for Prometheus, in a registry of its own."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from daemon.api.refusals import ApiRefusals
 from daemon.base.alarms.alarm import Alarm
 from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
 from daemon.service.health import LATE_UP_TO_S, LoopState
@@ -32,29 +31,29 @@ _REFUSALS = (
 
 
 class Metrics(Collector):
-    """Takes a snapshot at each scrape; what is stale or unknown is left out, not repeated.
+    """Those of one snapshot; what is stale or unknown is left out, not repeated.
 
     Parameters
     ----------
-    see
-        Takes a snapshot.
-    refusals
-        What the interface itself has refused.
+    seen
+        The snapshot.
+    refused
+        What the interface itself has refused, by kind.
     """
 
-    def __init__(self, see: Callable[[], Snapshot], refusals: ApiRefusals) -> None:
-        self._see = see
-        self._refusals = refusals
-        self._registry = CollectorRegistry()
-        self._registry.register(self)
+    def __init__(self, seen: Snapshot, refused: Mapping[str, int]) -> None:
+        self._seen = seen
+        self._refused = refused
 
     def text(self) -> bytes:
-        """Return all metrics in the text format of Prometheus."""
-        return generate_latest(self._registry)
+        """Return all metrics in the text format of Prometheus; needs no event loop and touches nothing else."""
+        registry = CollectorRegistry()
+        registry.register(self)
+        return generate_latest(registry)
 
     def collect(self) -> Iterator[Metric]:
         """Yield each metric; called by the registry."""
-        seen, found = self._see(), _Families()
+        seen, found = self._seen, _Families()
         about = "Always 1; which program and role this is."
         found.gauge("info", about, 1.0, version=seen.version, role=seen.role, simulated=str(seen.simulated).lower())
         found.gauge("sun_elevation_degrees", "Elevation of the sun by ephemeris.", seen.sun_elevation_deg)
@@ -71,7 +70,7 @@ class Metrics(Collector):
             found.count("store_lost", "Records lost for want of room.", seen.store.lost)
         for name, link in seen.links.items():
             _link(found, link, name)
-        for kind, number in self._refusals.counts.items():
+        for kind, number in self._refused.items():
             found.count("api_refused", "What the local interface refused, by kind.", number, kind=kind)
         found.gauge(
             "loop_late_worst_seconds", "Most that the event loop was late in the last minute.", seen.loop.worst_s

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from daemon.base.records import Record, Scan
 from daemon.service.state import kind_of, number, record_json
@@ -17,33 +17,42 @@ _SCANS = 17_280
 _MOST_SCANS = 500
 _PER_LISTENER = 500
 
+Taken = TypeVar("Taken")
 
-class KeptPage:
+
+class KeptPage(Generic[Taken]):
     """A page that is made at most ten times a second, however many ask for it.
 
     Parameters
     ----------
+    take
+        Takes what it shows, in the event loop, which waits for that.
     make
-        Makes it.
+        Makes the page of it, in a thread: the trackers' work is not held up by what hundreds of them have to show.
     now_s
         Returns the event loop's time [s].
     speed
         How many times as fast as the machine's it runs.
     """
 
-    def __init__(self, make: Callable[[], bytes], now_s: Callable[[], float], speed: float) -> None:
+    def __init__(
+        self, take: Callable[[], Taken], make: Callable[[Taken], bytes], now_s: Callable[[], float], speed: float
+    ) -> None:
+        self._take = take
         self._make = make
         self._now_s = now_s
         self._kept_s = _KEPT_S * speed
-        self._page: bytes | None = None
-        self._made_s = 0.0
+        self._page: asyncio.Future[bytes] | None = None
+        self._taken_s = 0.0
 
-    def get(self) -> bytes:
-        """Return the page, not older than a tenth of a second."""
+    async def get(self) -> bytes:
+        """Return the page, taken not longer than a tenth of a second ago, or the one that is being made."""
         now_s = self._now_s()
-        if self._page is None or not now_s - self._made_s < self._kept_s:
-            self._page, self._made_s = self._make(), now_s
-        return self._page
+        if self._page is None or (self._page.done() and not now_s - self._taken_s < self._kept_s):
+            self._taken_s = now_s
+            self._page = asyncio.ensure_future(asyncio.to_thread(self._make, self._take()))
+        # Who asked first may go before the others have it.
+        return await asyncio.shield(self._page)
 
     def forget(self) -> None:
         """Make it anew the next time: something has changed that whoever changed it wants to see."""

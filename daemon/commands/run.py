@@ -109,14 +109,16 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
         runner.run(service.open())
         with _store(service, role, loop, console) as store:
 
-            def see() -> Snapshot:
-                statuses = {name: link.status for name, link in mqtt.items()}
-                return snapshot(service, recent, speed, store.status if store else None, statuses)
+            def see(tracker: str | None = None, *, glance: bool = False) -> Snapshot:
+                kept = store.status if store else None
+                names = mqtt if tracker is None else (tracker,)
+                statuses = {name: mqtt[name].status for name in names}
+                return snapshot(service, recent, speed, kept, statuses, tracker=tracker, glance=glance)
 
-            for link in mqtt.values():
-                link.attach(service, see)
+            for name, link in mqtt.items():
+                link.attach(service, partial(see, name or None))
             key_file = _key_file(settings, keys, service, speed)
-            api = _api(service, recent, speed, see, console, journal=journal)
+            api = _api(service, recent, speed, see, partial(see, glance=True), console, journal=journal)
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
@@ -243,6 +245,7 @@ def _api(
     recent: Recent,
     speed: float,
     see: Callable[[], Snapshot],
+    glance: Callable[[], Snapshot],
     console: Console,
     *,
     journal: bool,
@@ -253,7 +256,7 @@ def _api(
         return None
     token = generate_token() if settings.token_file is None else load_token(settings.token_file)
     operators = Operators(service.trackers, speed, service.cube_alarms)
-    api = Api(see, recent, operators, token, service.clock, speed, settings.hosts)
+    api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance)
     server = ApiServer(settings, api, service.clock, service.bus.publish, speed)
     if server.url is not None:
         where = f"the token of commands is in {settings.token_file}"

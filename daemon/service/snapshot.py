@@ -86,17 +86,18 @@ class TrackerState:
     control
         Mode, reason, decision and means.
     next
-        What the next decision would be by the readings of now, or None.
+        What the next decision would be by the readings of now, or None; None at a glance.
     silent_s
         Time since control's last tick.
     law, law_shown
-        The pointing law, and what it shows of itself.
+        The pointing law, and what it shows of itself; nothing at a glance.
     wishes
         What persons asked for and is in force.
     today
         Of the laws' moves.
     received
-        What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces.
+        What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces; at a
+        glance without the latest quarter of an hour.
     modes
         How long it has been in each today.
     wind
@@ -211,7 +212,14 @@ class Snapshot:
 
 
 def snapshot(
-    service: Service, recent: Recent, speed: float, store: StoreStatus | None, links: Mapping[str, LinkStatus]
+    service: Service,
+    recent: Recent,
+    speed: float,
+    store: StoreStatus | None,
+    links: Mapping[str, LinkStatus],
+    *,
+    tracker: str | None = None,
+    glance: bool = False,
 ) -> Snapshot:
     """Take a snapshot.
 
@@ -225,6 +233,10 @@ def snapshot(
         How the store is, or None where there is none.
     links
         How the links to the broker are, by tracker.
+    tracker
+        The only one that is looked at, or None for all.
+    glance
+        Whether what takes longest to find out is left out: hundreds of trackers are looked at in one go.
     """
     settings, acquisition = service.settings, service.acquisition
     utc_s = service.clock.utc()
@@ -245,7 +257,9 @@ def snapshot(
         cube_down_why=acquisition.outage.reason if acquisition and acquisition.outage.is_down else None,
         calibration=service.calibration,
         cube_alarms=service.cube_alarms.shown,
-        trackers=tuple(_tracker(tracker, recent) for tracker in service.trackers),
+        trackers=tuple(
+            _tracker(each, recent, glance=glance) for each in service.trackers if tracker in (None, each.name)
+        ),
         bridge=None if service.receiver is None else service.receiver.statistics,
         store=store,
         links=links,
@@ -260,19 +274,19 @@ def _version() -> str:
     return version("heliocube")
 
 
-def _tracker(tracker: Tracker, recent: Recent) -> TrackerState:
+def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
     control, now_s = tracker.control, tracker.clock.monotonic()
     budget = control.budget
     return TrackerState(
         name=tracker.name,
         control=control.state,
-        next=control.foresee(),
+        next=None if glance else control.foresee(),
         silent_s=now_s - control.last_tick_s,
         law=tracker.settings.law.driver,
-        law_shown=control.pointing.law.shown(),
+        law_shown={} if glance else control.pointing.law.shown(),
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
-        received=tracker.received.today,
+        received=tracker.received.counted if glance else tracker.received.today,
         modes=tracker.mode_times.today(),
         limits=tracker.settings.limits.limits(),
         positioner=_positioner(tracker.motion, now_s),

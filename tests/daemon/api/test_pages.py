@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 
 from daemon.api import pages
 from daemon.api.pages import Feed, KeptPage, ScanLog
@@ -25,20 +26,49 @@ def scan(sequence):
 
 
 def test_a_page_is_made_once_in_a_tenth_of_a_second_and_anew_when_something_has_changed():
-    now_s, made = [100.0], []
+    now_s, taken = [100.0], []
 
-    def make():
-        made.append(now_s[0])
-        return str(len(made)).encode()
+    def take():
+        taken.append(threading.current_thread())
+        return len(taken)
 
-    page = KeptPage(make, lambda: now_s[0], speed=60.0)
-    assert {page.get() for _ in range(40)} == {b"1"}
-    now_s[0] += 5.9
-    assert page.get() == b"1"
-    now_s[0] += 0.1
-    assert page.get() == b"2"
-    page.forget()
-    assert page.get() == b"3"
+    def make(number):
+        assert threading.current_thread() is not taken[0]
+        return str(number).encode()
+
+    async def scenario():
+        page = KeptPage(take, make, lambda: now_s[0], speed=60.0)
+        assert set(await asyncio.gather(*(page.get() for _ in range(40)))) == {b"1"}
+        now_s[0] += 5.9
+        assert await page.get() == b"1"
+        now_s[0] += 0.1
+        assert await page.get() == b"2"
+        page.forget()
+        assert await page.get() == b"3"
+
+    asyncio.run(scenario())
+
+
+def test_a_page_that_takes_long_is_waited_for_and_not_begun_again_and_whoever_goes_takes_it_from_nobody():
+    now_s, made, may_end = [100.0], [], threading.Event()
+
+    def make(number):
+        made.append(number)
+        may_end.wait(30)
+        return b"page"
+
+    async def scenario():
+        page = KeptPage(lambda: 1, make, lambda: now_s[0], speed=1.0)
+        first, second = asyncio.ensure_future(page.get()), asyncio.ensure_future(page.get())
+        await asyncio.sleep(0)
+        now_s[0] += 10.0
+        third = asyncio.ensure_future(page.get())
+        first.cancel()
+        may_end.set()
+        assert await asyncio.gather(second, third) == [b"page"] * 2
+        assert len(made) == 1
+
+    asyncio.run(scenario())
 
 
 def test_scans_are_written_when_they_come_and_not_when_they_are_asked_for(monkeypatch):

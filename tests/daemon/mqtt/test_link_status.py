@@ -7,7 +7,6 @@ import re
 from rich.console import Console
 
 from daemon.api.metrics import Metrics
-from daemon.api.refusals import ApiRefusals
 from daemon.base.records import Mode
 from daemon.commands.status.screen import render
 from daemon.service.recent import Recent
@@ -19,7 +18,7 @@ from tests.support.mqtt import SPEED, BrokerRig, calm, observer, serving, settin
 def seen_of(rig):
     """Return the metrics by name and label, and the lines of the status."""
     seen = snapshot(rig.service, Recent(), SPEED, None, {rig.tracker.name: rig.mqtt.status})
-    metrics = Metrics(lambda: seen, ApiRefusals(lambda: 0.0)).text().decode()
+    metrics = Metrics(seen, {}).text().decode()
     values = dict(line.rsplit(" ", 1) for line in metrics.splitlines() if line.startswith("heliocube_mqtt"))
     shown = io.StringIO()
     Console(width=200, file=shown).print(render(state_json(seen)))

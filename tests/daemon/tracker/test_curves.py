@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from daemon.api.metrics import Metrics
-from daemon.api.refusals import ApiRefusals
 from daemon.base.records import CurveQuality, Event, IvCurve, Mode, Move
 from daemon.service.state import state_json
 from solar.pv_module import Q_PEAK_G4_1_305, maximum_power
@@ -192,12 +191,11 @@ def test_the_module_is_brighter_and_warmer_where_the_tracker_looks_at_the_sun(ru
 
 def test_the_load_stands_in_state_and_metrics(run_rig):
     async def scenario(rig):
-        metrics = Metrics(rig.see, ApiRefusals(rig.clock.monotonic))
-        assert "heliocube_module_power_watts" not in metrics.text().decode()
+        assert "heliocube_module_power_watts" not in Metrics(rig.see(), {}).text().decode()
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 60, "a curve")
-        assert 'heliocube_load_up{tracker="tracker"} 1.0' in metrics.text().decode()
+        assert 'heliocube_load_up{tracker="tracker"} 1.0' in Metrics(rig.see(), {}).text().decode()
         power_w = rig.of(IvCurve)[-1].pmpp_w
-        assert f'heliocube_module_power_watts{{tracker="tracker"}} {power_w}' in metrics.text().decode()
+        assert f'heliocube_module_power_watts{{tracker="tracker"}} {power_w}' in Metrics(rig.see(), {}).text().decode()
         seen = state_json(rig.see())["load"]
         assert seen["connected"]
         assert seen["curve"]["pmpp_w"] == power_w
@@ -205,6 +203,6 @@ def test_the_load_stands_in_state_and_metrics(run_rig):
         rig.cables.load.link_up = False
         await rig.until(lambda: rig.tracker.curves.outage.is_down, 30, "the outage")
         assert "unplugged" in state_json(rig.see())["load"]["down_why"]
-        assert 'heliocube_load_up{tracker="tracker"} 0.0' in metrics.text().decode()
+        assert 'heliocube_load_up{tracker="tracker"} 0.0' in Metrics(rig.see(), {}).text().decode()
 
     run_rig(scenario, load=SIMULATED)
