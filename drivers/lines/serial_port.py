@@ -89,8 +89,9 @@ class SerialPort:
     def read(self) -> bytes:
         """Return what has come; empty after a while without anything."""
         try:
-            data: bytes = self._port.read(1)
-            if data:
+            waiting = self._port.in_waiting
+            data: bytes = self._port.read(min(waiting, _LARGEST_READ) or 1)
+            if data and not waiting:
                 data += self._port.read(min(self._port.in_waiting, _LARGEST_READ))
         except self._gone as error:
             raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error

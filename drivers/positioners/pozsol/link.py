@@ -108,7 +108,7 @@ class SerialLine:
 
     async def send(self, packet: bytes) -> None:
         """Write one packet, within a second."""
-        self._require_reader()
+        self._require_reader().attend()
         port = self._port
         assert port is not None  # noqa: S101 - narrowing; there is a port where there is a reader
         await self._thread.call(lambda: port.write(packet), _WRITE_S)

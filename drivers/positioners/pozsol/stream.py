@@ -17,8 +17,12 @@ _JUMP_DEG = 2.0
 _FASTEST_DEG_PER_S = 10.0
 _JUMP_WITHIN_S = 1.0
 # When nothing was read for so long, the first of what is read then has waited, and some that did not fit is lost.
-_PAUSE_S = 0.1
+_PAUSE_S = 0.15
 _BACKLOG_S = 0.5
+# A read costs its thread's waking, whatever comes: of a unit at rest five screens are taken at once.
+_GATHER_S = 0.1
+_AT_REST_AFTER_S = 5.0
+_TRAVEL = frozenset((Field.A_POSITION, Field.A_DESTINATION, Field.B_POSITION, Field.B_DESTINATION))
 _ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
 
 
@@ -61,6 +65,8 @@ class FieldTable:
     ----------
     jumped_s
         When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
+    travelled_s
+        When a position or destination has last changed; -inf before it did.
     """
 
     def __init__(self, jumps: Mapping[int, float] = _ANGLES) -> None:
@@ -69,6 +75,7 @@ class FieldTable:
         self._suspect: dict[int, float] = {}
         self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
+        self.travelled_s = -math.inf
 
     def get(self, field: int) -> Value | None:
         """Return the newest value of a field, or None if it never came."""
@@ -84,10 +91,16 @@ class FieldTable:
 
     def take(self, tokens: Iterable[tuple[int, bytes]], now_s: float) -> None:
         """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again."""
-        if now_s - self._taken_s > _PAUSE_S:
+        if self._values and now_s - self._taken_s > _PAUSE_S:
             self._paused_s, self._caught_up_s = self._taken_s, now_s + _BACKLOG_S
         self._taken_s = now_s
         for code, text in tokens:
+            known = self._values.get(code)
+            if known is not None and known.text == text:
+                # Believed before, and no jump from there.
+                self._suspect.pop(code, None)
+                self._values[code] = Value(text, now_s, known.number)
+                continue
             number = math.nan
             try:
                 if code in DECIMALS:
@@ -98,6 +111,8 @@ class FieldTable:
                 continue
             if code not in self._jumps or self._plausible(code, number, now_s):
                 self._values[code] = Value(text, now_s, number)
+                if code in _TRAVEL:
+                    self.travelled_s = now_s
 
     def _plausible(self, code: int, number: float, now_s: float) -> bool:
         """Tell whether a value can be; a jump is one once the next value confirms it."""
@@ -133,6 +148,8 @@ class TelemetryReader:
         time is over, is from before the restart and not believed.
     banner
         What the unit prints when it has restarted; empty if nothing is known of that.
+    gather_s
+        How long screens are let come together before they are read, of a unit that rests and was sent nothing lately.
 
     Attributes
     ----------
@@ -154,13 +171,17 @@ class TelemetryReader:
         boot_s: float = 0.0,
         banner: bytes = b"",
         table: FieldTable | None = None,
+        gather_s: float = _GATHER_S,
     ) -> None:
         self._port = port
         self._now = now
         self._boot_s = boot_s
         self._banner = banner
+        self._gather_s = gather_s
         self._end = b""
-        self._closing = threading.Event()
+        self._closing = self._attends = False
+        self._woken = threading.Event()
+        self._attended_s = -math.inf
         self.table = table or FieldTable()
         self.lost: str | None = None
         self.heard = False
@@ -168,9 +189,15 @@ class TelemetryReader:
         self._thread = threading.Thread(target=self._run, name="heliocube-positioner-reader", daemon=True)
         self._thread.start()
 
+    def attend(self) -> None:
+        """Take every screen as it comes for some seconds, and at once what has come: a command is about to be sent."""
+        self._attends = True
+        self._woken.set()
+
     def stop(self) -> None:
         """Ask for the end, without waiting for it."""
-        self._closing.set()
+        self._closing = True
+        self._woken.set()
 
     def close(self) -> None:
         """Stop listening and close the port; blocks for a fraction of a second."""
@@ -189,7 +216,8 @@ class TelemetryReader:
         stream = TokenStream()
         now = self._now()
         believe_s, look_s = now + max(_IGNORE_FIRST_S, self._boot_s), now
-        while not self._closing.is_set():
+        self._attended_s = now
+        while not self._closing:
             data = self._port.read()
             now = self._now()
             if self._has_banner(data):
@@ -205,6 +233,11 @@ class TelemetryReader:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
                 if self._port.echoes():
                     raise LinkLostError("positioner", "another program has switched the port's echo on")
+            if self._attends:
+                self._attends, self._attended_s = False, now
+                self._woken.clear()
+            elif now - max(self._attended_s, self.table.travelled_s) > _AT_REST_AFTER_S:
+                self._woken.wait(self._gather_s)
 
     def _has_banner(self, data: bytes) -> bool:
         """Tell whether these bytes complete the banner, in whatever pieces it comes."""

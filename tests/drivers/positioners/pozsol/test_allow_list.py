@@ -74,7 +74,7 @@ def test_these_are_all_the_doors_that_the_tests_below_go_through():
         "clear_faults",
     }  # fmt: skip
     assert public(SerialPort, inspect.isroutine) == {"read", "write", "discard", "echoes", "has_lines", "close"}
-    assert public(telemetry.TelemetryReader, inspect.isroutine) == {"stop", "close"}
+    assert public(telemetry.TelemetryReader, inspect.isroutine) == {"attend", "stop", "close"}
     assert public(positioner_line.SerialLine, inspect.isroutine) == {"open", "close", "send", "state", "has_lines"}
     assert public(positioner_line, inspect.isroutine) == {"open_port"}
     assert public(positioner, inspect.isroutine) == set()

@@ -113,6 +113,44 @@ def test_what_an_axis_can_turn_by_while_nothing_is_read_is_no_jump(wire, reader)
     assert reader.table.jumped_s == wire.now_s
 
 
+class Resting:
+    """A unit at rest whose screens come as fast as they are read, each 20 ms of its clock after the last."""
+
+    def __init__(self, unread_s=20.0):
+        self.now_s = 0.0
+        self.woken = threading.Event()
+        self._ends_s = unread_s
+
+    def read(self):
+        self.now_s += 0.02
+        if self.now_s > self._ends_s:
+            raise LinkLostError("positioner", "read all the time")
+        if self.now_s > 8.0:
+            self.woken.set()
+        return b"$%c1.0000$%c1.0000$" % (Field.A_POSITION, Field.A_DESTINATION)
+
+    def echoes(self):
+        return False
+
+    def close(self):
+        pass
+
+
+def test_of_a_unit_at_rest_screens_are_gathered_until_a_command_is_sent():
+    unit = Resting()
+    reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
+    for _ in range(20_000):
+        if unit.woken.wait(0.001):
+            break
+        # Read at once for five seconds; each command is good for five more.
+        reader.attend()
+    else:
+        pytest.fail("a command does not end the gathering")
+    reader.close()
+    assert reader.lost is None
+    assert reader.table.get(Field.A_POSITION).time_s == unit.now_s
+
+
 def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
     wire.end()
     reader.close()
