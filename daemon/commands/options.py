@@ -2,9 +2,14 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from daemon.base.errors import UserError
+
+if TYPE_CHECKING:
+    from daemon.studies.spread.workers import Workers
 
 # Headings of the list of commands.
 SERVICE = "The service"
@@ -50,7 +55,21 @@ ZoneOption = Annotated[
     str | None,
     typer.Option("--zone", metavar="ZONE", help="Zone of local times, such as Europe/Paris; else the machine's."),
 ]
+JobsOption = Annotated[int, typer.Option("--jobs", min=1, max=256, metavar="N", help="In how many processes.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option("--cluster", metavar="HOST:PORT", help="On the workers of this dask scheduler, in place of --jobs."),
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+def chosen_workers(jobs: int, cluster: str | None) -> "Workers":
+    """Return who works; `UserError` for processes here and a cluster in one."""
+    from daemon.studies.spread.workers import Workers
+
+    if cluster is not None and jobs != 1:
+        raise UserError("--jobs is for this machine and --cluster for others: name one of them")
+    return Workers(jobs, cluster)
 
 
 class RoleChoice(StrEnum):

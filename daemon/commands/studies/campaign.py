@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.commands.answers import JsonOption, print_json, teller
-from daemon.commands.options import ForceOption
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
 
 
 def campaign(
@@ -21,7 +21,8 @@ def campaign(
     without: Annotated[
         str | None, typer.Option(metavar="NAMES", help="Faults and commands to leave out, separated by commas.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, max=256, metavar="N", help="In how many processes.")] = 1,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
     schedule: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Run this one instead, as a reduced failure was written.")
     ] = None,
@@ -42,6 +43,7 @@ def campaign(
     """
     from daemon.store.outputs import check_outputs
 
+    workers = chosen_workers(jobs, cluster)
     if reliability is not None:
         check_outputs([reliability], "--reliability", force=force)
     elif schedule is None:
@@ -54,14 +56,14 @@ def campaign(
 
     if reliability is not None:
         with progress_bar(errors, "drilling") as progress:
-            beyond = write_reliability(reliability, jobs, progress)
+            beyond = write_reliability(reliability, workers, progress)
         for text in (*beyond, f"written: {reliability}"):
             say(text)
         if as_json:
             print_json({"beyond": beyond, "written": reliability})
         raise typer.Exit(1 if beyond else 0)
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
-    attack = Attack(schedules, jobs, say, keep, show=show)
+    attack = Attack(schedules, workers, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
         code = attack.run(progress)
     if as_json:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json
-from daemon.commands.options import ForceOption, TableFormat
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
 from daemon.studies.inputs import check_weather_file, instant, parse_site, site_values, weather_choice
@@ -240,6 +240,8 @@ def paper(
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
     law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = DEFAULT_LAW,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -251,7 +253,7 @@ def paper(
     from daemon.config.plugged import law_names
     from daemon.config.settings import Settings
     from daemon.config.simulation import WeatherName
-    from daemon.studies.compare.paper import as_page, as_text, notes, run_paper, verdicts, write_paper
+    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, verdicts, write_paper
     from solar.sky import SKY_MODELS, SkyModel
 
     chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
@@ -259,18 +261,22 @@ def paper(
         raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
     names: tuple[WeatherName, ...] = get_args(WeatherName)
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
-    settings = Settings()
+    workers, settings = chosen_workers(jobs, cluster), Settings()
+    with progress_bar(Console(stderr=True), "correcting") as progress:
+        correction = find_correction(settings, progress)
     with progress_bar(Console(stderr=True), "repeating") as progress:
-        runs = list(run_paper(settings, chosen, seeds, weather, cube_law, progress))
+        runs, ended = run_paper(settings, chosen, seeds, weather, cube_law, correction.found, workers, progress)
     found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
-    write_paper(runs, found, paragraphs, settings.site.place(), out)
+    write_paper(runs, correction, found, paragraphs, settings.site.place(), out)
     if as_json:
         page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}
         print_json(page | {"page": out / "paper.html"})
-        return
-    typer.echo(as_text(found))
-    typer.echo("\n\n".join(paragraphs))
-    typer.echo(f"\nfigures and page: {out / 'paper.html'}")
+    else:
+        typer.echo(as_text(found))
+        typer.echo("\n\n".join(paragraphs))
+        typer.echo(f"\nfigures and page: {out / 'paper.html'}")
+    if ended is not None:
+        raise type(ended)(f"{ended}; {out} has {len(runs)} of {len(chosen) * seeds} runs")
 
 
 def _paper_files(out: Path) -> "Iterator[Path]":

@@ -12,6 +12,7 @@ from daemon.studies.campaign.person import known
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import CampaignOutcome
 from daemon.studies.campaign.schedule import Schedule
+from daemon.studies.spread.workers import Workers
 
 _BROKEN, _INTERRUPTED = 1, 130
 
@@ -56,8 +57,8 @@ class Attack:
     ----------
     schedules
         What happens.
-    jobs
-        In how many processes.
+    workers
+        Who carries them out; failures are reduced in this process.
     say
         Called with what people are to read.
     keep
@@ -72,10 +73,10 @@ class Attack:
     """
 
     def __init__(
-        self, schedules: list[Schedule], jobs: int, say: Callable[[str], None], keep: Path, *, show: bool
+        self, schedules: list[Schedule], workers: Workers, say: Callable[[str], None], keep: Path, *, show: bool
     ) -> None:
         self._schedules = schedules
-        self._jobs = jobs
+        self._workers = workers
         self._say = say
         self._keep = keep
         self._show = show
@@ -84,7 +85,8 @@ class Attack:
     def run(self, progress: Callable[[float], None]) -> int:
         """Carry them out, reduce what fails, and return an exit code; `progress` takes the share done, 0..1.
 
-        1: a promise was broken. 130: none was, and Ctrl-C has ended it before all were carried out.
+        1: a promise was broken. 130: none was, and Ctrl-C has ended it before all were carried out. Raises
+        `WorkersError` where nobody is left to carry them out, when it has said what was done by then.
         """
         done = 0
 
@@ -94,12 +96,14 @@ class Attack:
             progress(done / len(self._schedules))
             self._tell(schedule, outcome)
 
-        self.summary = summary = run_many(self._schedules, self._jobs, note, with_log=self._show)
+        self.summary = summary = run_many(self._schedules, self._workers, note, with_log=self._show)
         for line in summary.lines():
             self._say(line)
         left = len(self._schedules) - summary.done
         if left:
             self._say(f"ended before {left} more")
+            if summary.lost is not None:
+                raise summary.lost
         else:
             self._reduce_all(sorted(summary.failed, key=_seed))
         if summary.failed:

@@ -1,16 +1,16 @@
-"""Many schedules, in this process or in several, with the same results."""
+"""Many schedules, whoever carries them out, with the same results."""
 
-import multiprocessing
-import signal
 import statistics
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from daemon.studies.campaign.run import CampaignOutcome, run_schedule
 from daemon.studies.campaign.schedule import Schedule
+from daemon.studies.spread.errors import WorkersError
+from daemon.studies.spread.workers import Workers, spread
 
 
 @dataclass(slots=True)
@@ -29,6 +29,8 @@ class CampaignSummary:
         The schedules that broke a promise, each with what it showed.
     done
         Their number, failed or not.
+    lost
+        Why nobody could carry out the others.
     """
 
     hours: float = 0.0
@@ -37,6 +39,7 @@ class CampaignSummary:
     stop_latencies_s: list[float] = field(default_factory=list)
     failed: list[tuple[Schedule, CampaignOutcome]] = field(default_factory=list)
     done: int = 0
+    lost: WorkersError | None = None
 
     def add(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         """Count one more."""
@@ -81,7 +84,7 @@ class CampaignSummary:
 
 def run_many(
     schedules: Sequence[Schedule],
-    jobs: int,
+    workers: Workers,
     show: Callable[[Schedule, CampaignOutcome], None],
     *,
     with_log: bool = False,
@@ -92,8 +95,8 @@ def run_many(
     ----------
     schedules
         What happens.
-    jobs
-        In how many processes; 1 for this one.
+    workers
+        Who carries it out.
     show
         Called with each schedule as soon as it has been carried out.
 
@@ -106,65 +109,29 @@ def run_many(
         A schedule asks for something that simulator or service cannot do.
     """
     summary = CampaignSummary()
-    outcomes = (
-        _here(schedules)
-        if jobs == 1
-        else _in_processes(schedules, jobs, run_schedule if with_log else _run_and_forget_log)
-    )
-    try:
-        for schedule, outcome in outcomes:
-            summary.add(schedule, outcome)
-            show(schedule, outcome)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        outcomes.close()
+    # A log is dear to send and costs nothing here.
+    run = run_schedule if with_log or workers.here else _run_and_forget_log
+    with closing(spread(run, schedules, workers, apart=True)) as outcomes:
+        try:
+            for place, outcome in outcomes:
+                summary.add(schedules[place], outcome)
+                show(schedules[place], outcome)
+        except KeyboardInterrupt:
+            pass
+        except WorkersError as error:
+            summary.lost = error
     return summary
 
 
-def run_all(schedules: Sequence[Schedule], jobs: int, progress: Callable[[float], None]) -> list[CampaignOutcome]:
-    """Carry out schedules in so many processes and return what each showed, in their order.
-
-    `progress` takes the share that is done, 0..1.
-    """
+def run_all(
+    schedules: Sequence[Schedule], workers: Workers, progress: Callable[[float], None]
+) -> list[CampaignOutcome]:
+    """Carry out schedules and return what each showed, in their order; `progress` takes the share done, 0..1."""
     outcomes: dict[int, CampaignOutcome] = {}
-    places = {id(schedule): place for place, schedule in enumerate(schedules)}
-    found = _here(schedules, _run_once) if jobs == 1 else _in_processes(schedules, jobs, _run_once)
-    for schedule, outcome in found:
-        outcomes[places[id(schedule)]] = outcome
+    for place, outcome in spread(_run_once, schedules, workers, apart=True):
+        outcomes[place] = outcome
         progress(len(outcomes) / len(schedules))
     return [outcomes[place] for place in range(len(schedules))]
-
-
-def _here(
-    schedules: Iterable[Schedule], run: Callable[[Schedule], CampaignOutcome] = run_schedule
-) -> Generator[tuple[Schedule, CampaignOutcome], None, None]:
-    for schedule in schedules:
-        yield schedule, run(schedule)
-
-
-def _in_processes(
-    schedules: Iterable[Schedule], jobs: int, run: Callable[[Schedule], CampaignOutcome]
-) -> Generator[tuple[Schedule, CampaignOutcome], None, None]:
-    # A fork begins at once, and needs no helper that outlives it.
-    context = multiprocessing.get_context("fork" if "fork" in multiprocessing.get_all_start_methods() else None)
-    with ProcessPoolExecutor(jobs, context, _ends_at_ctrl_c) as executor:
-        futures: dict[Future[CampaignOutcome], Schedule] = {
-            executor.submit(run, schedule): schedule for schedule in schedules
-        }
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            executor.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-
-
-def _ends_at_ctrl_c() -> None:
-    # Quietly: the process that began it says what there is to say.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _run_once(schedule: Schedule) -> CampaignOutcome:

@@ -8,6 +8,7 @@ from daemon.studies.campaign.declared import UNSEEN, declared
 from daemon.studies.campaign.drills import Drill, WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import COMPONENTS, FAULT_KINDS, cell
+from daemon.studies.spread.workers import Workers
 
 _HEAD = """# Reliability: every fault, what is declared for it, and the worst seen
 
@@ -43,13 +44,13 @@ What the campaign does to each component, by the names of its faults. A cell tha
 """
 
 
-def write_reliability(path: Path, jobs: int, progress: Callable[[float], None]) -> list[str]:
+def write_reliability(path: Path, workers: Workers, progress: Callable[[float], None]) -> list[str]:
     """Run all drills, write the page and return a sentence for each bound that was not kept.
 
     Raises `UserError` where the page cannot be written.
     """
     drills = declared()
-    results = measure_drills(drills, jobs, progress)
+    results = measure_drills(drills, workers, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page(drills, results), encoding="utf-8")
@@ -58,10 +59,10 @@ def write_reliability(path: Path, jobs: int, progress: Callable[[float], None]) 
     return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
 
 
-def measure_drills(drills: Sequence[Drill], jobs: int, progress: Callable[[float], None]) -> list[WorstSeen]:
+def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable[[float], None]) -> list[WorstSeen]:
     """Return the worst of each drill's runs."""
     schedules = [tuple(drill.schedules()) for drill in drills]
-    outcomes = iter(run_all([one for some in schedules for one in some], jobs, progress))
+    outcomes = iter(run_all([one for some in schedules for one in some], workers, progress))
     return [drill.measure(some, [next(outcomes) for _ in some]) for drill, some in zip(drills, schedules, strict=True)]
 
 

@@ -1,7 +1,7 @@
 """The experiment of Andriamahefa et al. (2023), section 4, on built-in weather, beside what they printed."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +20,7 @@ from daemon.studies.compare.gains import WHOLE_DAY, Gain, Span, gains
 from daemon.studies.compare.pairs import Pairs, frame_of, pair
 from daemon.studies.compare.report import Table, bias_shown, experiment_figures, fit_table, modelled_curve, write_page
 from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.spread.workers import Workers, gather
 from daemon.studies.text_table import signed, table
 from solar.ephemeris import Site, sun_direction
 from solar.frames import Array, Limits, angles_within, normal_from_angles
@@ -61,14 +62,38 @@ SPANS = tuple(printed.span for printed in PRINTED)
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Both days under one sky model and one seed of the weather."""
+    """Both days under one sky model and one seed of the weather; the pairs of the first run alone are kept."""
 
     sky: SkyModel
     seed: int
-    pairs: tuple[Pairs, Pairs]
-    found: Fit
-    flat: Pairs
     gains: tuple[Gain, ...]
+    pairs: tuple[Pairs, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """The flat-flat day of August and what was fitted to it."""
+
+    flat: Pairs
+    found: Fit
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What a run takes, sky and seed among the settings."""
+
+    settings: Settings
+    afternoon: WeatherName
+    cube_law: str
+    found: Fit
+    with_pairs: bool
+
+
+def find_correction(settings: Settings, progress: Callable[[float], None]) -> Correction:
+    """Return what a simulated day of August corrects, on which both trackers lie flat; `progress` takes 0..1."""
+    day = _one_day(settings, ("flat", "flat"), _FLAT_START, _FLAT_DAYS, [(0.0, "clear")], progress)
+    flat = flat_pairs(day)
+    return Correction(flat, fit(flat))
 
 
 def run_paper(
@@ -77,9 +102,11 @@ def run_paper(
     seeds: int,
     afternoon: WeatherName,
     cube_law: str,
+    found: Fit,
+    workers: Workers,
     progress: Callable[[float], None],
-) -> Iterator[Run]:
-    """Yield 12 and 14 October 2022 under every sky and seed, corrected by a flat-flat day of August before them.
+) -> tuple[list[Run], UserError | None]:
+    """Return 12 and 14 October 2022 under every sky and seed, and what has ended it before all were done.
 
     Parameters
     ----------
@@ -91,41 +118,54 @@ def run_paper(
         Weather after 12:10 on the 12th.
     cube_law
         Law of T-Cube.
+    found
+        Corrects T-Cube's power.
+    workers
+        Who simulates.
     progress
         Called with the share done, 0..1.
     """
-    total = 1 + 2 * len(skies) * seeds
-    done = 0
-
-    def run(own: Settings, laws: tuple[str, str], start: datetime, days: float, parts: Parts) -> Pairs:
-        nonlocal done
-        weather = build_weather_in_parts(own, parts)
-        measured = side_by_side(
-            own,
-            two_trackers(*laws),
-            lambda clock: build_simulated_pair(own, clock, weather, MODULES),
-            start.timestamp(),
-            days,
-            lambda _name, _record: None,
-            lambda share: progress((done + share) / total),
+    asked = [
+        _Asked(
+            override(settings, {"simulation": {"sky": sky, "seed": seed}}), afternoon, cube_law, found,
+            with_pairs=sky == skies[0] and seed == 1,
         )
-        done += 1
-        return pair(frame_of(measured), NAMES)
+        for sky in skies for seed in range(1, seeds + 1)
+    ]  # fmt: skip
+    return gather(_both_days, asked, workers, progress)
 
-    flat = flat_pairs(run(settings, ("flat", "flat"), _FLAT_START, _FLAT_DAYS, [(0.0, "clear")]))
-    found = fit(flat)
-    laws = (cube_law, FALLBACK_LAW)
-    for sky in skies:
-        for seed in range(1, seeds + 1):
-            own = override(settings, {"simulation": {"sky": sky, "seed": seed}})
-            skies_of_days: tuple[tuple[int, Parts], ...] = ((12, _twelfth(afternoon)), (14, [(0.0, "overcast")]))
-            twelfth, fourteenth = (
-                run(own, laws, datetime(2022, 10, day, _BEGIN_HOUR, tzinfo=UTC), _DAY_SHARE, parts)
-                for day, parts in skies_of_days
-            )
-            both = (twelfth, fourteenth)
-            rows = [row for day in both for row in gains(day, found.bias, SPANS) if row.period != WHOLE_DAY]
-            yield Run(sky=sky, seed=seed, pairs=both, found=found, flat=flat, gains=tuple(rows))
+
+def _both_days(asked: _Asked) -> Run:
+    days: tuple[tuple[int, Parts], ...] = ((12, _twelfth(asked.afternoon)), (14, [(0.0, "overcast")]))
+    laws = (asked.cube_law, FALLBACK_LAW)
+    pairs = tuple(
+        _one_day(asked.settings, laws, datetime(2022, 10, day, _BEGIN_HOUR, tzinfo=UTC), _DAY_SHARE, parts)
+        for day, parts in days
+    )
+    rows = [row for day in pairs for row in gains(day, asked.found.bias, SPANS) if row.period != WHOLE_DAY]
+    simulation = asked.settings.simulation
+    return Run(simulation.sky, simulation.seed, tuple(rows), pairs if asked.with_pairs else ())
+
+
+def _one_day(
+    settings: Settings,
+    laws: tuple[str, str],
+    start: datetime,
+    days: float,
+    parts: Parts,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> Pairs:
+    weather = build_weather_in_parts(settings, parts)
+    measured = side_by_side(
+        settings,
+        two_trackers(*laws),
+        lambda clock: build_simulated_pair(settings, clock, weather, MODULES),
+        start.timestamp(),
+        days,
+        lambda _name, _record: None,
+        progress,
+    )
+    return pair(frame_of(measured), NAMES)
 
 
 def _twelfth(afternoon: WeatherName) -> Parts:
@@ -251,10 +291,14 @@ def as_page(one: Verdict) -> dict[str, Any]:
 
 
 def write_paper(
-    runs: Sequence[Run], found: Sequence[Verdict], paragraphs: Sequence[str], site: Site, out: Path
+    runs: Sequence[Run],
+    correction: Correction,
+    found: Sequence[Verdict],
+    paragraphs: Sequence[str],
+    site: Site,
+    out: Path,
 ) -> None:
     """Write ``paper.txt``, ``paper.csv`` with every run, the first run's figures and ``paper.html``; `UserError`."""
-    first = runs[0]
     text = as_text(found) + "\n" + "\n\n".join(paragraphs) + "\n"
     columns = ("period", "paper %", "asked for %", "sky", "ours %", "lowest..highest", "")
     table = Table(
@@ -273,11 +317,13 @@ def write_paper(
             for one in found
         ],
     )
-    shown = [one for one in (modelled_curve(first.pairs[0]),) if one is not None]
-    shown.append(bias_shown(first.flat, first.found))
-    for day in first.pairs:
-        shown += experiment_figures(day, first.found, site)
-    figures_of = f"The figures are of the sky {first.sky} and seed {first.seed}."
+    shown = [bias_shown(correction.flat, correction.found)]
+    paragraphs = list(paragraphs)
+    for first in (run for run in runs if run.pairs):
+        shown = [one for one in (modelled_curve(first.pairs[0]),) if one is not None] + shown
+        for day in first.pairs:
+            shown += experiment_figures(day, correction.found, site)
+        paragraphs.append(f"The figures are of the sky {first.sky} and seed {first.seed}.")
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "paper.txt").write_text(text, encoding="utf-8")
@@ -292,7 +338,7 @@ def write_paper(
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from None
     title = "T-Cube and T-Chrono at SIRTA, 12 and 14 October 2022, simulated"
-    write_page(out / "paper.html", title, [*paragraphs, figures_of], [table, fit_table(first.found)], shown)
+    write_page(out / "paper.html", title, paragraphs, [table, fit_table(correction.found)], shown)
 
 
 def _bounds(printed: Printed) -> str:

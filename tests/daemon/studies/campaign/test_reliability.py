@@ -13,6 +13,7 @@ from daemon.studies.campaign.drills import WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import CELLS, COMPONENTS, FAULT_KINDS, cell, chosen_faults
 from daemon.studies.campaign.reliability import beyond, page
+from daemon.studies.spread.workers import HERE
 from tests.support import ROOT
 
 UNPLUGGED = next(drill for drill in declared() if drill.fault == "unplug_positioner")
@@ -45,7 +46,7 @@ def test_a_word_that_names_nothing_is_refused():
 
 def test_what_a_drill_measures_is_what_happens():
     schedules = list(UNPLUGGED.schedules())[:1]
-    outcomes = run_all(schedules, 1, lambda _: None)
+    outcomes = run_all(schedules, HERE, lambda _: None)
     measured = UNPLUGGED.measure(schedules, outcomes)
     assert list(beyond(UNPLUGGED, measured)) == []
     assert 0 < measured.reached_s < 1

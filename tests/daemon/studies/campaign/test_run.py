@@ -15,6 +15,7 @@ from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.spread.workers import HERE, Workers
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 
@@ -28,7 +29,7 @@ def test_a_seed_is_the_same_schedule_and_the_same_run_each_time():
 
 def test_several_processes_show_what_one_shows():
     schedules = [draw(seed, 0.1) for seed in (3, 4)]
-    one, two = (run_many(schedules, jobs, lambda *_: None, with_log=True) for jobs in (1, 2))
+    one, two = (run_many(schedules, Workers(jobs), lambda *_: None, with_log=True) for jobs in (1, 2))
     assert sorted(one.lines()) == sorted(two.lines())
     assert one.done == 2
 
@@ -114,7 +115,7 @@ def test_each_failure_is_reduced_and_kept_so_that_it_can_be_run_alone(tmp_path, 
     said, keep = [], tmp_path / "failures"
     given = tuple(Happening(100.0 + 50 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
     schedule = replace(draw(7, 0.1), events=given)
-    assert Attack([schedule], 1, said.append, keep, show=False).run(lambda _share: None) == 1
+    assert Attack([schedule], HERE, said.append, keep, show=False).run(lambda _share: None) == 1
     (alone,) = chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json")
     assert run_schedule(alone).promises == {"log"}
     assert len(alone.events) == 1
@@ -134,7 +135,7 @@ def _ctrl_c():
 def test_ctrl_c_ends_a_campaign_with_what_was_done(tmp_path):
     said = []
     schedules = [draw(seed, 0.02) for seed in (1, 2, 3)]
-    attack = Attack(schedules, 1, said.append, tmp_path / "failures", show=False)
+    attack = Attack(schedules, HERE, said.append, tmp_path / "failures", show=False)
     code = attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT))
     assert code == 130
     assert said[0].startswith("2 schedules, 0.04 h")

@@ -1,0 +1,175 @@
+"""The workers of a dask cluster: machines that have the same heliocube, behind one scheduler."""
+
+import logging
+import math
+import platform
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from importlib.metadata import version
+from typing import Any, TypeVar
+
+from daemon.base.errors import UserError
+from daemon.studies.spread.alone import AloneDiedError, alone
+from daemon.studies.spread.errors import WorkersError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+CONNECTS_WITHIN_S = 10.0
+WORKERS_WITHIN_S = 60.0
+_CLOSES_WITHIN_S = 5.0
+_COUNTS_EVERY_S = 5.0
+_TASKS_A_THREAD = 2
+# Another release of these may give another last digit; a study has the same bytes everywhere, or says why not.
+_COUNT = ("heliocube", "numpy", "pandas", "pvlib", "scipy")
+# They print tracebacks of a lost connection, for as long as the program lasts; what matters of it is said here.
+_TALKATIVE = ("distributed", "distributed.client", "tornado.application")
+_UNREADABLE = "deserialization of the task graph"
+# Whatever the worker's threads: a study has its process for itself.
+_ALONE = threading.Lock()
+
+
+@contextmanager
+def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
+    """Be connected to a scheduler for a while; what has been handed out and not ended by then is called off."""
+    try:
+        from distributed import Client, KilledWorker  # noqa: PLC0415 - of an extra
+        from distributed.comm.addressing import parse_address, parse_host_port  # noqa: PLC0415 - as above
+    except ImportError:
+        raise UserError(
+            "--cluster needs dask.distributed: install it with pip install 'heliocube[cluster]', or take --jobs"
+        ) from None
+    _hush()
+    try:
+        parse_host_port(parse_address(address)[1])
+    except ValueError as error:
+        raise UserError(f"--cluster: '{address}' is no address, such as 192.168.1.5:8786: {error}") from None
+    client = _connected(Client, address)
+    pool = ClusterPool(client, address, (KilledWorker, AloneDiedError), apart=apart)
+    try:
+        pool.wait()
+        yield pool
+    except CancelledError:
+        raise pool.gone() from None
+    except ImportError as error:
+        raise WorkersError(f"--cluster: a worker of {address} lacks what this machine has: {error}") from None
+    except RuntimeError as error:
+        if _UNREADABLE not in str(error):
+            raise
+        raise WorkersError(
+            f"--cluster: the scheduler at {address} cannot load the work: install the same heliocube there"
+        ) from None
+    finally:
+        pool.executor.shutdown(wait=False)
+        client.close(timeout=_CLOSES_WITHIN_S)
+
+
+class ClusterPool:
+    """What `distributed.Client.get_executor` offers; the scheduler itself hands out again what a dead worker had."""
+
+    deaths = 1
+    """The scheduler tries some workers before it gives a task up."""
+
+    def __init__(self, client: Any, address: str, died: tuple[type[BaseException], ...], *, apart: bool) -> None:
+        self.died = died
+        self.executor: Executor = client.get_executor(pure=False)
+        self._client = client
+        self._address = address
+        self._apart = apart
+        self._threads = 0
+        self._counted = -math.inf
+        self._missing_since: float | None = None
+
+    def room(self) -> int:
+        """Return twice the number of threads, so that nobody waits for the way there and back."""
+        if time.monotonic() - self._counted > _COUNTS_EVERY_S:
+            self._count()
+        return max(_TASKS_A_THREAD * self._threads, 1)
+
+    def submit(self, work: Callable[[Task], Result], task: Task) -> Future[Result]:
+        """Hand out a task."""
+        return self.executor.submit(partial(_on_worker, _versions(), work, apart=self._apart), task)
+
+    def revive(self) -> bool:
+        """Do nothing: the scheduler has given up that one task, and has workers for the others."""
+        return False
+
+    def wait(self) -> None:
+        """Wait for the first worker."""
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECTS_WITHIN_S)
+        except TimeoutError:
+            raise self._idle() from None
+
+    def look(self) -> None:
+        """Count the workers; there may be none for a minute, while they are started again."""
+        self._count()
+        if self._threads:
+            self._missing_since = None
+            return
+        now = time.monotonic()
+        self._missing_since = self._missing_since or now
+        if now - self._missing_since > WORKERS_WITHIN_S:
+            raise self._idle()
+
+    def gone(self) -> WorkersError:
+        """Return what to say when the scheduler has gone away."""
+        return WorkersError(f"--cluster: the scheduler at {self._address} is gone: start it and its workers again")
+
+    def _idle(self) -> WorkersError:
+        return WorkersError(
+            f"--cluster: the scheduler at {self._address} has no workers: start 'dask worker {self._address}'"
+        )
+
+    def _count(self) -> None:
+        try:
+            self._threads = sum(self._client.nthreads().values())
+        except (OSError, TimeoutError, ValueError):
+            raise self.gone() from None
+        self._counted = time.monotonic()
+
+
+def _connected(connect: Callable[..., Any], address: str) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", message="Mismatched versions", category=Warning)
+            return connect(address, timeout=CONNECTS_WITHIN_S, set_as_default=False)
+    except Warning as error:
+        told = " ".join(str(error).split())
+        raise WorkersError(f"--cluster: {address} has other releases than this machine: {told}") from None
+    except (OSError, TimeoutError):
+        raise WorkersError(
+            f"--cluster: no scheduler answers at {address} within {CONNECTS_WITHIN_S:g} s: start 'dask scheduler' there"
+        ) from None
+
+
+def _hush() -> None:
+    for name in _TALKATIVE:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+@lru_cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    major, minor, _ = platform.python_version_tuple()
+    return (("Python", f"{major}.{minor}"), *((name, version(name)) for name in _COUNT))
+
+
+def _on_worker(
+    theirs: tuple[tuple[str, str], ...], work: Callable[[Task], Result], task: Task, *, apart: bool
+) -> Result:
+    """Carry out a task where it has come to, or refuse it."""
+    for (name, wanted), (_, here) in zip(theirs, _versions(), strict=True):
+        if wanted != here:
+            raise WorkersError(
+                f"--cluster: the worker on {platform.node()} has {name} {here}, and {wanted} is at work here: install"
+                " the same there"
+            )
+    if apart:
+        return alone(work, task)
+    with _ALONE:
+        return work(task)

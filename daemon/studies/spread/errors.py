@@ -1,0 +1,11 @@
+"""What can be wrong with workers."""
+
+from typing import ClassVar
+
+from daemon.base.errors import ExitCode, UserError
+
+
+class WorkersError(UserError):
+    """There are no workers, or none that could do this work."""
+
+    exit_code: ClassVar[ExitCode] = ExitCode.UNREACHABLE

@@ -1,0 +1,83 @@
+"""Processes of this machine as workers."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+@contextmanager
+def process_pool(jobs: int) -> "Iterator[ProcessPool]":
+    """Have so many processes for a while; whatever they are at when it ends, ends too."""
+    pool = ProcessPool(jobs)
+    try:
+        yield pool
+    except BaseException:
+        pool.end()
+        raise
+    pool.close()
+
+
+class ProcessPool:
+    """So many processes, and others in their place when one of them is killed."""
+
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    deaths = 3
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._executor = self._start()
+
+    def room(self) -> int:
+        """Return the number of processes."""
+        return self._jobs
+
+    def submit(self, work: Callable[[Task], Result], task: Task) -> Future[Result]:
+        """Hand out a task."""
+        return self._executor.submit(work, task)
+
+    def revive(self) -> bool:
+        """Start all processes anew: one that dies takes the others' work with it."""
+        self.end()
+        self._executor = self._start()
+        return True
+
+    def look(self) -> None:
+        """Find nothing: a process that dies is told of at once."""
+
+    def close(self) -> None:
+        """Let the processes end."""
+        self._executor.shutdown()
+
+    def end(self) -> None:
+        """End the processes, whatever they are at."""
+        processes = list((self._executor._processes or {}).values())  # noqa: SLF001 - nothing else tells whom to end
+        for process in processes:
+            process.terminate()
+        self._executor.shutdown(cancel_futures=True)
+
+    def _start(self) -> ProcessPoolExecutor:
+        # A fork begins at once, and needs no helper that outlives it.
+        context = multiprocessing.get_context("fork" if "fork" in multiprocessing.get_all_start_methods() else None)
+        return ProcessPoolExecutor(self._jobs, context, _begin)
+
+
+def _begin() -> None:
+    # Ctrl-C is for the process that hands out the work: it knows what is done, and ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

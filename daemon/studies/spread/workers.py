@@ -1,0 +1,179 @@
+"""One code path for every study of many tasks: in this process, in several, or on a cluster."""
+
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from daemon.base.errors import InterruptedEarlyError, UserError
+from daemon.studies.spread.errors import WorkersError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_LOOKS_EVERY_S = 5.0
+
+
+class Pool(Protocol):
+    """Workers behind the interface of `concurrent.futures`."""
+
+    died: tuple[type[BaseException], ...]
+    """What the future of a task raises whose worker has died."""
+    deaths: int
+    """So often may that be one and the same task's: then it is the task that kills them, by its memory most likely."""
+
+    def room(self) -> int:
+        """Return how many tasks are worth handing out at a time, 1 at least."""
+
+    def submit(self, work: Callable[[Task], Result], task: Task) -> "Future[Result]":
+        """Hand out a task."""
+
+    def revive(self) -> bool:
+        """Make good what died; tells whether the tasks that were handed out are lost with it."""
+
+    def look(self) -> None:
+        """Raise `WorkersError` where nobody is left to work; asked while nothing ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Who carries out the tasks of a study.
+
+    Attributes
+    ----------
+    jobs
+        So many processes of this machine; 1 is this one alone.
+    cluster
+        In their place, the address of a dask scheduler: HOST:PORT.
+    """
+
+    jobs: int = 1
+    cluster: str | None = None
+
+    @property
+    def here(self) -> bool:
+        """Whether this process works itself."""
+        return self.cluster is None and self.jobs == 1
+
+
+HERE = Workers()
+
+
+def spread(
+    work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers = HERE, *, apart: bool = False
+) -> Generator[tuple[int, Result], None, None]:
+    """Yield the place of each task with its result, in the order in which they end.
+
+    A task whose worker dies is handed out again. Closing the generator, as Ctrl-C does, ends what is being worked at.
+
+    Parameters
+    ----------
+    work
+        A function of a module; what it returns follows from its task alone, so that it is the same wherever it runs.
+    tasks, workers
+        What is to be done, and by whom.
+    apart
+        Whether the work looks at its process as a whole, as a search for leaks does; a cluster's own will not do then.
+
+    Raises
+    ------
+    WorkersError
+        There is no such cluster, it runs something else, it is gone, or a task has cost too many workers their lives.
+    """
+    if workers.here:
+        for place, task in enumerate(tasks):
+            yield place, work(task)
+        return
+    with _pool(workers, len(tasks), apart=apart) as pool:
+        yield from _Hands(pool, work, tasks).results()
+
+
+def gather(
+    work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, progress: Callable[[float], None]
+) -> tuple[list[Result], UserError | None]:
+    """Return the results in the order of their tasks, and what has ended the work before all were there.
+
+    That is Ctrl-C, or workers that are gone; where there is no result yet, either is raised. `progress` takes the share
+    done, 0..1.
+    """
+    found: dict[int, Result] = {}
+    ended: UserError | None = None
+    with closing(spread(work, tasks, workers)) as outcomes:
+        try:
+            for place, result in outcomes:
+                found[place] = result
+                progress(len(found) / len(tasks))
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            ended = InterruptedEarlyError("interrupted")
+        except WorkersError as error:
+            if not found:
+                raise
+            ended = error
+    return [found[place] for place in sorted(found)], ended
+
+
+def _pool(workers: Workers, tasks: int, *, apart: bool) -> AbstractContextManager[Pool]:
+    if workers.cluster is not None:
+        from daemon.studies.spread.cluster import cluster_pool  # noqa: PLC0415 - of an extra, and seconds of imports
+
+        return cluster_pool(workers.cluster, apart=apart)
+    from daemon.studies.spread.processes import process_pool  # noqa: PLC0415 - this process alone needs none
+
+    return process_pool(min(workers.jobs, max(tasks, 1)))
+
+
+class _Hands(Generic[Task, Result]):
+    """Hands out tasks, no more than there is room for: thousands of them would weigh on a scheduler."""
+
+    def __init__(self, pool: Pool, work: Callable[[Task], Result], tasks: Sequence[Task]) -> None:
+        self._pool = pool
+        self._work = work
+        self._tasks = tasks
+        self._waiting = deque(range(len(tasks)))
+        self._out: dict[Future[Result], int] = {}
+        self._deaths: Counter[int] = Counter()
+
+    def results(self) -> Generator[tuple[int, Result], None, None]:
+        while self._waiting or self._out:
+            dead = self._hand_out()
+            ended = set() if dead else wait(self._out, _LOOKS_EVERY_S, FIRST_COMPLETED).done
+            if not ended and not dead:
+                self._pool.look()
+            for future in ended:
+                place = self._out.pop(future)
+                try:
+                    result = future.result()
+                except self._pool.died:
+                    dead.append(place)
+                else:
+                    yield place, result
+            if dead:
+                self._bury(dead)
+
+    def _hand_out(self) -> list[int]:
+        """Return the task that found nobody alive, if there was one."""
+        while self._waiting and len(self._out) < self._pool.room():
+            place = self._waiting.popleft()
+            try:
+                future = self._pool.submit(self._work, self._tasks[place])
+            except self._pool.died:
+                return [place]
+            self._out[future] = place
+        return []
+
+    def _bury(self, dead: list[int]) -> None:
+        if self._pool.revive():
+            dead += self._out.values()
+            self._out.clear()
+        self._deaths.update(dead)
+        for place in dead:
+            if self._deaths[place] == self._pool.deaths:
+                raise WorkersError(
+                    f"every worker that took task {place + 1} of {len(self._tasks)} has died: look whether its machine"
+                    " has run out of memory, and let fewer of them work at a time"
+                )
+        self._waiting.extendleft(sorted(dead, reverse=True))

@@ -1,0 +1,102 @@
+"""Tasks in this process and in several: the same results, whoever dies over them."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from daemon.base.errors import ExitCode, InterruptedEarlyError
+from daemon.studies.spread.errors import WorkersError
+from daemon.studies.spread.workers import HERE, Workers, gather, spread
+
+GONE_WITHIN_S = 30.0
+
+
+def square(number):
+    return number * number
+
+
+def square_or_die_once(task):
+    number, died = task
+    if number == 2 and not died.exists():
+        died.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number * number
+
+
+def die(_task):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuse(number):
+    raise WorkersError(f"not {number}")
+
+
+def interrupt(number):
+    if number == 2:
+        raise KeyboardInterrupt
+    return number
+
+
+def test_the_places_tell_which_result_is_whose_in_whichever_order_they_end():
+    numbers = list(range(20))
+    for workers in (HERE, Workers(3)):
+        assert dict(spread(square, numbers, workers)) == {place: place**2 for place in numbers}
+        assert gather(square, numbers, workers, lambda _share: None) == ([number**2 for number in numbers], None)
+
+
+def test_a_worker_that_is_killed_costs_no_result(tmp_path):
+    died = tmp_path / "died"
+    tasks = [(number, died) for number in range(6)]
+    assert gather(square_or_die_once, tasks, Workers(2), lambda _share: None) == ([0, 1, 4, 9, 16, 25], None)
+    assert died.exists()
+
+
+def test_a_task_that_kills_whoever_takes_it_ends_the_study_in_a_sentence():
+    with pytest.raises(WorkersError, match=r"every worker that took task 1 of 1 has died: look whether") as raised:
+        gather(die, [1], Workers(2), lambda _share: None)
+    assert raised.value.exit_code is ExitCode.UNREACHABLE
+
+
+def test_what_a_task_raises_is_raised_here():
+    with pytest.raises(WorkersError, match="not 7"):
+        gather(refuse, [7, 7], Workers(2), lambda _share: None)
+
+
+def test_ctrl_c_keeps_what_is_done_and_says_so():
+    results, ended = gather(interrupt, [0, 1, 2, 3], HERE, lambda _share: None)
+    assert results == [0, 1]
+    assert isinstance(ended, InterruptedEarlyError)
+    with pytest.raises(KeyboardInterrupt):
+        gather(interrupt, [2], HERE, lambda _share: None)
+
+
+@pytest.mark.system
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_no_worker_outlives_the_process_that_began_it(tmp_path):
+    program = """
+        import os, sys, time
+        from daemon.studies.spread.workers import Workers, spread
+
+        def say_and_sleep(folder):
+            open(f"{folder}/{os.getpid()}", "w").close()
+            time.sleep(600)
+
+        list(spread(say_and_sleep, sys.argv[1:] * 2, Workers(2)))
+    """
+    with subprocess.Popen([sys.executable, "-c", textwrap.dedent(program), tmp_path]) as process:
+        _wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
+        process.kill()
+    _wait_for(lambda: not any(Path("/proc", path.name).exists() for path in tmp_path.iterdir()))
+
+
+def _wait_for(happened):
+    until = time.monotonic() + GONE_WITHIN_S
+    while not happened():
+        assert time.monotonic() < until
+        time.sleep(0.05)
