@@ -13,6 +13,7 @@ from tests.support import SHARED
 from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
 from tests.support.dealing import dealt
+from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
 
@@ -30,6 +31,7 @@ pytest_plugins = (
     "tests.support.command_line",
     "tests.support.ports",
     "tests.support.mqtt",
+    "tests.support.archive",
 )
 
 _TIER_OF_FIXTURE = {
@@ -37,6 +39,7 @@ _TIER_OF_FIXTURE = {
     "scaled": "broker",
     "broker": "broker",
     "make_broker": "broker",
+    "postgres": "system",
     "load_host": "protocol",
     "positioner_host": "protocol",
     "voltmeter_host": "protocol",
@@ -95,8 +98,9 @@ def pytest_report_header():
         None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
     )
     mbpoll = None if shutil.which("mbpoll") else "mbpoll is not here: its tests of Modbus are left out"
+    archive = None if BINARIES else WITHOUT_POSTGRES
     rotator = None if ROTCTLD else WITHOUT_ROTCTLD
-    return [line for line in (broker, mbpoll, missing(), rotator, without_namespaces()) if line]
+    return [line for line in (broker, mbpoll, missing(), rotator, archive, without_namespaces()) if line]
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
 from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.archive import command as archive_command
 from daemon.commands.options import (
     BENCH,
     FILES,
@@ -229,6 +230,7 @@ def simulate(
 
 
 app.add_typer(dashboard.app)
+app.add_typer(archive_command.app, name="archive", rich_help_panel=SERVICE)
 app.command(rich_help_panel=SERVICE)(alarms.notify)
 app.command(rich_help_panel=SERVICE)(replay)
 app.command(rich_help_panel=SCIENCE)(gain.gain)

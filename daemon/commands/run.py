@@ -42,7 +42,7 @@ from daemon.service.state import state_json
 from daemon.store.place import claimed
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, Releases
 from daemon.store.settings_kept import tell_changes
-from daemon.store.store import Origin, Store
+from daemon.store.store import Origin, Store, new_run_id
 from daemon.sunspec.server import SunSpecServer
 
 log = logging.getLogger("heliocube")
@@ -230,6 +230,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
         altitude_m=site.altitude_m,
         # In a run of several trackers each record bears the name of its own.
         tracker="" if len(service.settings.trackers) > 1 else service.settings.mqtt.name or role.value,
+        id=new_run_id(),
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)
     service.bus.subscribe(store.keep)

@@ -90,6 +90,9 @@ _FORMS = {
     "json-path": 'names with full stops between, in quotes, such as "wind.speed", or ""',
     "host": 'a name or an address in quotes, such as "broker.lab" or "192.168.1.5"',
     "clock-time": 'hours and minutes of the day in quotes, such as "22:00"',
+    "archive": "the address of a database in quotes, without a password, such as"
+    ' "postgresql://archive@db.plant/heliocube"',
+    "records": 'topics in quotes that end in /records, such as "+/+/records"',
     "web": 'an address of the web in quotes, such as "https://tracker.lab/"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }

@@ -13,6 +13,9 @@ from drivers.settings import text_of
 
 _CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
 _WEB = re.compile(r"https?://[^\s/]\S*")
+# User and password would be divided by a colon.
+_ARCHIVE = re.compile(r"postgres(ql)?://([^:@/\s#]+@)?[^@/\s#]*/[^/\s#]+")
+_TOPICS = re.compile(r"([^/#+$\s]+|\+)(/([^/#+\s]+|\+))+/records")
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -56,6 +59,18 @@ def _web(text: str) -> str:
     return text
 
 
+def _archive(text: str) -> str:
+    if not _ARCHIVE.fullmatch(text):
+        raise ValueError("not an address of a database without a password")
+    return text
+
+
+def _topics(text: str) -> str:
+    if not _TOPICS.fullmatch(text):
+        raise ValueError("not a filter of topics that ends in /records")
+    return text
+
+
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
         raise ValueError("not a host")
@@ -73,6 +88,8 @@ TopicLevel = Annotated[str, text_of("level")]
 JsonPath = Annotated[str, text_of("json-path")]
 ClockTime = Annotated[str, AfterValidator(_clock_time), text_of("clock-time")]
 WebAddress = Annotated[str, AfterValidator(_web), text_of("web")]
+ArchiveUrl = Annotated[str, AfterValidator(_archive), text_of("archive")]
+TopicFilter = Annotated[str, AfterValidator(_topics), text_of("records")]
 HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
 
 
@@ -223,6 +240,27 @@ class NotifySettings(Section):
     heartbeat_every_s: Duration = Field(300.0, ge=10, description="How often [s].")
 
 
+class ArchiveSettings(Section):
+    """All records of many services in one PostgreSQL, by a process of its own: `heliocube archive`.
+
+    The broker is that of [mqtt].
+    """
+
+    database: ArchiveUrl | None = Field(
+        None,
+        examples=["postgresql://archive@db.plant/heliocube"],
+        description="Address of the database, without a password: that stands in the file of PGPASSFILE, mode 0600.",
+    )
+    topics: tuple[TopicFilter, ...] = Field(
+        ("+/+/records",),
+        strict=False,
+        description="Which topics it listens to; + stands for one level. A prefix of two levels needs +/+/+/records.",
+    )
+    group: TopicLevel = Field(
+        "heliocube", description="Processes with one group share the work: each page of records goes to one of them."
+    )
+
+
 class SunspecSettings(Section):
     """The trackers as a SunSpec device on Modbus TCP, for a control room. Modbus knows neither password nor cipher."""
 
@@ -318,6 +356,12 @@ class MqttSettings(Section):
     command_age_s: Duration = Field(
         30.0, description="Largest difference between the time of a command and the service's clock."
     )
+    archive: bool = Field(
+        default=False,
+        description="Send every record of the store to an archive on this broker (docs/archive.md), again and again"
+        " until it is confirmed there.",
+    )
+    archive_every_s: float = Field(10.0, ge=1, le=3600, description="How often new records are sent to the archive.")
     discovery: bool = Field(default=True, description="Make the tracker appear in Home Assistant by itself.")
     discovery_prefix: Topic = Field("homeassistant", description="Where Home Assistant looks for new devices.")
     wind: WindInput = WindInput()

@@ -239,6 +239,15 @@ def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
             yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
 
 
+def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]:
+    """`mqtt.archive` stands only with `mqtt.enabled`, and on a simulated rig with `store.directory`."""
+    if settings.mqtt.archive and not settings.mqtt.enabled:
+        yield Conflict("mqtt.archive", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
+    if settings.mqtt.archive and settings.store.directory is None and settings.instruments.kind != "real":
+        reason = "needs store.directory: a simulated rig keeps no records, and none can be sent"
+        yield Conflict("mqtt.archive", reason, ("store.directory",))
+
+
 def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
     """Certificate files of `mqtt` stand only with `mqtt.tls`, and a certificate with its key."""
     mqtt = settings.mqtt
@@ -298,6 +307,7 @@ RULES = (
     the_positioner_reaches_its_limits,
     the_positioner_reaches_night_stow_and_snow,
     what_needs_a_broker_has_one,
+    an_archive_gets_what_a_store_keeps,
     the_broker_is_known_as_asked,
     the_two_words_differ,
     quiet_hours_have_both_ends,

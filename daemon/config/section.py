@@ -47,3 +47,10 @@ def one_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Ki
         return kind.model_validate(raw.get(name, {}))
     except ValidationError:
         raise UserError(f"the [{name}] of {path} is wrong; see 'heliocube config check {path}'") from None
+
+
+def beside(path: Path | None, section: Kind) -> Kind:
+    """Return a section with its files where they are meant: those of no absolute path lie beside the configuration."""
+    folder = Path() if path is None else path.parent
+    files = {name: value for name, value in section if isinstance(value, Path)}
+    return section.model_copy(update={name: folder / value.expanduser() for name, value in files.items()})

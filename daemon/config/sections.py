@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, fie
 from daemon.config.instruments import Instruments
 from daemon.config.links import (
     ApiSettings,
+    ArchiveSettings,
     BridgeSettings,
     DashboardSettings,
     MqttSettings,
@@ -218,6 +219,7 @@ class Sections(Section):
     api: ApiSettings = ApiSettings()
     dashboard: DashboardSettings = DashboardSettings()
     notify: NotifySettings = NotifySettings()
+    archive: ArchiveSettings = ArchiveSettings()
     sunspec: SunspecSettings = SunspecSettings()
     mqtt: MqttSettings = MqttSettings()
     simulation: SimulationSettings = SimulationSettings()

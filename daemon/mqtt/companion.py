@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -11,6 +12,7 @@ from daemon.base.clock import Clock, iso_utc
 from daemon.base.records import Record, stamped
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.settings import Settings
+from daemon.mqtt.archive_feed import ArchiveFeed
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.discovery import discovery
@@ -65,6 +67,7 @@ class Mqtt:
         self._unusable = unusable(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
+        self._feed: ArchiveFeed | None = None
         self._decide_again: Callable[[], None] = lambda: None
         self._telemetry: TelemetryPublisher | None = None
         self._commands: Commands | None = None
@@ -74,6 +77,21 @@ class Mqtt:
         """How the link is, and what is heard of safety."""
         now_s = self._clock.monotonic()
         return replace(self.link.status, inputs=tuple(status(now_s) for status in self._inputs))
+
+    def feed_archive(self, directory: Path, random: Random) -> None:
+        """Send the records of the process's store to an archive; for one link of a process, before `run`."""
+        settings = self._settings
+        self._feed = ArchiveFeed(
+            self.link,
+            self._topics,
+            directory,
+            self._role,
+            settings.mqtt.archive_every_s,
+            settings.store.keep_days,
+            self._clock,
+            random,
+            self._speed,
+        )
 
     def stow_sources(self) -> list[StowSource]:
         """Return the reasons to stow that come over the broker, and begin to listen for them."""
@@ -145,6 +163,8 @@ class Mqtt:
             group.create_task(self.link.run(), name="mqtt link")
             if self._telemetry is not None:
                 group.create_task(self._telemetry.run(), name="mqtt telemetry")
+            if self._feed is not None:
+                group.create_task(self._feed.run(), name="mqtt archive feed")
             if self._commands is not None:
                 group.create_task(self._commands.run(), name="mqtt commands")
 
@@ -200,8 +220,13 @@ def links(
     if not settings.mqtt.enabled:
         return {}
     if role is Role.CUBE:
-        return {"": Mqtt(settings, role, clock, random, publish, speed)}
-    return {name: Mqtt(own, role, clock, random, publish, speed) for name, own in settings.trackers}
+        made = {"": Mqtt(settings, role, clock, random, publish, speed)}
+    else:
+        made = {name: Mqtt(own, role, clock, random, publish, speed) for name, own in settings.trackers}
+    if settings.mqtt.archive and settings.store.directory is not None:
+        # The process has one store, whose records bear the names of their trackers.
+        next(iter(made.values())).feed_archive(settings.store.directory, random)
+    return made
 
 
 def _input_status(

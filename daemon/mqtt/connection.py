@@ -57,7 +57,7 @@ class Connection:
     client_id
         Under which name.
     will
-        What the broker publishes when this connection ends without a word.
+        What the broker publishes when this connection ends without a word; None for nothing.
     speed
         How many times as fast as the machine's the event loop's clock runs: a broker's time is the machine's.
     modern
@@ -65,14 +65,14 @@ class Connection:
     """
 
     def __init__(
-        self, settings: MqttSettings, client_id: str, will: Message, speed: float, *, modern: bool = True
+        self, settings: MqttSettings, client_id: str, will: Message | None, speed: float, *, modern: bool = True
     ) -> None:
         self._modern = modern
         self._client = _Client(
             settings.host,
             settings.port,
             identifier=client_id,
-            will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
+            will=None if will is None else aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
             keepalive=settings.keepalive_s,
             timeout=_CONFIRM_S * speed,
             protocol=aiomqtt.ProtocolVersion.V5 if modern else aiomqtt.ProtocolVersion.V311,

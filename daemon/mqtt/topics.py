@@ -67,6 +67,16 @@ class Topics:
         """What came of commands."""
         return self.of("reply")
 
+    @property
+    def records(self) -> str:
+        """Every record of the store, a page at a time, for an archive."""
+        return self.of("records")
+
+    @property
+    def records_kept(self) -> str:
+        """What the archive says of each page."""
+        return f"{self.records}/kept"
+
     def command(self, name: str) -> str:
         """Return the topic on which one command is taken."""
         return self.of(f"command/{name}")

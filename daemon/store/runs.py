@@ -21,10 +21,11 @@ def runs_of(path: Path) -> list[StoredRun]:
     """Return the runs of a store, the oldest first; raises `StoreError`."""
     with closing(open_for_reading(path)) as connection:
         try:
-            tracker = "tracker" if "tracker" in columns_of(connection, "runs") else "''"
+            there = columns_of(connection, "runs")
+            tracker, own_id = (name if name in there else "''" for name in ("tracker", "id"))
             rows = connection.execute(
                 "SELECT run, started, role, version, simulated, site, latitude_deg, longitude_deg, altitude_m,"  # noqa: S608 - our own names
-                f" {tracker} FROM runs ORDER BY started, run"
+                f" {tracker}, {own_id} FROM runs ORDER BY started, run"
             ).fetchall()
         except sqlite3.Error as error:
             raise unreadable(path, error) from None
@@ -41,9 +42,10 @@ def runs_of(path: Path) -> list[StoredRun]:
                 longitude_deg=longitude,
                 altitude_m=altitude,
                 tracker=name,
+                id=run_id,
             ),
         )
-        for run, started, role, version, simulated, site, latitude, longitude, altitude, name in rows
+        for run, started, role, version, simulated, site, latitude, longitude, altitude, name, run_id in rows
     ]
 
 

@@ -32,7 +32,18 @@ _HOLDS: dict[str, tuple[type, ...]] = {
     "bool": (int,),
     "text": (str,),
 }
-_RUN = ("started", "role", "version", "simulated", "site", "latitude_deg", "longitude_deg", "altitude_m", "tracker")
+_RUN = (
+    "started",
+    "role",
+    "version",
+    "simulated",
+    "site",
+    "latitude_deg",
+    "longitude_deg",
+    "altitude_m",
+    "tracker",
+    "id",
+)
 _Row = tuple[Any, ...]
 
 
@@ -250,8 +261,8 @@ class _Merge:
     def _guess(self, row: _Row) -> _Row:
         """Return what stands for a run of which nothing is known: the nearest one's place, and a role unknown."""
         nearest = min(self._known, key=lambda run: abs(run - row[0]), default=None)
-        like = (0.0, "", "", 1, "unknown", 0.0, 0.0, 0.0, "") if nearest is None else self._known[nearest]
-        return (float(row[0]), "unknown", "salvaged", *like[3:])
+        like = (0.0, "", "", 1, "unknown", 0.0, 0.0, 0.0, "", "") if nearest is None else self._known[nearest]
+        return (float(row[0]), "unknown", "salvaged", *like[3:-1], "")
 
 
 class _Reader:

@@ -13,7 +13,7 @@ from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
 FILE_NAME = "heliocube.sqlite"
-VERSION = 7
+VERSION = 8
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
@@ -31,7 +31,8 @@ _RUNS = """CREATE TABLE runs (
   latitude_deg REAL NOT NULL,
   longitude_deg REAL NOT NULL,
   altitude_m REAL NOT NULL,
-  tracker TEXT NOT NULL DEFAULT ''
+  tracker TEXT NOT NULL DEFAULT '',
+  id TEXT NOT NULL DEFAULT ''
 )"""
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
@@ -176,8 +177,8 @@ def _bring_up_to_date(connection: sqlite3.Connection) -> None:
         for column in columns:
             if column.name not in there:
                 connection.execute(f"ALTER TABLE {name} ADD COLUMN {column.name} {_TYPES[column.holds]}")
-    if "tracker" not in columns_of(connection, "runs"):
-        connection.execute("ALTER TABLE runs ADD COLUMN tracker TEXT NOT NULL DEFAULT ''")
+    for name in sorted({"tracker", "id"} - columns_of(connection, "runs")):
+        connection.execute(f"ALTER TABLE runs ADD COLUMN {name} TEXT NOT NULL DEFAULT ''")
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 

@@ -13,6 +13,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from uuid import uuid4
 
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
@@ -36,7 +37,10 @@ _ROOM_BYTES = 65536
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Which run of the service the records come from, and the name of its tracker."""
+    """Which run of the service the records come from, the name of its tracker, and what tells it from every other run.
+
+    `id` is made anew at each start, by `new_run_id`; runs of before there were any have an empty one.
+    """
 
     started_utc_s: float
     role: str
@@ -47,6 +51,12 @@ class Origin:
     longitude_deg: float
     altitude_m: float
     tracker: str = ""
+    id: str = ""
+
+
+def new_run_id() -> str:
+    """Return an identifier that no other run has, on this machine or another."""
+    return uuid4().hex
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +258,8 @@ class Store:
     def _begin_run(self, connection: sqlite3.Connection) -> int:
         origin = self._origin
         cursor = connection.execute(
-            "INSERT INTO runs VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO runs (started, role, version, simulated, site, latitude_deg, longitude_deg, altitude_m,"
+            " tracker, id) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 origin.started_utc_s,
                 origin.role,
@@ -259,6 +270,7 @@ class Store:
                 origin.longitude_deg,
                 origin.altitude_m,
                 origin.tracker,
+                origin.id,
             ),
         )
         assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one

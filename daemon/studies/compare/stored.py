@@ -18,7 +18,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES, Record
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql
-from daemon.store.store import Origin, Store
+from daemon.store.store import Origin, Store, new_run_id
 from daemon.studies.compare.measurements import Measurement
 from daemon.studies.recorded import stored_faces
 from solar.ephemeris import Site
@@ -204,6 +204,7 @@ def keeping(
                 longitude_deg=site.longitude_deg,
                 altitude_m=site.altitude_m,
                 tracker=name,
+                id=new_run_id(),
             )
             stores[name] = Store(directory, settings.store.batch_s, settings.store.keep_days, origin, clock, _ignore)
         taken = 0

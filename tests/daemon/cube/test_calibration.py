@@ -164,7 +164,7 @@ def test_an_identifier_that_is_none_is_refused(text):
 def test_a_store_of_a_version_before_is_read_and_brought_forward(tmp_path, version):
     path = tmp_path / FILE_NAME
     with closing(open_for_writing(path)) as store:
-        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '')")
+        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '', '')")
         store.execute(Rows(Scan).insert, Rows(Scan).row(1, 0, scan("")))
         store.execute("ALTER TABLE scans DROP COLUMN calibration")
         if version == 1:

@@ -85,7 +85,7 @@ def in_place(days=4):
 def fill_store(folder, utc_s, faces, identifier=""):
     with closing(open_for_writing(folder / FILE_NAME)) as store:
         store.execute("BEGIN")
-        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '')")
+        store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '', '')")
         rows = Rows(Scan)
         for number, (now, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
             readings = [FaceReading(value, Quality.OK, now, now) for value in row]

@@ -1,0 +1,121 @@
+"""Where an archive is: the URL of a PostgreSQL database, with the name of an installation behind it."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlsplit
+
+from daemon.base.errors import ExitCode, UserError
+
+if TYPE_CHECKING:
+    import psycopg
+
+SCHEMES = ("postgresql://", "postgres://")
+_CONNECT_S = 10
+_HOW = "postgresql://USER@HOST/DATABASE"
+
+
+class ArchiveError(UserError):
+    """The archive cannot be used as it is asked; one sentence."""
+
+
+class ArchiveAwayError(ArchiveError):
+    """The database does not answer, now; it may later."""
+
+    exit_code = ExitCode.UNREACHABLE
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveAddress:
+    """A database, and one installation in it.
+
+    Attributes
+    ----------
+    url
+        As libpq takes it, without a password.
+    installation
+        What stands behind ``#``; empty for the only one.
+    """
+
+    url: str
+    installation: str = ""
+
+    def __str__(self) -> str:
+        return self.url + (f"#{self.installation}" if self.installation else "")
+
+
+def is_archive(text: str) -> bool:
+    """Whether a text is meant as the URL of an archive, and not as a folder."""
+    return text.startswith(SCHEMES)
+
+
+def parse_archive(text: str) -> ArchiveAddress:
+    """Return the database and the installation of ``postgresql://USER@HOST/DATABASE#PREFIX/NAME``.
+
+    Raises
+    ------
+    ArchiveError
+        It is no such URL, or it holds a password, which every user of the machine could read in the list of processes.
+    """
+    url, _, installation = text.partition("#")
+    try:
+        parts = urlsplit(url)
+        password, database = parts.password, parts.path.strip("/")
+        _ = parts.port
+    except ValueError as error:
+        raise ArchiveError(f"{text}: {error}; an archive is {_HOW}") from None
+    if not is_archive(url) or not database or "/" in database:
+        raise ArchiveError(f"{text} is no address of an archive: write {_HOW}")
+    if password is not None or "password=" in parts.query:
+        shown = text.replace(f":{password}@", ":...@") if password else "the address"
+        raise ArchiveError(
+            f"{shown} holds a password: leave it out, and write it into the file of PGPASSFILE, mode 0600"
+        )
+    return ArchiveAddress(url, unquote(installation))
+
+
+def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection":
+    """Return a connection.
+
+    Raises
+    ------
+    ArchiveError
+        The database is not there, or lets this user not in; psycopg is not installed.
+    ArchiveAwayError
+        Nothing answers there.
+    """
+    try:
+        import psycopg  # noqa: PLC0415 - it is in an extra
+    except ImportError:
+        raise ArchiveError("an archive needs psycopg: pip install 'heliocube[archive]'") from None
+    try:
+        return psycopg.connect(address.url, connect_timeout=_CONNECT_S, application_name=application)
+    except psycopg.OperationalError as error:
+        raise _reason(address, error) from None
+    except psycopg.Error as error:
+        raise ArchiveError(f"{address.url} is no address of a database: {one_line(error)}") from None
+
+
+def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> ArchiveError:
+    """Return what a failed connection means: what a person must put right, or what may pass."""
+    text = one_line(error)
+    remedies = {
+        "password authentication failed": "write its password into the file of PGPASSFILE, mode 0600",
+        "no password supplied": "write its password into the file of PGPASSFILE, mode 0600",
+        "no pg_hba.conf entry": "let it in there, in pg_hba.conf",
+        "Peer authentication failed": "let it in there, in pg_hba.conf, or name another user",
+        "does not exist": "make it with createdb or createuser, or correct the address",
+        "permission denied for database": "grant CONNECT on it to this user",
+        "invalid": "correct the address",
+    }
+    for part, remedy in remedies.items():
+        if part in text:
+            return ArchiveError(f"the database {address.url} refuses: {text}: {remedy}")
+    return ArchiveAwayError(f"the database {address.url} does not answer: {text}")
+
+
+def one_line(error: Exception) -> str:
+    """Return the first line of what a database says, without its own preface."""
+    first = str(error).strip().split("\n")[0]
+    for mark in ("FATAL: ", "ERROR: "):
+        first = first.rpartition(mark)[2]
+    return first.strip() or type(error).__name__

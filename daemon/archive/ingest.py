@@ -1,0 +1,271 @@
+"""From a broker into the database, until the end; what the database has is confirmed to who sent it."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import math
+import secrets
+from collections.abc import Callable, Iterator
+from functools import partial
+from random import Random
+from typing import Any, TypeVar
+
+from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError
+from daemon.archive.writer import ArchiveWriter, PagesRefusedError, SentPage, Taken
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.process import Notifier, on_signals
+from daemon.base.reconnect import Backoff, Outage
+from daemon.config.links import ArchiveSettings, MqttSettings
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
+from daemon.mqtt.outbox import Message
+from daemon.store.batches import BatchError, decoded
+
+log = logging.getLogger("heliocube.archive")
+
+Result = TypeVar("Result")
+
+_GATHER_S = 0.25
+_MOST_ROWS = 10_000
+_MOST_PAGES = 1000
+_HUNG_S = 30.0
+_FIRST_DELAY_S, _LONGEST_DELAY_S = 1.0, 30.0
+_AGAIN_S = 3600.0
+_MOST_NAMES = 10_000
+
+
+async def serve(
+    mqtt: MqttSettings, settings: ArchiveSettings, address: ArchiveAddress, clock: Clock, manager: Notifier
+) -> None:
+    """Take in records until SIGINT or SIGTERM; raises `ArchiveError` for a database that cannot be used as it is."""
+    loop, end = asyncio.get_running_loop(), asyncio.Event()
+
+    def end_from_outside() -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended already
+            loop.call_soon_threadsafe(end.set)
+
+    ingester = Ingester(mqtt, settings, address, clock, manager)
+    with on_signals(end_from_outside):
+        task, ended = asyncio.create_task(ingester.run()), asyncio.create_task(end.wait())
+        await asyncio.wait((task, ended), return_when=asyncio.FIRST_COMPLETED)
+        manager.stopping()
+        for each in (task, ended):
+            each.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+class Ingester:
+    """Keeps nothing: what is not in the database is not confirmed, and whoever sent it sends it again.
+
+    Several share the work of one group. Without its database a process leaves the broker, so that the others have all
+    of it.
+
+    Parameters
+    ----------
+    mqtt, settings, address
+        The broker, what is listened to there, and the database.
+    clock
+        For pauses between lines of the log.
+    manager
+        Is told that the process is ready, and that it lives.
+    """
+
+    def __init__(
+        self,
+        mqtt: MqttSettings,
+        settings: ArchiveSettings,
+        address: ArchiveAddress,
+        clock: Clock,
+        manager: Notifier,
+    ) -> None:
+        self._mqtt = mqtt
+        self._filters = [f"$share/{settings.group}/{topic}" for topic in settings.topics]
+        self._address = address
+        self._clock = clock
+        self._manager = manager
+        self._client_id = f"{mqtt.client_id or 'heliocube-archive'}-{secrets.token_hex(4)}"
+        self._database = Outage(log, "the database")
+        self._broker = Outage(log, "the MQTT broker")
+        self._backoff = Backoff(Random(), _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)  # noqa: S311 - jitter
+        self._told_s: dict[str, float] = {}
+        self._began = False
+        self.records = 0
+
+    async def run(self) -> None:
+        """Take in until cancelled; raises `ArchiveError` if the database cannot be used at the first time."""
+        while True:
+            try:
+                await self._with_database()
+            except ArchiveError as error:
+                if not self._began and not isinstance(error, ArchiveAwayError):
+                    raise
+                self._database.down(self._clock.monotonic(), str(error))
+            except (ConnectionLostError, UserError) as error:
+                self._broker.down(self._clock.monotonic(), str(error))
+            self._manager.watchdog()
+            await asyncio.sleep(self._backoff.next_s())
+
+    async def _with_database(self) -> None:
+        writer = await asyncio.to_thread(ArchiveWriter, self._address)
+        try:
+            await self._bounded(writer, writer.prepare)
+            self._database.up(self._clock.monotonic())
+            self._begin()
+            await self._with_broker(writer)
+        finally:
+            writer.close()
+
+    def _begin(self) -> None:
+        if not self._began:
+            self._began = True
+            self._manager.ready()
+            log.info("writing to %s what comes on %s", self._address, ", ".join(self._filters))
+
+    async def _with_broker(self, writer: ArchiveWriter) -> None:
+        connection = Connection(self._mqtt, self._client_id, None, 1.0)
+        await connection.open()
+        try:
+            for topic in self._filters:
+                if not await connection.subscribe(topic):
+                    raise ConnectionLostError(f"the broker does not let this user listen to {topic}")
+            self._broker.up(self._clock.monotonic())
+            await self._take_in(connection, writer)
+        finally:
+            await connection.close()
+
+    async def _take_in(self, connection: Connection, writer: ArchiveWriter) -> None:
+        """Hear and write at once; the first of the two that ends tells what is lost."""
+        heard: asyncio.Queue[Incoming] = asyncio.Queue(_MOST_PAGES)
+        tasks = [
+            asyncio.create_task(self._hear(connection, heard)),
+            asyncio.create_task(self._write(connection, writer, heard)),
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _hear(self, connection: Connection, heard: "asyncio.Queue[Incoming]") -> None:
+        async for message in connection.incoming():
+            if not message.retained:
+                await heard.put(message)
+
+    async def _write(self, connection: Connection, writer: ArchiveWriter, heard: "asyncio.Queue[Incoming]") -> None:
+        while True:
+            self._manager.watchdog()
+            messages = await _within(_HUNG_S, heard)
+            if messages:
+                await self._take(connection, writer, messages)
+                self._backoff.reset()
+
+    async def _take(self, connection: Connection, writer: ArchiveWriter, messages: list[Incoming]) -> None:
+        pages, answers = await asyncio.to_thread(self._read, messages)
+        for part in _parts(pages):
+            answers += await self._keep(writer, part)
+        for answer in answers:
+            # Not confirmed itself: who misses it sends its page again.
+            await connection.publish(answer)
+
+    def _read(self, messages: list[Incoming]) -> tuple[list[SentPage], list[Message]]:
+        """Return the pages of messages, and what is said to those that are none."""
+        pages, answers = [], []
+        for message in messages:
+            installation, _, kind = message.topic.rpartition("/")
+            if kind != "records":
+                continue
+            try:
+                pages.append(SentPage(installation, decoded(message.payload)))
+            except BatchError as error:
+                self._say(installation, f"what comes on {message.topic} is not kept: {error}")
+                if run := _run_of(message.payload):
+                    answers.append(_answer(installation, {"run": run, "refused": str(error)}))
+        return pages, answers
+
+    async def _keep(self, writer: ArchiveWriter, pages: list[SentPage]) -> list[Message]:
+        """Write pages and return what is said to those who sent them; one that cannot be kept costs no other."""
+        try:
+            taken = await self._bounded(writer, partial(writer.take, pages))
+        except PagesRefusedError as error:
+            if len(pages) > 1:
+                return [answer for page in pages for answer in await self._keep(writer, [page])]
+            installation, batch, _ = pages[0]
+            self._say(installation, f"a page of {installation} is not kept: {error}")
+            return [_answer(installation, {"run": batch.origin.id, "refused": str(error)})]
+        self._database.up(self._clock.monotonic())
+        self._note(taken)
+        return [
+            _answer(page.installation, {"run": page.batch.origin.id, "through": page.batch.through}) for page in pages
+        ]
+
+    def _note(self, taken: Taken) -> None:
+        self.records += taken.added
+        self._manager.status(f"{self.records} records since the start")
+        for sentence in taken.rivals:
+            self._say(sentence, sentence)
+
+    def _say(self, subject: str, sentence: str) -> None:
+        """Warn of one thing once an hour at most."""
+        now_s = self._clock.monotonic()
+        if now_s - self._told_s.get(subject, -math.inf) >= _AGAIN_S:
+            if len(self._told_s) >= _MOST_NAMES:
+                self._told_s.clear()
+            self._told_s[subject] = now_s
+            log.warning("%s", sentence)
+
+    async def _bounded(self, writer: ArchiveWriter, call: Callable[[], Result]) -> Result:
+        """Return what a call of the database returns; one that hangs is ended, and so is one that nobody waits for."""
+        job = asyncio.ensure_future(asyncio.to_thread(call))
+        timer = asyncio.get_running_loop().call_later(_HUNG_S, writer.give_up)
+        try:
+            return await asyncio.shield(job)
+        except asyncio.CancelledError:
+            writer.give_up()
+            await asyncio.gather(job, return_exceptions=True)
+            raise
+        finally:
+            timer.cancel()
+
+
+async def _within(first_s: float, heard: "asyncio.Queue[Incoming]") -> list[Incoming]:
+    """Return what comes within a moment of the first message: a thousand small pages then cost one transaction."""
+    messages: list[Incoming] = []
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(first_s):
+            messages.append(await heard.get())
+        async with asyncio.timeout(_GATHER_S):
+            while len(messages) < _MOST_PAGES:
+                messages.append(await heard.get())
+    return messages
+
+
+def _parts(pages: list[SentPage]) -> Iterator[list[SentPage]]:
+    """Yield pages in parts of so many records that each is quickly written."""
+    part: list[SentPage] = []
+    count = 0
+    for page in pages:
+        part.append(page)
+        count += page.batch.count
+        if count >= _MOST_ROWS:
+            yield part
+            part, count = [], 0
+    if part:
+        yield part
+
+
+def _answer(installation: str, page: dict[str, Any]) -> Message:
+    return Message(f"{installation}/records/kept", json.dumps(page).encode())
+
+
+def _run_of(payload: bytes) -> str | None:
+    """Return the run that a message says it is of, whatever else is wrong with it."""
+    try:
+        found = json.loads(payload)["run"]["id"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return found if isinstance(found, str) else None

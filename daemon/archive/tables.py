@@ -1,0 +1,140 @@
+"""The tables of an archive: those of a store, the run counted over all installations, and a part for each day."""
+
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+from daemon.archive.address import ArchiveError, one_line
+from daemon.store.batches import KINDS
+from daemon.store.tables import COLUMNS, Column
+
+if TYPE_CHECKING:
+    import psycopg
+
+SCHEMA = "heliocube"
+VERSION = 1
+TYPES = {"time": "timestamptz", "float": "float8", "int": "int8", "bool": "bool", "text": "text"}
+COLUMNS_OF: dict[str, list[Column]] = dict(COLUMNS.values())
+# Chosen by chance, so that no other program has the same.
+_LOCK = 0x68656C63_61726368
+_RUNS = f"""CREATE TABLE {SCHEMA}.runs (
+  run int4 GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+  installation text NOT NULL,
+  id text NOT NULL,
+  started timestamptz NOT NULL,
+  role text NOT NULL,
+  version text NOT NULL,
+  simulated bool NOT NULL,
+  site text NOT NULL,
+  latitude_deg float8 NOT NULL,
+  longitude_deg float8 NOT NULL,
+  altitude_m float8 NOT NULL,
+  tracker text NOT NULL,
+  through int8 NOT NULL DEFAULT -1,
+  heard timestamptz,
+  UNIQUE (installation, id)
+)"""
+
+
+def schema() -> list[str]:
+    """Return the statements that make an empty archive.
+
+    A record is known by installation, run and number; `runs` has one short number for the first two. The time is part
+    of the key because the parts of a table are days.
+    """
+    made = [f"CREATE SCHEMA IF NOT EXISTS {SCHEMA}", _RUNS]
+    for name in KINDS:
+        columns = ",\n  ".join(columns_sql(name))
+        made.append(
+            f"CREATE TABLE {SCHEMA}.{name} (\n  {columns},\n  PRIMARY KEY (run, number, time)\n)"
+            " PARTITION BY RANGE (time)"
+        )
+    return [*made, f"COMMENT ON SCHEMA {SCHEMA} IS 'heliocube archive {VERSION}'"]
+
+
+def columns_sql(name: str) -> list[str]:
+    """Return the columns of a table with their types."""
+    own = [f"{column.name} {TYPES[column.holds]}" for column in COLUMNS_OF[name]]
+    return ["run int4 NOT NULL", "number int8 NOT NULL", *own]
+
+
+def ensure(connection: "psycopg.Connection") -> None:
+    """Make the tables if they are not there, and add columns that an older archive lacks.
+
+    Raises
+    ------
+    ArchiveError
+        This user may not, or what is there is of a newer program.
+    """
+    import psycopg  # noqa: PLC0415 - it is in an extra
+
+    try:
+        with connection.transaction():
+            connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+            if version_of(connection) is None:
+                for statement in schema():
+                    connection.execute(statement)
+            for name in KINDS:
+                for column in missing_columns(connection, name):
+                    connection.execute(f"ALTER TABLE {SCHEMA}.{name} ADD COLUMN {column.name} {TYPES[column.holds]}")
+    except psycopg.errors.InsufficientPrivilege as error:
+        raise ArchiveError(
+            f"this user may not make the archive's tables ({one_line(error)}): make it the owner of the database, or"
+            f" grant it CREATE on it"
+        ) from None
+
+
+def version_of(connection: "psycopg.Connection") -> int | None:
+    """Return the version of the archive's tables, None where there are none; raises `ArchiveError` for a newer one."""
+    row = connection.execute(
+        "SELECT obj_description(oid, 'pg_namespace') FROM pg_namespace WHERE nspname = %s", (SCHEMA,)
+    ).fetchone()
+    if row is None or not row[0]:
+        return None
+    words = str(row[0]).split()
+    version = int(words[-1]) if words[:2] == ["heliocube", "archive"] and words[-1].isdecimal() else 0
+    if not 1 <= version <= VERSION:
+        raise ArchiveError(
+            f"the schema {SCHEMA} of this database is '{row[0]}', and this program knows version {VERSION}: update it,"
+            " or name another database"
+        )
+    return version
+
+
+def missing_columns(connection: "psycopg.Connection", name: str) -> list[Column]:
+    """Return what a table of an older archive has no column for."""
+    rows = connection.execute(
+        "SELECT column_name FROM information_schema.columns WHERE table_schema = %s AND table_name = %s", (SCHEMA, name)
+    )
+    there = {row[0] for row in rows}
+    return [column for column in COLUMNS_OF[name] if there and column.name not in there]
+
+
+def partitioned(connection: "psycopg.Connection") -> set[str]:
+    """Return the tables whose days are made here; what another engine divides, it divides itself."""
+    rows = connection.execute(
+        "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'", (SCHEMA,)
+    )
+    return {row[0] for row in rows}
+
+
+def make_days(connection: "psycopg.Connection", wanted: set[tuple[str, int]]) -> None:
+    """Make the parts of tables for days that have none.
+
+    Parameters
+    ----------
+    wanted
+        Tables, and days since 1970 [UTC].
+    """
+    with connection.transaction():
+        connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+        for name, day in sorted(wanted):
+            begin = datetime.fromtimestamp(day * 86400, UTC)
+            connection.execute(
+                f"CREATE TABLE IF NOT EXISTS {SCHEMA}.{part_name(name, day)} PARTITION OF {SCHEMA}.{name}"
+                f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
+            )
+
+
+def part_name(name: str, day: int) -> str:
+    """Return what the table of one kind and day is called, such as ``poses_20221014``."""
+    return f"{name}_{datetime.fromtimestamp(day * 86400, UTC):%Y%m%d}"

@@ -1,0 +1,230 @@
+"""Pages of records into the tables: binary, each record once, however often it comes."""
+
+import contextlib
+import os
+import socket
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError, connected, one_line
+from daemon.archive.tables import COLUMNS_OF, SCHEMA, TYPES, ensure, make_days, partitioned
+from daemon.store.batches import KINDS, Batch
+from daemon.store.store import Origin
+
+_DAY_S = 86400.0
+# Two services that send in turns are seen within this.
+_BOTH_ALIVE = "10 min"
+
+
+class PagesRefusedError(ArchiveError):
+    """The database does not take what is in the pages, or in one of them."""
+
+
+class SentPage(NamedTuple):
+    """A page and whose it is; `live` where it came over a broker."""
+
+    installation: str
+    batch: Batch
+    live: bool = True
+
+
+class Taken(NamedTuple):
+    """What came of pages: how many records were new, and who sends under one name, as sentences."""
+
+    added: int
+    rivals: list[str]
+
+
+class ArchiveWriter:
+    """One connection that writes, `prepare` first; not for several threads at once.
+
+    Parameters
+    ----------
+    address
+        Of the database.
+
+    Raises
+    ------
+    ArchiveError
+        It cannot be used as it is; `ArchiveAwayError` while it does not answer.
+    """
+
+    def __init__(self, address: ArchiveAddress) -> None:
+        self._address = address
+        self._runs: dict[tuple[str, str], int] = {}
+        self._days: set[tuple[str, int]] = set()
+        self._divided: set[str] = set()
+        self._connection = connected(address, "heliocube archive")
+        self._connection.autocommit = True
+
+    def prepare(self) -> None:
+        """Make the tables if they are not there; raises as the constructor does."""
+        with self._telling():
+            ensure(self._connection)
+            self._divided = partitioned(self._connection)
+            for name in KINDS:
+                self._connection.execute(f"CREATE TEMP TABLE new_{name} (LIKE {SCHEMA}.{name}) ON COMMIT DELETE ROWS")
+
+    def give_up(self) -> None:
+        """End from another thread a call that waits for a database that hangs; the call raises `ArchiveAwayError`."""
+        import psycopg  # noqa: PLC0415 - it is in an extra
+
+        with (
+            contextlib.suppress(OSError, psycopg.Error),
+            socket.socket(fileno=os.dup(self._connection.fileno())) as own,
+        ):
+            own.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._connection.close()
+
+    def take(self, pages: Sequence[SentPage]) -> Taken:
+        """Write pages in one transaction: when this returns, the database has them.
+
+        Raises
+        ------
+        ArchiveError
+            What the database does not let; nothing of the pages is in it then.
+        """
+        with self._telling():
+            self._make_days(pages)
+            known = dict(self._runs)
+            with self._connection.transaction():
+                runs = [self._run_of(page, known) for page in pages]
+                added = sum(self._insert(name, pages, runs) for name in KINDS)
+                self._advance(pages, runs)
+                rivals = self._rivals(pages, runs) if added else []
+            self._runs = known
+        return Taken(added, rivals)
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Turn what the database raises into a sentence."""
+        import psycopg  # noqa: PLC0415 - it is in an extra
+
+        try:
+            yield
+        except (psycopg.errors.InsufficientPrivilege, psycopg.errors.ReadOnlySqlTransaction) as error:
+            raise ArchiveError(
+                f"the database {self._address.url} does not let this user write: {one_line(error)}: make it the owner"
+                f" of the schema {SCHEMA}"
+            ) from None
+        except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+            raise ArchiveAwayError(f"the database {self._address.url} does not answer: {one_line(error)}") from None
+        except (psycopg.DataError, psycopg.IntegrityError) as error:
+            raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
+        except psycopg.Error as error:
+            raise ArchiveError(f"the database {self._address.url} refuses: {one_line(error)}") from None
+
+    def _make_days(self, pages: Sequence[SentPage]) -> None:
+        wanted = {
+            (name, int(row[1] // _DAY_S))
+            for page in pages
+            for name, rows in page.batch.rows.items()
+            if name in self._divided
+            for row in rows
+        } - self._days
+        if wanted:
+            make_days(self._connection, wanted)
+            self._days |= wanted
+
+    def _run_of(self, page: SentPage, known: dict[tuple[str, str], int]) -> int:
+        key = (page.installation, page.batch.origin.id)
+        if key not in known:
+            known[key] = self._new_run(page.installation, page.batch.origin)
+        return known[key]
+
+    def _new_run(self, installation: str, origin: Origin) -> int:
+        values = (
+            installation,
+            origin.id,
+            _instant(origin.started_utc_s),
+            origin.role,
+            origin.version,
+            origin.simulated,
+            origin.site,
+            origin.latitude_deg,
+            origin.longitude_deg,
+            origin.altitude_m,
+            origin.tracker,
+        )
+        row = self._connection.execute(
+            f"INSERT INTO {SCHEMA}.runs (installation, id, started, role, version, simulated, site, latitude_deg,"  # noqa: S608 - our own names
+            " longitude_deg, altitude_m, tracker) VALUES (%s, %s, %s, %s, %s, %s, %s, %s, %s, %s, %s)"
+            # An update that changes nothing returns the run that is there.
+            " ON CONFLICT (installation, id) DO UPDATE SET id = EXCLUDED.id RETURNING run",
+            values,
+        ).fetchone()
+        assert row is not None  # noqa: S101 - narrowing; this statement returns a row
+        return int(row[0])
+
+    def _insert(self, name: str, pages: Sequence[SentPage], runs: Sequence[int]) -> int:
+        columns = COLUMNS_OF[name]
+        times = [place + 1 for place, column in enumerate(columns) if column.holds == "time"]
+        rows = [(run, row) for run, page in zip(runs, pages, strict=True) for row in page.batch.rows.get(name, ())]
+        if not rows:
+            return 0
+        names = ", ".join(["run", "number", *(column.name for column in columns)])
+        with (
+            self._connection.cursor() as cursor,
+            cursor.copy(f"COPY new_{name} ({names}) FROM STDIN (FORMAT BINARY)") as copy,
+        ):
+            copy.set_types(["int4", "int8", *(TYPES[column.holds] for column in columns)])
+            for run, row in rows:
+                copy.write_row((run, *_with_instants(row, times)))
+        done = self._connection.execute(
+            f"INSERT INTO {SCHEMA}.{name} ({names}) SELECT {names} FROM new_{name} ON CONFLICT DO NOTHING"  # noqa: S608 - our own names
+        )
+        return done.rowcount
+
+    def _advance(self, pages: Sequence[SentPage], runs: Sequence[int]) -> None:
+        """Note how far each run is here; in the order of the runs, so that two writers do not wait for each other."""
+        ends: dict[int, int] = defaultdict(lambda: -1)
+        for run, page in zip(runs, pages, strict=True):
+            ends[run] = max(ends[run], page.batch.through)
+        live = {run for run, page in zip(runs, pages, strict=True) if page.live}
+        with self._connection.cursor() as cursor:
+            cursor.executemany(
+                f"UPDATE {SCHEMA}.runs SET through = GREATEST(through, %s),"  # noqa: S608 - our own names
+                " heard = CASE WHEN %s THEN now() ELSE heard END WHERE run = %s",
+                [(ends[run], run in live, run) for run in sorted(ends)],
+            )
+
+    def _rivals(self, pages: Sequence[SentPage], runs: Sequence[int]) -> list[str]:
+        """Return a sentence for each installation whose earlier run still sends what a later one has overtaken.
+
+        A service sends its runs one after the other: records of an earlier run, made after the start of a later one
+        that is heard too, come from another service.
+        """
+        latest = {run: page.batch.last_utc_s for run, page in zip(runs, pages, strict=True) if page.live}
+        if not latest:
+            return []
+        found = self._connection.execute(
+            "SELECT DISTINCT earlier.installation, earlier.site, later.site"  # noqa: S608 - our own names
+            " FROM unnest(%s::int4[], %s::timestamptz[]) AS sent (run, latest)"
+            f" JOIN {SCHEMA}.runs AS earlier USING (run)"
+            f" JOIN {SCHEMA}.runs AS later ON later.installation = earlier.installation AND later.run > earlier.run"
+            f" WHERE later.heard > now() - interval '{_BOTH_ALIVE}' AND later.started < sent.latest",
+            (list(latest), [_instant(latest_s) for latest_s in latest.values()]),
+        )
+        return [
+            f"two services send under the name {installation} (sites {site} and {other}): give one of them another"
+            " mqtt.name or mqtt.prefix; all their records are kept, as runs of one installation"
+            for installation, site, other in found
+        ]
+
+
+def _instant(utc_s: float) -> datetime:
+    return datetime.fromtimestamp(utc_s, UTC)
+
+
+def _with_instants(row: tuple[Any, ...], times: Sequence[int]) -> list[Any]:
+    values = list(row)
+    for place in times:
+        if values[place] is not None:
+            values[place] = datetime.fromtimestamp(values[place], UTC)
+    return values

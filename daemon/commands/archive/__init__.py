@@ -1,0 +1,1 @@
+"""`heliocube archive`: all records of many services in one PostgreSQL."""

@@ -1,0 +1,215 @@
+"""Every record of the store to an archive on the broker, kept here until the archive confirms that it has it."""
+
+import asyncio
+import json
+import logging
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from daemon.base.clock import Clock
+from daemon.base.errors import UserError
+from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.reconnect import Backoff
+from daemon.base.timeloop import wait_at_most
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.link import Link
+from daemon.mqtt.outbox import Message
+from daemon.mqtt.topics import Topics
+from daemon.service.rig import Role
+from daemon.store.batches import Batch, encoded, identified, next_batch
+from daemon.store.runs import StoredRun, runs_of
+from daemon.store.schema import FILE_NAME, open_for_reading
+
+log = logging.getLogger("heliocube.mqtt.archive")
+
+STATE_NAME = "archived.json"
+CUBE_STATE_NAME = "cube-archived.json"
+_FIRST_ANSWER_S = 10.0
+_LONGEST_ANSWER_S = 60.0
+_TROUBLE_AFTER_S = 600.0
+_SAVE_EVERY_S = 60.0
+# Runs before these that had nothing more to send do not come to life again.
+_ALIVE = 8
+
+
+class Archived(BaseModel):
+    """How far the archive has each run, by its identifier: the last number that it has confirmed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    through: dict[str, int] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    run: str
+    through: int
+    refused: str
+
+
+class ArchiveFeed:
+    """Sends page after page, each when the one before is confirmed; what is not confirmed is sent again.
+
+    The store is what waits: nothing is lost while a broker or an archive is away, as long as the store keeps its days.
+
+    Parameters
+    ----------
+    link, topics
+        The way out, and under which names.
+    directory, role
+        Of the store, which the processes of cube and tracker may share: each sends its own runs. How far the archive
+        has them is kept beside.
+    every_s
+        How often the store is looked into when all is confirmed, on the machine's clock.
+    keep_days
+        How long the store keeps what is not confirmed.
+    clock, random
+        The service's time; jitter of repetition.
+    speed
+        How many times as fast as the machine's the clock runs.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        topics: Topics,
+        directory: Path,
+        role: Role,
+        every_s: float,
+        keep_days: int,
+        clock: Clock,
+        random: Random,
+        speed: float,
+    ) -> None:
+        self._link = link
+        self._topic = topics.records
+        self._path = directory / FILE_NAME
+        self._of_cube = role is Role.CUBE
+        self._every_s = every_s * speed
+        self._keep_days = keep_days
+        self._clock = clock
+        self._speed = speed
+        self._backoff = Backoff(random, _FIRST_ANSWER_S, 2.0, _LONGEST_ANSWER_S)
+        name = CUBE_STATE_NAME if self._of_cube else STATE_NAME
+        folder = StateFolder(directory, behind=True)
+        self._file = StateFile(folder, name, Archived, log, "how far the archive has the records")
+        self._through: dict[str, int] = {}
+        self._finished: set[int] = set()
+        self._asked = ""
+        self._answer: _Answer | None = None
+        self._answered = asyncio.Event()
+        self._saved_s = clock.monotonic()
+        self._confirmed_s = clock.monotonic()
+        link.listen(topics.records_kept, self._take)
+
+    async def run(self) -> None:
+        """Send until cancelled."""
+        try:
+            self._through = (self._file.load() or Archived()).through
+        except UnreadableStateError as error:
+            log.warning("%s: the archive gets all records of the store again, and keeps each once", error)
+        try:
+            while True:
+                batch = await asyncio.to_thread(self._next)
+                if batch is None:
+                    self._confirmed_s = self._clock.monotonic()
+                    await asyncio.sleep(self._every_s)
+                else:
+                    await self._deliver(batch)
+        finally:
+            self._save()
+
+    def _next(self) -> Batch | None:
+        """Return the next page, of the oldest run first; a store that cannot be read has none now."""
+        if not self._path.is_file():
+            return None
+        try:
+            runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
+            with closing(open_for_reading(self._path)) as connection:
+                return self._page_of(connection, sorted(runs, key=lambda each: each.run))
+        except (UserError, sqlite3.Error) as error:
+            # The store's own outage is told by the store.
+            log.debug("nothing is sent to the archive: %s", error)
+            return None
+
+    def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun]) -> Batch | None:
+        origins = {run: identified(run, stored) for run, stored in runs}
+        self._through = {origin.id: self._through.get(origin.id, -1) for origin in origins.values()}
+        for place, (run, origin) in enumerate(origins.items()):
+            if run in self._finished:
+                continue
+            batch = next_batch(connection, run, origin, self._through[origin.id])
+            if batch is not None:
+                return batch
+            if place < len(runs) - _ALIVE:
+                self._finished.add(run)
+        return None
+
+    async def _deliver(self, batch: Batch) -> None:
+        """Send one page until it is confirmed."""
+        message = Message(self._topic, encoded(batch), 1)
+        self._asked, self._answer = batch.origin.id, None
+        self._backoff.reset()
+        while True:
+            self._answered.clear()
+            self._link.send_now(message)
+            await wait_at_most(self._answered, self._backoff.next_s() * self._speed)
+            if self._is_confirmed(batch):
+                return
+            self._complain()
+
+    def _is_confirmed(self, batch: Batch) -> bool:
+        answer, self._answer = self._answer, None
+        if answer is None:
+            return False
+        if answer.refused:
+            self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
+            return False
+        if answer.through < batch.through:
+            return False
+        self._confirmed(batch.origin.id, answer.through)
+        return True
+
+    def _confirmed(self, run: str, through: int) -> None:
+        self._through[run] = through
+        self._confirmed_s = now_s = self._clock.monotonic()
+        self._link.trouble("archive", None)
+        if now_s - self._saved_s >= _SAVE_EVERY_S:
+            self._save()
+
+    def _complain(self) -> None:
+        """Say that nothing is confirmed, once that has lasted."""
+        if self._clock.monotonic() - self._confirmed_s >= _TROUBLE_AFTER_S * self._speed and self._link.connected:
+            self._link.trouble(
+                "archive",
+                f"no archive confirms the records of {self._topic}: they wait in the store, which keeps"
+                f" {self._keep_days} days; see heliocube archive there",
+            )
+
+    def _save(self) -> None:
+        self._saved_s = self._clock.monotonic()
+        self._file.save(Archived(through=self._through))
+
+    def _take(self, message: Incoming) -> None:
+        if message.retained:
+            return
+        try:
+            answer = _read(json.loads(message.payload))
+        except (ValueError, KeyError, TypeError):
+            self._link.trouble("archive answer", f"what comes on {message.topic} is no answer of an archive")
+            return
+        self._link.trouble("archive answer", None)
+        if answer.run == self._asked:
+            self._answer = answer
+            self._answered.set()
+
+
+def _read(found: dict[str, Any]) -> _Answer:
+    refused = str(found.get("refused", ""))[:300]
+    return _Answer(str(found["run"]), -1 if refused else int(found["through"]), refused)

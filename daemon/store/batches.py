@@ -1,0 +1,223 @@
+"""Records of a store on their way to an archive: a page of one run at a time, as JSON.
+
+A record keeps the number that its store gave it; with the identifier of its run that is its key everywhere.
+"""
+
+import json
+import math
+import sqlite3
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+from uuid import NAMESPACE_URL, uuid5
+
+from daemon.store.schema import columns_of
+from daemon.store.store import Origin
+from daemon.store.tables import COLUMNS
+
+FORMAT = 1
+"""Of the message; a reader refuses another."""
+MOST_ROWS = 500
+"""Of one page: some 100 kB."""
+_MOST_ROWS_TAKEN = 5000
+_MOST_NUMBER = 1 << 53
+# 1970 to 2200: each day has tables of its own, and a clock that was never set begins in 1970.
+_FIRST_S, _END_S = 0.0, 7_258_118_400.0
+_COLUMNS = dict(COLUMNS.values())
+_ORIGIN = {field.name: field.type for field in fields(Origin)}
+KINDS = tuple(_COLUMNS)
+
+
+class BatchError(ValueError):
+    """A message is no page of records; one sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A page of one run's records.
+
+    Attributes
+    ----------
+    origin
+        The run; its `id` is never empty.
+    through
+        The page holds every record of the run that its store has, from the page before up to this number.
+    rows
+        By the name of the table: the number and then the values of its columns, None for what is not known.
+    """
+
+    origin: Origin
+    through: int
+    rows: dict[str, list[tuple[Any, ...]]]
+
+    @property
+    def count(self) -> int:
+        """How many records it holds."""
+        return sum(map(len, self.rows.values()))
+
+    @property
+    def last_utc_s(self) -> float:
+        """The latest time of its records [s UTC]."""
+        return max((row[1] for rows in self.rows.values() for row in rows), default=-math.inf)
+
+
+def identified(run: int, origin: Origin) -> Origin:
+    """Return a run's origin with an identifier; one of before there were any gets the same at each call."""
+    if origin.id:
+        return origin
+    known = "/".join(str(value) for value in (run, *asdict(origin).values()))
+    return Origin(**(asdict(origin) | {"id": uuid5(NAMESPACE_URL, known).hex}))
+
+
+def next_batch(
+    connection: sqlite3.Connection, run: int, origin: Origin, after: int, most: int = MOST_ROWS
+) -> Batch | None:
+    """Return the records of a run that follow a number, in the order of their numbers; None where there are none yet.
+
+    Parameters
+    ----------
+    connection
+        To the store, for reading.
+    run, origin
+        Of `runs_of`.
+    after
+        The number of the last record that is not wanted any more, -1 for none.
+    """
+    found: list[tuple[int, str, tuple[Any, ...]]] = []
+    for name, columns in _COLUMNS.items():
+        there = columns_of(connection, name)
+        if there:
+            wanted = ", ".join(column.name if column.name in there else "NULL" for column in columns)
+            query = f"SELECT number, {wanted} FROM {name} WHERE run = ? AND number > ? ORDER BY number LIMIT ?"  # noqa: S608 - our own names
+            found += [(row[0], name, row) for row in connection.execute(query, (run, after, most))]
+    if not found:
+        return None
+    found.sort(key=lambda item: item[0])
+    page = found[:most]
+    rows: dict[str, list[tuple[Any, ...]]] = {}
+    for _, name, row in page:
+        rows.setdefault(name, []).append(row)
+    return Batch(identified(run, origin), page[-1][0], rows)
+
+
+def encoded(batch: Batch) -> bytes:
+    """Return a page as the JSON of a message."""
+    kinds = {
+        name: {"columns": ["number", *(column.name for column in _COLUMNS[name])], "rows": rows}
+        for name, rows in batch.rows.items()
+    }
+    page = {"format": FORMAT, "run": asdict(batch.origin), "through": batch.through, "records": kinds}
+    return json.dumps(page, separators=(",", ":")).encode()
+
+
+def decoded(payload: bytes) -> Batch:
+    """Return the page of a message.
+
+    What stands there is judged column by column, since whoever may write to the broker may have written it. A number
+    that is none is not known, and so is a column that the message does not have; one that this program does not know is
+    left out.
+
+    Raises
+    ------
+    BatchError
+        It is none.
+    """
+    try:
+        page = json.loads(payload)
+        _check_format(page["format"])
+        origin = _origin(page["run"])
+        rows = {name: _rows(name, **table) for name, table in page["records"].items() if name in _COLUMNS}
+        through = _whole(page["through"])
+    except BatchError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise BatchError(f"it is no page of records ({type(error).__name__}: {error})") from None
+    batch = Batch(origin, through, rows)
+    if batch.count > _MOST_ROWS_TAKEN:
+        raise BatchError(f"it has {batch.count} records, and {_MOST_ROWS_TAKEN} are the most")
+    if any(row[0] > through for table in rows.values() for row in table):
+        raise BatchError("it has records behind its own end")
+    return batch
+
+
+def _check_format(found: Any) -> None:
+    if found != FORMAT:
+        raise BatchError(f"it is of format {ascii(found)[:20]}, and this program reads format {FORMAT}: update it")
+
+
+def _origin(found: dict[str, Any]) -> Origin:
+    values = {name: _ORIGINS[kind](found[name]) for name, kind in _ORIGIN.items()}
+    origin = Origin(**values)
+    if not 16 <= len(origin.id) <= 64 or not origin.id.isalnum():
+        raise BatchError("its run has no identifier")
+    if not all(
+        map(math.isfinite, (origin.started_utc_s, origin.latitude_deg, origin.longitude_deg, origin.altitude_m))
+    ):
+        raise BatchError("its run has no place or no start")
+    return origin
+
+
+def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[Any, ...]]:
+    places = {column: place for place, column in enumerate(columns)}
+    number = places["number"]
+    chosen = [(places.get(column.name), _VALUES[column.holds]) for column in _COLUMNS[name]]
+    found = []
+    for row in rows:
+        values = [None if place is None else value(row[place]) for place, value in chosen]
+        if values[0] is None:
+            raise BatchError("a record has no time from 1970 to 2200")
+        found.append((_whole(row[number]), *values))
+    return found
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int or not 0 <= value < _MOST_NUMBER:
+        raise BatchError(f"{ascii(value)[:40]} is no number of a record")
+    return value
+
+
+def _float(value: Any) -> float | None:
+    if value is None or type(value) not in (float, int):
+        _check_nothing(value, "number")
+        return None
+    return float(value) if math.isfinite(value) else None
+
+
+def _time(value: Any) -> float | None:
+    found = _float(value)
+    return found if found is not None and _FIRST_S <= found < _END_S else None
+
+
+def _int(value: Any) -> int | None:
+    if type(value) not in (int, bool):
+        _check_nothing(value, "whole number")
+        return None
+    return int(value) if -_MOST_NUMBER < value < _MOST_NUMBER else None
+
+
+def _bool(value: Any) -> bool | None:
+    if type(value) not in (int, bool):
+        _check_nothing(value, "truth")
+        return None
+    return bool(value)
+
+
+def _text(value: Any) -> str | None:
+    if not isinstance(value, str):
+        _check_nothing(value, "text")
+        return None
+    # PostgreSQL has no place for the letter 0.
+    return value.replace("\0", "")
+
+
+def _check_nothing(value: Any, what: str) -> None:
+    if value is not None:
+        raise BatchError(f"{ascii(value)[:40]} is no {what}")
+
+
+_VALUES: dict[str, Callable[[Any], Any]] = {"time": _time, "float": _float, "int": _int, "bool": _bool, "text": _text}
+_ORIGINS: dict[Any, Callable[[Any], Any]] = {
+    float: lambda value: math.nan if (found := _float(value)) is None else found,
+    bool: lambda value: bool(_bool(value)),
+    str: lambda value: _text(value) or "",
+}

@@ -1,0 +1,176 @@
+"""Services, a broker and a database, each of which may be killed, restarted or hung: every record is there once."""
+
+import asyncio
+import contextlib
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from daemon.archive.address import ArchiveAwayError, parse_archive
+from daemon.archive.writer import ArchiveWriter, SentPage
+from tests.support.archive import Sender, archived, batch_of, event, origin, pose, pose_row, scan
+from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
+
+pytestmark = needs_mosquitto
+
+
+@pytest.fixture
+def start_archive(tmp_path, database):
+    """Start `heliocube archive` as a process; returns it, and its log in the folder."""
+    started = []
+
+    def start(port, *arguments):
+        path = tmp_path / "archive.toml"
+        path.write_text(f"[mqtt]\nport = {port}\nkeepalive_s = 2\n[archive]\ndatabase = '{database}'\n")
+        command = [sys.executable, "-m", "daemon.commands.main", "archive", "--config", path, *arguments]
+        with (tmp_path / "archive.log").open("a") as log:
+            started.append(subprocess.Popen(command, stdout=log, stderr=log))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def running(scenario):
+    """Run a scenario on the loop that makes the senders' waits short."""
+    from daemon.base.timeloop import ScaledTimeLoop  # noqa: PLC0415
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
+        runner.run(scenario())
+
+
+async def all_kept(postgres, database, *senders):
+    """Wait until the archive has all that the stores have, and see that it has each record once."""
+    for sender in senders:
+        await until(lambda sender=sender: sender.store.status.waiting == 0, "a store with all records")
+        wanted = sorted(sender.rows())
+        found = []
+        for _ in range(600):
+            with contextlib.suppress(Exception):
+                found = sorted(archived(postgres, database, sender.installation))
+            if len(found) >= len(wanted):
+                break
+            await asyncio.sleep(0.1 * SPEED)
+        assert found == wanted
+
+
+def test_every_record_is_there_once_whoever_is_killed_or_hangs(postgres, database, broker, tmp_path, start_archive):
+    async def scenario():
+        first, second = start_archive(broker.port), start_archive(broker.port)
+        senders = [Sender(tmp_path / name, broker.port, name, speed=SPEED) for name in ("roof", "field")]
+        count = 0
+
+        def more():
+            nonlocal count
+            for sender in senders:
+                sender.keep(*(pose(count + n) for n in range(700)), scan(count), event(count, "a\0b 'x' \\ ü"))
+            count += 700
+
+        async with senders[0].sending(), senders[1].sending():
+            more()
+            await all_kept(postgres, database, *senders)
+            broker.kill()
+            first.kill()
+            more()
+            broker.start()
+            await all_kept(postgres, database, *senders)
+            more()
+            postgres.kill()
+            more()
+            await asyncio.sleep(SPEED)
+            postgres.start()
+            await all_kept(postgres, database, *senders)
+            postgres.hang()
+            more()
+            await asyncio.sleep(SPEED)
+            second.send_signal(signal.SIGSTOP)
+            broker.hang()
+            postgres.go_on()
+            more()
+            await asyncio.sleep(SPEED)
+            second.send_signal(signal.SIGCONT)
+            broker.go_on()
+            await all_kept(postgres, database, *senders)
+        for sender in senders:
+            sender.store.close()
+
+    running(scenario)
+
+
+def test_two_services_under_one_name_are_told_and_both_kept_and_what_is_no_page_is_refused(
+    postgres, database, broker, tmp_path, start_archive
+):
+    async def scenario():
+        start_archive(broker.port)
+        early, late = (
+            Sender(tmp_path / site, broker.port, "roof", run=origin(site=site), speed=SPEED) for site in ("one", "two")
+        )
+        early.keep(pose(0))
+        async with observer(broker.port) as lab, early.sending(), late.sending():
+            await until_kept(lab, early)
+            late.keep(pose(5))
+            await until_kept(lab, late)
+            early.keep(pose(10))
+            await until_kept(lab, early)
+            kept = {row[0] for row in archived(postgres, database, "lab/roof")}
+            assert kept == {early.origin.id, late.origin.id}
+            log = (tmp_path / "archive.log").read_text()
+            assert "two services send under the name lab/roof (sites one and two): give one of them another" in log
+            await lab.say("lab/roof/records", {"format": 9, "run": {"id": "x" * 32}})
+            refusal = await lab.until("lab/roof/records/kept", lambda found: "refused" in found)
+            assert refusal == {
+                "run": "x" * 32,
+                "refused": "it is of format 9, and this program reads format 1: update it",
+            }
+            await lab.say("lab/roof/records", b"\xff")
+            late.keep(pose(11))
+            await until_kept(lab, late)
+        for sender in (early, late):
+            sender.store.close()
+
+    running(scenario)
+
+
+async def until_kept(lab, sender):
+    """Wait until the archive has confirmed the newest record of a service."""
+    await until(lambda: sender.store.status.waiting == 0, "a store with all records")
+    newest = max(number for _, _, number, _ in sender.rows())
+    await lab.until(
+        f"{sender.installation}/records/kept",
+        lambda found: found["run"] == sender.origin.id and found.get("through") == newest,
+    )
+
+
+def test_a_wait_for_a_database_that_hangs_can_be_ended(postgres, database):
+    writer = ArchiveWriter(parse_archive(database))
+    writer.prepare()
+    page = SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))
+    assert writer.take([page, page]).added == 1
+    postgres.hang()
+    try:
+        timer = threading.Timer(0.3, writer.give_up)
+        timer.start()
+        with pytest.raises(ArchiveAwayError, match="does not answer"):
+            writer.take([page])
+    finally:
+        postgres.go_on()
+        timer.join()
+        writer.close()
+
+
+def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube):
+    postgres.sql("DROP ROLE IF EXISTS guest")
+    postgres.sql("CREATE ROLE guest LOGIN")
+    code, _, err = heliocube("archive", "--to", database.replace("archive@", "guest@"))
+    assert code == 2
+    assert err == (
+        "heliocube: this user may not make the archive's tables (permission denied for database"
+        f" {database.rpartition('/')[2]}): make it the owner of the database, or grant it CREATE on it\n"
+    )
+    code, _, err = heliocube("archive", "--to", database + "x")
+    assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)

@@ -1,0 +1,100 @@
+"""A PostgreSQL in a process of its own, which a test may kill, hang and start again; skipped where there is none."""
+
+import contextlib
+import os
+import pwd
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+_FOUND = [Path(found) for found in [shutil.which("initdb")] if found]
+_FOUND += sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)
+BINARIES = _FOUND[0].resolve().parent if _FOUND else None
+WITHOUT_POSTGRES = "PostgreSQL is not here (Debian: postgresql): the tests of the archive are left out"
+OWNER = "archive"
+# The server refuses to be root's.
+_USER = "nobody" if os.geteuid() == 0 else None
+
+
+class Postgres:
+    """One server on a loopback port of its own, whose folder is as short-lived as the tests."""
+
+    def __init__(self):
+        self.folder = Path(tempfile.mkdtemp(prefix="heliocube-pg-"))
+        if _USER is not None:
+            entry = pwd.getpwnam(_USER)
+            os.chown(self.folder, entry.pw_uid, entry.pw_gid)
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self._data = self.folder / "data"
+        self._run("initdb", "-D", self._data, "-U", OWNER, "-A", "trust", "-N", "-E", "UTF8", "--locale", "C")
+        # Who starts the server again after each death is one process for all tests, of which none is left with a child.
+        options = {"listen_addresses": "127.0.0.1", "port": self.port, "unix_socket_directories": self.folder}
+        # A test's database outlives its own death, and need not outlive the machine's.
+        options |= {"fsync": "off", "shared_buffers": "16MB", "max_connections": 20, "autovacuum": "off"}
+        words = [str(BINARIES / "postgres"), "-D", str(self._data)]
+        words += [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
+        loop = f"while [ ! -e end ]; do [ -e down ] || {shlex.join(words)}; sleep 0.1; done"
+        with (self.folder / "log").open("a") as log:
+            self._keeper = subprocess.Popen(["sh", "-c", loop], user=_USER, cwd=self.folder, stdout=log, stderr=log)
+        self.start()
+
+    def _run(self, program, *arguments):
+        done = subprocess.run(
+            [BINARIES / program, *arguments], user=_USER, cwd=self.folder, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+    def start(self):
+        """Start, and return when it answers."""
+        (self.folder / "down").unlink(missing_ok=True)
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            with contextlib.suppress(Exception):
+                self.sql("SELECT 1")
+                return
+            time.sleep(0.05)
+        raise AssertionError((self.folder / "log").read_text())
+
+    def url(self, database="postgres", user=OWNER):
+        return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
+
+    def sql(self, statement, database="postgres", user=OWNER):
+        """Run a statement as psql would; return its rows."""
+        import psycopg  # noqa: PLC0415 - in an extra
+
+        with psycopg.connect(self.url(database, user), autocommit=True, connect_timeout=5) as connection:
+            cursor = connection.execute(statement)
+            return cursor.fetchall() if cursor.description else []
+
+    def _signal(self, number):
+        """To the server and to all that it has started, which are groups of their own."""
+        pid = int((self._data / "postmaster.pid").read_text().split()[0])
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        for each in (pid, *map(int, children)):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(each, number)
+
+    def kill(self):
+        """End it without a word; it is away until `start`."""
+        (self.folder / "down").touch()
+        self._signal(signal.SIGKILL)
+
+    def hang(self):
+        self._signal(signal.SIGSTOP)
+
+    def go_on(self):
+        self._signal(signal.SIGCONT)
+
+    def close(self):
+        (self.folder / "end").touch()
+        with contextlib.suppress(OSError):
+            self._signal(signal.SIGKILL)
+        self._keeper.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
