@@ -196,6 +196,8 @@ class Harvest:
 
 
 Steer = Callable[[int, Array, Array], tuple[Array, Array]]
+Taken = Callable[[Array, Array], Array]
+"""Irradiance [W/m2] that something takes from planes at angles [deg], one for each instant: all of shape (n,)."""
 
 
 def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
@@ -204,7 +206,9 @@ def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
     return lambda _step, _a, _b: (np.zeros(days), np.full(days, 90.0 - tilt_deg))
 
 
-def harvest(weather: DaylightWeather, light: Shining, albedo: float, drive: Drive, steer: Steer) -> Harvest:
+def harvest(
+    weather: DaylightWeather, light: Shining, albedo: float, drive: Drive, steer: Steer, taken: Taken | None = None
+) -> Harvest:
     """Drive a tracker through every day at once and add up what its plane receives.
 
     Parameters
@@ -215,6 +219,8 @@ def harvest(weather: DaylightWeather, light: Shining, albedo: float, drive: Driv
         The tracker.
     steer
         Called before each step with its number and the target poses [deg], shape (days,); returns new ones.
+    taken
+        What the plane does not receive of that light, such as what neighbours shade; None for nothing.
     """
     steps, days = weather.shape
     a, b = np.full(days, _NIGHT_A_DEG), np.full(days, _NIGHT_B_DEG)
@@ -240,5 +246,7 @@ def harvest(weather: DaylightWeather, light: Shining, albedo: float, drive: Driv
     for sample in range(drive.samples):
         a_deg, b_deg = poses[:, sample, weather.step, weather.day]
         received += light.irradiance_on(normal_from_angles(a_deg, b_deg), albedo) / drive.samples
+        if taken is not None:
+            received -= taken(a_deg, b_deg) / drive.samples
     back = np.abs(a - _NIGHT_A_DEG) + np.abs(b - _NIGHT_B_DEG)
     return Harvest(weather.by_day(received), travel, moves, back)

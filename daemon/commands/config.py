@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.links import MqttSettings, SunspecSettings
+    from daemon.config.sections import RowsSettings
     from daemon.config.settings import Settings
 
 KEY_NAME = "bridge.key"
@@ -220,6 +221,7 @@ def _summary(settings: "Settings") -> dict[str, str]:
         "law": f"{settings.law.driver}: mean of {settings.windows.mean_s:g} s, decided every"
         f" {settings.windows.decide_every_s:g} s",
         "limits": str(settings.limits.limits()),
+        **({"rows": _group(settings.rows)} if settings.rows.east_m else {}),
         "safety": f"wind from {safety.stow_wind_m_s:g} m/s stows at A {safety.stow_a_deg:g} deg,"
         f" B {safety.stow_b_deg:g} deg; fallback after {safety.fallback_after_s:g} s without readings",
         "bridge": f"listens on {bridge.listen}, sends to {', '.join(targets) or 'nobody'}; {signed}",
@@ -229,6 +231,11 @@ def _summary(settings: "Settings") -> dict[str, str]:
         **({"trackers": ", ".join(table.name for table in settings.tracker)} if settings.tracker else {}),
         "store": "none, the rig is simulated" if settings.store.directory is None else str(settings.store.directory),
     }
+
+
+def _group(rows: "RowsSettings") -> str:
+    size = f"{rows.module_width_m:g} by {rows.module_height_m:g} m"
+    return f"{len(rows.east_m)} trackers with modules of {size} turn back together from each other's shade"
 
 
 def _sunspec(sunspec: "SunspecSettings") -> str:

@@ -239,7 +239,7 @@ def _checked(
             sections[name] = kind.model_validate(_without(given, name, found.keys(), chosen))
     settings = Settings.model_construct(**sections)
     problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
-    wrong = {key for problem in problems for key in (problem.key, problem.meant) if key}
+    wrong = {key.partition("[")[0] for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in rules.conflicts(settings):
         if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
             shown = keys.shown(_value_of(settings, conflict.key))

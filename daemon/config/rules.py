@@ -1,8 +1,11 @@
 """Rules between keys. Each is a function of the settings whose docstring is its sentence in the reference."""
 
 import ipaddress
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
+
+import numpy as np
 
 from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
@@ -177,6 +180,43 @@ def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
 
 
+def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:
+    """All lists of `rows` name the same trackers, two or more, and the size of their modules stands with them."""
+    rows = settings.rows
+    count = len(rows.east_m)
+    for name in ("north_m", "up_m"):
+        own = len(getattr(rows, name))
+        if own != count and (own or name == "north_m"):
+            reason = f"names {own} trackers and rows.east_m {count}; they say where the same ones stand"
+            yield Conflict(f"rows.{name}", reason, ("rows.east_m",))
+    if count == 1:
+        yield Conflict("rows.east_m", "names one tracker; a group has two or more, and one alone needs no [rows]")
+    for name in ("module_width_m", "module_height_m"):
+        if count and getattr(rows, name) is None:
+            yield Conflict("rows.east_m", f"needs rows.{name}, the size of the modules", (f"rows.{name}",))
+
+
+def trackers_of_a_group_stand_apart(settings: Sections) -> Iterator[Conflict]:
+    """No two modules of `rows` can touch: trackers stand further apart than the module's diagonal."""
+    rows = settings.rows
+    if rows.module_width_m is None or rows.module_height_m is None:
+        return
+    places = np.array(rows.positions_m).reshape(-1, 3)
+    diagonal_m = math.hypot(rows.module_width_m, rows.module_height_m)
+    # One by one, for all pairs at once would be large; the first that stand too near are told.
+    for number, place in enumerate(places[1:], 2):
+        apart_m = np.linalg.norm(places[: number - 1] - place, axis=-1)
+        other = int(np.argmin(apart_m))
+        if apart_m[other] < diagonal_m:
+            reason = (
+                f"puts the trackers {other + 1} and {number} {apart_m[other]:.3g} m apart, where modules of"
+                f" {diagonal_m:.3g} m from corner to corner can collide"
+            )
+            names = ("north_m", "up_m", "module_width_m", "module_height_m")
+            yield Conflict("rows.east_m", reason, tuple(f"rows.{name}" for name in names))
+            return
+
+
 def staleness_spans_two_scans(settings: Sections) -> Iterator[Conflict]:
     """`safety.scan_stale_s` is at least twice `cube.scan_every_s`, so that one lost scan is no alarm."""
     scan_s = settings.cube.scan_every_s
@@ -298,6 +338,8 @@ RULES = (
     *_OF_MULTIPLEXED,
     the_faces_can_be_told_apart,
     windows_hold_scans,
+    a_group_is_whole,
+    trackers_of_a_group_stand_apart,
     limits_are_ordered,
     positions_are_inside_limits,
     staleness_spans_two_scans,

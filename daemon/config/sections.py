@@ -3,6 +3,8 @@
 The descriptions here are the only ones: the commented file, the reference and the error messages are made from them.
 """
 
+from functools import lru_cache
+from itertools import repeat
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, ValidationInfo, field_validator
@@ -25,10 +27,13 @@ from drivers.settings import LoadSettings, Positive, with_defaults
 from solar.ephemeris import Site
 from solar.frames import Limits
 from solar.laws.law import LawSettings
+from solar.rows.group import TrackerGroup
 
 Azimuth = Annotated[float, Field(ge=0, lt=360)]
 Channel = Annotated[int, Field(ge=0, le=15)]
 WindSpeed = Annotated[float, Field(gt=0, le=40)]
+Place = Annotated[float, Field(ge=-100000, le=100000)]
+Edge = Annotated[float, Field(gt=0, le=100)]
 
 
 class SiteSettings(Section):
@@ -143,6 +148,73 @@ class LimitSettings(Section):
         return Limits(self.a_min_deg, self.a_max_deg, self.b_min_deg, self.b_max_deg)
 
 
+class RowsSettings(Section):
+    """The trackers that may shade each other, this one among them. Without positions there is none to think of.
+
+    Every tracker of the group gets the same section: all are taken to stand in one pose, and turn back together.
+    """
+
+    east_m: tuple[Place, ...] = Field(
+        (),
+        strict=False,
+        max_length=1000,
+        description="How far east of one point the middle of each tracker's module is, such as [0, 5, 10].",
+    )
+    north_m: tuple[Place, ...] = Field(
+        (), strict=False, max_length=1000, description="How far north of it, in the same order."
+    )
+    up_m: tuple[Place, ...] = Field(
+        (), strict=False, max_length=1000, description="How far above it; empty where the ground is level."
+    )
+    module_width_m: Edge | None = Field(
+        None, examples=[2.0], description="Edge of the module that lies east to west when it is flat."
+    )
+    module_height_m: Edge | None = Field(
+        None, examples=[1.2], description="The other edge, north to south when it is flat."
+    )
+    bypass_groups: int = Field(
+        3,
+        ge=0,
+        le=100,
+        description="Groups of cells with a bypass diode each, side by side across the width: shade on one takes all"
+        " of its power. 0 counts the shaded area alone.",
+    )
+    turn_back: Literal["if-it-pays", "always"] = Field(
+        "if-it-pays",
+        description="When laws other than optimal, which weighs the shade itself, turn out of it: where all together"
+        " get more beam by that, or always.",
+    )
+
+    @property
+    def positions_m(self) -> list[tuple[float, float, float]]:
+        """East, north and up of each tracker [m], as far as the lists go together."""
+        return list(zip(self.east_m, self.north_m, self.up_m or repeat(0.0), strict=False))
+
+    def group(self, latitude_deg: float) -> TrackerGroup | None:
+        """Return the group as the science knows it; None where there is none."""
+        if not self.east_m or self.module_width_m is None or self.module_height_m is None:
+            return None
+        size_m = (self.module_width_m, self.module_height_m)
+        pays = self.turn_back == "if-it-pays"
+        return _group(self.east_m, self.north_m, self.up_m, size_m, latitude_deg, self.bypass_groups, pays)
+
+
+@lru_cache(maxsize=8)
+def _group(
+    east_m: tuple[float, ...],
+    north_m: tuple[float, ...],
+    up_m: tuple[float, ...],
+    size_m: tuple[float, float],
+    latitude_deg: float,
+    bypass_groups: int,
+    only_if_it_pays: bool,
+) -> TrackerGroup:
+    """Build a group once for all trackers that are of it: hundreds would take long to lay out for each."""
+    return TrackerGroup.on_map(
+        east_m, north_m, up_m, size_m, latitude_deg, bypass_groups, only_if_it_pays=only_if_it_pays
+    )
+
+
 class MotionSettings(Section):
     """When a move is worth it, and what counts as having arrived."""
 
@@ -212,6 +284,7 @@ class Sections(Section):
     law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.settle)] = Field(default_factory=LAW.defaults)
     windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()
+    rows: RowsSettings = RowsSettings()
     motion: MotionSettings = MotionSettings()
     safety: SafetySettings = SafetySettings()
     bridge: BridgeSettings = BridgeSettings()

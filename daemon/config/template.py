@@ -24,6 +24,7 @@ _NOT_READ = {
         "law",
         "windows",
         "limits",
+        "rows",
         "motion",
         "safety",
         "mqtt.wind",
@@ -41,7 +42,7 @@ _TRACKERS = """\
 
 Several trackers in one process. Without such a table there is one, with the sections above as they are; with them
 there is one for each table, in the table's name, and the sections above hold for each but for what its table says
-differently: `site`, `law`, `windows`, `limits`, `motion`, `safety`, `load`, and `positioner` for
+differently: `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `load`, and `positioner` for
 `instruments.positioner`. The same rules hold for the outcome, and no two real trackers share a port. What a tracker
 keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name. What a
 tracker without a table has kept there holds for those that get one, until a person releases it: nothing that was

@@ -184,6 +184,7 @@ def build_pointing(settings: Settings, utc_s: float, folder: StateFolder) -> Poi
         decide_every_s=settings.windows.decide_every_s,
         utc_s=utc_s,
         kept=file.load(),
+        group=settings.rows.group(settings.site.latitude_deg),
     )
     fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
     return Pointing(

@@ -8,6 +8,8 @@ from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import or_stay
 from solar.laws.words import place
+from solar.rows.backtrack import turned_back
+from solar.rows.group import TrackerGroup
 
 
 class ChronometricSettings(LawSettings):
@@ -41,7 +43,16 @@ SETTINGS = ChronometricSettings
 build = ChronometricLaw
 
 
-def steer(_settings: ChronometricSettings, weather: DaylightWeather, _faces: Array, limits: Limits) -> Steer:
-    """Follow the sun itself, at every step."""
-    a_deg, b_deg = angles_within(weather.gridded(weather.sun, np.nan), limits)
+def steer(
+    _settings: ChronometricSettings,
+    weather: DaylightWeather,
+    _faces: Array,
+    limits: Limits,
+    group: TrackerGroup | None = None,
+) -> Steer:
+    """Follow the sun itself, at every step, and out of the shade of a group's neighbours."""
+    sun = weather.gridded(weather.sun, np.nan)
+    a_deg, b_deg = angles_within(sun, limits)
+    if group is not None:
+        a_deg, b_deg = turned_back(group, sun, a_deg, b_deg, limits)
     return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)

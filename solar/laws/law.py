@@ -21,6 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from solar.ephemeris import Site, SunPosition, sun_position
 from solar.frames import Angles, Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
+from solar.laws.words import out_of_shade_by
+from solar.rows.backtrack import turned_back
+from solar.rows.group import TrackerGroup
 
 Faces = tuple[float, float, float, float]
 """Irradiances of the faces east, south, west and zenith [W/m2]; NaN where there is none."""
@@ -55,6 +58,8 @@ class TrackerFacts:
         Now.
     kept
         What :meth:`Law.to_dict` of an earlier run gave, or None.
+    group
+        The tracker and the neighbours that may shade it; None for a tracker that stands alone.
     """
 
     site: Site
@@ -63,6 +68,7 @@ class TrackerFacts:
     decide_every_s: float
     utc_s: float
     kept: Mapping[str, Any] | None = None
+    group: TrackerGroup | None = None
 
 
 class Reading(NamedTuple):
@@ -158,6 +164,7 @@ class Law(ABC):
     def __init__(self, tracker: TrackerFacts) -> None:
         self.site = tracker.site
         self.limits = tracker.limits
+        self.group = tracker.group
         self.decide_every_s = tracker.decide_every_s
 
     @abstractmethod
@@ -210,7 +217,7 @@ class Law(ABC):
 
 
 class DirectionLaw(Law):
-    """A law that says a direction and leaves it to the limits to make angles of it."""
+    """A law that says a direction and leaves it to limits and neighbours to make angles of it."""
 
     @abstractmethod
     def direction(self, now: Moment, to_sun: Array) -> Array:
@@ -221,21 +228,30 @@ class DirectionLaw(Law):
         return ""
 
     def aim(self, now: Moment) -> Aim:
-        """Return the angles that are closest to the direction."""
+        """Return the angles that are closest to the direction, and out of the neighbours' shade."""
         sun = self.sun(now.utc_s)
-        direction = self.direction(now, direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self.site[0]))
+        to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self.site[0])
+        direction = self.direction(now, to_sun)
         if not np.isfinite(direction).all():
             return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=sun, target=None, why="has no direction")
         a_deg, b_deg = angles_within(direction, self.limits)
         azimuth, elevation = map(float, azimuth_from_direction(direction, self.site[0]))
-        target = Angles(float(a_deg), float(b_deg))
+        wanted = Angles(float(a_deg), float(b_deg))
+        target = self._out_of_shade(wanted, to_sun) if now.sun_known else wanted
+        reason = self.reason(azimuth, elevation)
         return Aim(
             azimuth_deg=azimuth,
             elevation_deg=elevation,
             sun=sun,
             target=target,
-            why=self.reason(azimuth, elevation),
+            why=reason if target == wanted else out_of_shade_by(wanted, target, reason),
         )
+
+    def _out_of_shade(self, wanted: Angles, to_sun: Array) -> Angles:
+        if self.group is None:
+            return wanted
+        a_deg, b_deg = turned_back(self.group, to_sun, *wanted, self.limits)
+        return Angles(float(a_deg), float(b_deg))
 
 
 NO_DIRECTION = np.full(3, np.nan)

@@ -8,6 +8,7 @@ from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.steer import by_the_mean
 from solar.laws.words import towards_light
+from solar.rows.group import TrackerGroup
 
 
 class MuPrimeSettings(LawSettings):
@@ -49,8 +50,16 @@ SETTINGS = MuPrimeSettings
 build = MuPrimeLaw
 
 
-def steer(settings: MuPrimeSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
-    """Run the law on many days at once, in the paper's rhythm."""
-    return by_the_mean(
-        weather, faces, limits, lambda mean: paper.mu_prime(mean, uniform_threshold=settings.uniform_threshold)
-    )
+def steer(
+    settings: MuPrimeSettings,
+    weather: DaylightWeather,
+    faces: Array,
+    limits: Limits,
+    group: TrackerGroup | None = None,
+) -> Steer:
+    """Run the law on many days at once, in the paper's rhythm, and out of the shade of a group's neighbours."""
+
+    def direction(mean: Array) -> Array:
+        return paper.mu_prime(mean, uniform_threshold=settings.uniform_threshold)
+
+    return by_the_mean(weather, faces, limits, direction, group=group)

@@ -6,7 +6,8 @@ steady, near the slow one while it varies, for a beam that comes and goes is wor
 expected light best is known in closed form, with the sun where it will be halfway through the rest that follows. The
 tracker moves there when the expected gain [W/m2] exceeds the price of the move, and not otherwise: many times an hour
 under broken clouds, hardly ever under an even sky. As the day's budget of moves and degrees is used up faster than
-the daylight, the price rises; the budget itself is never exceeded.
+the daylight, the price rises; the budget itself is never exceeded. Among neighbours the best pose is the one that
+collects most with their shade in it (:mod:`solar.laws.in_rows`).
 
 Everything is an array of one shape: () for one tracker, (n,) for n days or sites at once.
 """
@@ -18,8 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array, Limits, angles_within
+from solar.laws.in_rows import best_among, taken_by_neighbours
 from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces
 from solar.laws.site import Learned, SiteLearning
+from solar.rows.group import TrackerGroup
 
 Flags = NDArray[np.bool_]
 
@@ -134,6 +137,8 @@ class OptimalLaw:
         Of every array that goes in and comes out.
     learned
         Albedo and gains to begin with, from :meth:`SiteLearning.learned` of an earlier run or the default.
+    group
+        The tracker and the neighbours that it shares the beam with; None for a tracker alone.
 
     Attributes
     ----------
@@ -149,8 +154,10 @@ class OptimalLaw:
         limits: Limits,
         shape: tuple[int, ...] = (),
         learned: Learned | None = None,
+        group: TrackerGroup | None = None,
     ) -> None:
         self._settings = settings
+        self._group = group
         self._limits = limits
         self._shape = shape
         self.site = SiteLearning(shape, learned)
@@ -241,8 +248,14 @@ class OptimalLaw:
         # Without faces the sun is followed, at the price of a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
         best_a, best_b = angles_within(vector, self._limits)
+        shade_w_m2 = np.zeros(self._shape)
+        if self._group is not None:
+            beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)
+            best_a, best_b = best_among(self._group, vector, beam, sun, (best_a, best_b), self._limits)
+            here, there = (taken_by_neighbours(self._group, beam, sun, *pose) for pose in ((a, b), (best_a, best_b)))
+            shade_w_m2 = here - there
         distance = np.abs(best_a - a) + np.abs(best_b - b)
-        gain = product(vector, best_a, best_b) - product(vector, a, b)
+        gain = product(vector, best_a, best_b) - product(vector, a, b) + shade_w_m2
         price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
         move = (gain > price) & (sun[..., 2] > 0.0) & self.affords(distance)
         return Choice(

@@ -18,6 +18,7 @@ from solar.laws.light import light_from_faces, usable_faces
 from solar.laws.optimal import THRIFT_RANGE, OptimalLaw, OptimalSettings
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.laws.words import weighed
+from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
@@ -96,7 +97,8 @@ class LiveOptimal(Law):
         self._fresh = Learned(min(max(settings.albedo, ALBEDO_RANGE[0]), ALBEDO_RANGE[1]))
         self._settings = settings.of_the_law()
         kept = None if tracker.kept is None else Kept.model_validate(tracker.kept)
-        self._law = OptimalLaw(self._settings, self.limits, learned=self._fresh if kept is None else kept.learned)
+        known = self._fresh if kept is None else kept.learned
+        self._law = OptimalLaw(self._settings, self.limits, learned=known, group=tracker.group)
         self._day = self._day_of(tracker.utc_s)
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
@@ -263,7 +265,12 @@ build = LiveOptimal
 
 
 def steer(
-    settings: LiveOptimalSettings, weather: DaylightWeather, faces: Array, limits: Limits, start: Learned | None = None
+    settings: LiveOptimalSettings,
+    weather: DaylightWeather,
+    faces: Array,
+    limits: Limits,
+    start: Learned | None = None,
+    group: TrackerGroup | None = None,
 ) -> Steer:
     """Run the law on many days at once; what each day teaches of the site serves the days after it.
 
@@ -275,6 +282,8 @@ def steer(
         The days, the faces under their sky [W/m2], shape (n, 4), and the tracker's range.
     start
         What is known on the first morning.
+    group
+        The tracker with its neighbours; None for a tracker alone.
     """
     plan = settings.of_the_law()
     days = weather.shape[1]
@@ -283,7 +292,7 @@ def steer(
     ahead = weather.gridded(sun_direction(weather.utc_s + plan.lead_s, *weather.site), 0.0)
     light = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
     left = 1.0 - np.cumsum(light, axis=0) / np.maximum(light.sum(axis=0), 1.0)
-    law = OptimalLaw(plan, limits, (days,), learned_by_day(weather, faces, start))
+    law = OptimalLaw(plan, limits, (days,), learned_by_day(weather, faces, start), group)
 
     def next_pose(step: int, a: Array, b: Array) -> tuple[Array, Array]:
         if step == 0:

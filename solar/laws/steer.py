@@ -7,6 +7,8 @@ import numpy as np
 from solar.energy import DaylightWeather, Steer
 from solar.frames import Angles, Array, Limits, angles_within
 from solar.laws.law import Faces, Law, Moment, Reading, TrackerFacts
+from solar.rows.backtrack import turned_back
+from solar.rows.group import TrackerGroup
 
 PAPER_EVERY_S = 300.0
 PAPER_MEAN_S = 120.0
@@ -25,6 +27,7 @@ def by_the_mean(
     direction: Callable[[Array], Array],
     every_s: float = PAPER_EVERY_S,
     mean_s: float = PAPER_MEAN_S,
+    group: TrackerGroup | None = None,
 ) -> Steer:
     """Run the paper's cycle: every `every_s`, from the mean of the last `mean_s`, in force from the next step on.
 
@@ -36,9 +39,15 @@ def by_the_mean(
         Of the tracker.
     direction
         Of means (steps, days, 4), shape (steps, days, 3); NaN where there is none.
+    group
+        The tracker with its neighbours, out of whose shade it turns; None for a tracker alone.
     """
     a_deg, b_deg = angles_within(direction(_means(weather, faces, mean_s)), limits)
     every = max(round(every_s / weather.step_s), 1)
+    if group is not None:
+        asked = slice(every - 1, None, every)
+        sun = weather.gridded(weather.sun, np.nan)[asked]
+        a_deg[asked], b_deg[asked] = turned_back(group, sun, a_deg[asked], b_deg[asked], limits)
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
         return or_stay(a_deg[step - 1], b_deg[step - 1], a, b) if step > 0 and step % every == 0 else (a, b)

@@ -1,5 +1,7 @@
 """Why a law points where it does, in words for persons."""
 
+from solar.frames import Angles, normal_from_angles, separation_deg
+
 _POINTS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 # The noise of the faces tilts the direction of an even sky by so much, which costs 0.4 % at most.
 _EVEN_WITHIN_DEG = 5.0
@@ -27,6 +29,13 @@ def towards_sun(azimuth_deg: float, elevation_deg: float) -> str:
     if elevation_deg >= 90.0 - _EVEN_WITHIN_DEG:
         return "no sun is seen, or it is overhead: lying flat collects most"
     return f"the faces see the sun in {place(azimuth_deg, elevation_deg)}"
+
+
+def out_of_shade_by(wanted: Angles, target: Angles, reason: str) -> str:
+    """Return the reason with how far the tracker is turned from what it wants, for the rows of trackers."""
+    turned_deg = float(separation_deg(normal_from_angles(*wanted), normal_from_angles(*target)))
+    told = f"turned back by {turned_deg:.0f} deg so that no row shades another"
+    return f"{reason}; {told}" if reason else told
 
 
 def weighed(gain_w_m2: float, price_w_m2: float, *, moves: bool) -> str:

@@ -71,6 +71,7 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
         ),
         f"modes: {hours}",
         *(_received(each, several=len(summary.insolation) > 1) for each in summary.insolation),
+        *(["that is without the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
         f"tables in {out}",
     )
     for line in lines:

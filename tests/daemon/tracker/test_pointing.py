@@ -5,8 +5,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from daemon.base.files import StateFolder
 from daemon.base.plugins import LAWS, load, names
 from daemon.base.records import Irradiances
+from daemon.config.settings import Settings
 from daemon.tracker import pointing
 from solar.ephemeris import Site, sun_position
 from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
@@ -85,3 +87,17 @@ def test_with_the_clock_in_doubt_nothing_comes_from_the_ephemeris():
 def test_without_a_mean_the_laws_of_the_faces_have_no_direction():
     assert aim("mu-prime", None).target is None
     assert aim("sun-vector", None).target is None
+
+
+def test_law_and_fallback_turn_out_of_the_shade_of_the_group_of_the_file():
+    group = {"east_m": (0.0, 5.0), "north_m": (0.0, 0.0), "module_width_m": 2.0, "module_height_m": 2.0}
+    group["turn_back"] = "always"
+    low = datetime(2022, 9, 23, 6, 0, tzinfo=UTC).timestamp()
+    alone, among = (
+        pointing.build_pointing(Settings(law={"driver": "chronometric"}, rows=rows), low, StateFolder(None))
+        for rows in ({}, group)
+    )
+    for before, after in ((alone.law, among.law), (alone.fallback.law, among.fallback.law)):
+        targets = [pointing.aim(law, None, None, low).target for law in (before, after)]
+        assert targets[0].a_deg == pytest.approx(-50.0)
+        assert targets[1].a_deg > -40.0

@@ -1,0 +1,124 @@
+"""Backtracking with two axes: the pose nearest to the wanted one in which no tracker of a group shades another.
+
+A row of one axis turns back to the angle at which its shadow ends at the next row's edge (Lorenzo et al. (2011),
+Progress in Photovoltaics 19, pvlib's :func:`pvlib.tracking.singleaxis`). With two axes there are many poses without
+shade, and the one is taken whose normal is nearest to the wanted and no steeper: turning on beyond the sun takes the
+shadow away as well as turning back does, and gives the sky away. It is found by search, over the limits' whole range
+and then ever closer around the best: to a few hundredths of a degree from the edge of the shade, and along that edge
+to some tenths.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solar.frames import Array, Limits, normal_from_angles
+from solar.rows.group import TrackerGroup
+
+_COARSE_DEG = 5.0
+_FINE = np.linspace(-1.0, 1.0, 7)
+_CLOSER = 3
+_TIMES = 5
+# Instants that are searched side by side: more would be slower, for memory.
+_AT_ONCE = 8
+# Greater than the square of any chord between two unit vectors, and greater than both together.
+_STEEPER = 5.0
+_SHADED = 10.0
+_AS_STEEP = 1e-9
+_FREE_SHARE = 1e-6
+_LOWEST_SUN = 1e-3
+
+
+def out_of_shade(
+    group: TrackerGroup, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
+) -> tuple[Array, Array]:
+    """Return the poses (a_deg, b_deg) inside `limits`, nearest to the given ones, that have no shade.
+
+    Where every pose has some, the one with the least. Poses without shade, and NaN, are returned as they are.
+
+    Parameters
+    ----------
+    group
+        Whose shade it is; all of it is taken to stand in the pose that is returned.
+    sun
+        Unit vector(s) to the sun, shape (..., 3). A sun below the horizon is taken to be on it, so that the evening's
+        last pose lasts.
+    a_deg, b_deg
+        What is wanted [deg], shape (...).
+    """
+    sun = above_horizon(sun)
+    a, b = (np.array(angle, dtype=np.float64) for angle in np.broadcast_arrays(a_deg, b_deg))
+    sun = np.broadcast_to(sun, (*a.shape, 3))
+    known = np.isfinite(a) & np.isfinite(b) & np.isfinite(sun).all(axis=-1)
+    shaded = np.flatnonzero((group.worst_share(sun, a, b) > _FREE_SHARE) & known)
+    flat_sun = sun.reshape(-1, 3)
+    found_a, found_b = a.reshape(-1), b.reshape(-1)
+    for first in range(0, shaded.size, _AT_ONCE):
+        some = shaded[first : first + _AT_ONCE]
+        found_a[some], found_b[some] = _nearest(group, flat_sun[some], found_a[some], found_b[some], limits)
+    return found_a.reshape(a.shape), found_b.reshape(b.shape)
+
+
+def turned_back(
+    group: TrackerGroup, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
+) -> tuple[Array, Array]:
+    """Return the poses of `out_of_shade`, of a group that turns only if it pays where it gets more of the beam so."""
+    turned = out_of_shade(group, sun, a_deg, b_deg, limits)
+    if not group.only_if_it_pays:
+        return turned
+    wanted = np.broadcast_arrays(*(np.asarray(angle, dtype=np.float64) for angle in (a_deg, b_deg)))
+    differ = (turned[0] != wanted[0]) | (turned[1] != wanted[1])
+    directions = above_horizon(sun)
+    directions = np.broadcast_to(directions, (*differ.shape, 3))[differ]
+    gains = np.zeros(differ.shape, dtype=np.bool_)
+    there, here = (group.beam_share(directions, a[differ], b[differ]) for a, b in (turned, (wanted[0], wanted[1])))
+    gains[differ] = there > here
+    return np.where(gains, turned[0], wanted[0]), np.where(gains, turned[1], wanted[1])
+
+
+def above_horizon(sun: ArrayLike) -> Array:
+    """Return directions, shape (..., 3), with those from below the horizon brought up to it."""
+    directions = np.array(sun, dtype=np.float64)
+    directions[..., 2] = np.maximum(directions[..., 2], _LOWEST_SUN)
+    return directions
+
+
+def _nearest(group: TrackerGroup, sun: Array, a: Array, b: Array, limits: Limits) -> tuple[Array, Array]:
+    wanted = normal_from_angles(a, b)
+    tries_a, tries_b = (angles[None, :] for angles in lattice(limits, _COARSE_DEG))
+    reach = _COARSE_DEG
+    for _ in range(_TIMES):
+        best_a, best_b = _best(group, sun, wanted, tries_a, tries_b)
+        tries_a, tries_b = closer(best_a, best_b, reach, limits)
+        reach /= _CLOSER
+    return _best(group, sun, wanted, tries_a, tries_b)
+
+
+def _best(group: TrackerGroup, sun: Array, wanted: Array, tries_a: Array, tries_b: Array) -> tuple[Array, Array]:
+    """Return of each row the try that costs least: a steeper one is worse than all others, one with shade worst."""
+    share = group.worst_share(sun[:, None, :], tries_a, tries_b)
+    tries = normal_from_angles(tries_a, tries_b)
+    cost = np.sum((tries - wanted[:, None, :]) ** 2, axis=-1)
+    cost += np.where(tries[..., 2] < wanted[:, None, 2] - _AS_STEEP, _STEEPER, 0.0)
+    cost += np.where(share > _FREE_SHARE, _SHADED * (1.0 + 1e3 * share), 0.0)
+    best = np.argmin(cost, axis=-1)[:, None]
+    chosen = [np.take_along_axis(np.broadcast_to(tries, cost.shape), best, axis=-1) for tries in (tries_a, tries_b)]
+    return chosen[0][:, 0], chosen[1][:, 0]
+
+
+def lattice(limits: Limits, step_deg: float) -> tuple[Array, Array]:
+    """Return poses all over the limits, ends included, no further apart than a step [deg]: two arrays, shape (n,)."""
+    axes = [
+        np.linspace(low, high, int(np.ceil((high - low) / step_deg)) + 1)
+        for low, high in ((limits.a_min_deg, limits.a_max_deg), (limits.b_min_deg, limits.b_max_deg))
+    ]
+    a_deg, b_deg = np.meshgrid(*axes, indexing="ij")
+    return a_deg.ravel(), b_deg.ravel()
+
+
+def closer(a_deg: Array, b_deg: Array, reach_deg: float, limits: Limits) -> tuple[Array, Array]:
+    """Return 49 poses [deg] around each of (n,), inside the limits, shape (n, 49); the middle one is the pose."""
+    by_a, by_b = (reach_deg * steps.ravel() for steps in np.meshgrid(_FINE, _FINE, indexing="ij"))
+    return (
+        np.clip(a_deg[:, None] + by_a, limits.a_min_deg, limits.a_max_deg),
+        np.clip(b_deg[:, None] + by_b, limits.b_min_deg, limits.b_max_deg),
+    )

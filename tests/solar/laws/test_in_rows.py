@@ -1,0 +1,139 @@
+"""The laws among neighbours: out of their shade, or where most is collected with it; and alone as ever."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from solar.energy import build_sky, faces_under, lay_out
+from solar.ephemeris import Site, sun_position
+from solar.frames import Angles, Limits, angles_within, direction_from_azimuth
+from solar.laws import chronometric, mu_prime, optimal_live
+from solar.laws.in_rows import best_among, taken_by_neighbours
+from solar.laws.law import Moment, Reading, TrackerFacts
+from solar.laws.light import Light, aim_vector, product
+from solar.laws.steer import by_readings
+from solar.rows.backtrack import out_of_shade
+from solar.rows.group import TrackerGroup
+
+LIMITS = Limits()
+LYNGBY = Site(55.79064, 12.52505, 50.0)
+EAST_M, NORTH_M = [0, 5, 10, 0, 5, 10], [0, 0, 0, 5, 5, 5]
+FIELD = TrackerGroup.on_map(EAST_M, NORTH_M, (), (2.0, 2.0), LYNGBY[0], only_if_it_pays=False)
+FAR_APART = TrackerGroup.on_map([0, 1e5], [0, 0], (), (2.0, 2.0), LYNGBY[0])
+MORNING = 1458712800.0  # 2016-03-23 06:00 UTC, the sun 7 deg up
+
+
+@pytest.fixture(scope="module")
+def clear_day():
+    """Return a clear day in March at five minutes, and what the faces read."""
+    utc_s = 1458691200.0 + 300.0 * np.arange(288)
+    weather = lay_out(utc_s, np.full(utc_s.size, 750.0), np.full(utc_s.size, 70.0), LYNGBY, 300.0)
+    return weather, faces_under(build_sky(weather, "isotropic"), 0.2)
+
+
+def facts(group, utc_s=MORNING):
+    return TrackerFacts(site=LYNGBY, limits=LIMITS, scan_every_s=5.0, decide_every_s=300.0, utc_s=utc_s, group=group)
+
+
+def steps_of(steer, weather):
+    steps, days = weather.shape
+    a, b = np.zeros(days), np.full(days, 90.0)
+    poses = []
+    for step in range(steps):
+        a, b = steer(step, a, b)
+        poses.append((a.copy(), b.copy()))
+    return np.array(poses)
+
+
+@pytest.mark.parametrize("law", [chronometric, mu_prime, optimal_live])
+def test_without_neighbours_in_reach_every_decision_is_that_of_a_tracker_alone(clear_day, law):
+    weather, faces = clear_day
+    settings = law.SETTINGS()
+    alone = steps_of(law.steer(settings, weather, faces, LIMITS), weather)
+    np.testing.assert_array_equal(
+        steps_of(law.steer(settings, weather, faces, LIMITS, group=FAR_APART), weather), alone
+    )
+    builds = [lambda told, group=group: law.build(settings, replace(told, group=group)) for group in (None, FAR_APART)]
+    one_by_one = [steps_of(by_readings(build, weather, faces, LIMITS), weather) for build in builds]
+    np.testing.assert_array_equal(*one_by_one)
+
+
+@pytest.mark.parametrize("law", [chronometric, mu_prime])
+def test_the_fast_way_turns_out_of_the_shade_as_the_law_itself_does(clear_day, law):
+    weather, faces = clear_day
+    settings = law.SETTINGS()
+    fast = steps_of(law.steer(settings, weather, faces, LIMITS, group=FIELD), weather)
+    alone = steps_of(law.steer(settings, weather, faces, LIMITS), weather)
+    slow = steps_of(
+        by_readings(lambda told: law.build(settings, replace(told, group=FIELD)), weather, faces, LIMITS), weather
+    )
+    assert np.abs(fast - alone).max() > 20.0
+    if law is mu_prime:
+        np.testing.assert_allclose(slow, fast, atol=1e-9)
+    else:
+        # The fast way follows the sun at every step, and this one from the step before.
+        np.testing.assert_allclose(slow[2:-3], fast[1:-4], atol=1e-9)
+
+
+def test_a_law_that_turns_back_says_so_and_names_the_direction_that_it_wanted():
+    sun = sun_position(MORNING, *LYNGBY)
+    alone, among = (
+        chronometric.build(chronometric.SETTINGS(), facts(group)).aim(Moment(MORNING, None, None))
+        for group in (None, FIELD)
+    )
+    assert among.azimuth_deg == alone.azimuth_deg == pytest.approx(sun.azimuth_deg)
+    to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, LYNGBY[0])
+    assert FIELD.worst_share(to_sun, *alone.target) > 0.1
+    assert FIELD.worst_share(to_sun, *among.target) <= 1e-6
+    assert LIMITS.contain(*among.target)
+    assert "turned back by" in among.why
+    assert among.why.startswith(alone.why)
+    assert "turned back" not in alone.why
+
+
+def test_with_the_sun_in_doubt_nothing_is_turned_out_of_a_shade_that_nobody_knows():
+    faces = (600.0, 300.0, 50.0, 200.0)
+    law = mu_prime.build(mu_prime.SETTINGS(), facts(FIELD))
+    sure, unsure = (law.aim(Moment(MORNING, faces, None, sun_known=known)).target for known in (True, False))
+    alone = mu_prime.build(mu_prime.SETTINGS(), facts(None)).aim(Moment(MORNING, faces, None)).target
+    assert sure != alone
+    assert unsure == alone
+
+
+@pytest.mark.parametrize("groups", [0, 3])
+@pytest.mark.parametrize(("beam", "diffuse"), [(800.0, 60.0), (150.0, 150.0)])
+def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back(groups, beam, diffuse):
+    field = TrackerGroup.on_map(EAST_M, NORTH_M, (), (2.0, 2.0), LYNGBY[0], groups)
+    azimuth, elevation = (part.ravel() for part in np.meshgrid([95.0, 130.0, 180.0, 250.0], [3.0, 8.0, 15.0]))
+    sun = direction_from_azimuth(azimuth, elevation, LYNGBY[0])
+    beams, zero = np.full(azimuth.size, beam), np.zeros(azimuth.size)
+    vector = aim_vector(Light(beams, zero + diffuse, zero), sun)
+    alone = angles_within(vector, LIMITS)
+    best = best_among(field, vector, beams, sun, alone, LIMITS)
+    back = out_of_shade(field, sun, *alone, LIMITS)
+
+    def collected(pose):
+        return product(vector, *pose) - taken_by_neighbours(field, beams, sun, *pose)
+
+    assert (collected(best) >= collected(alone)).all()
+    assert (collected(best) >= collected(back)).all()
+    assert (collected(best) > collected(alone) + 1.0).any()
+    assert all(LIMITS.contain(*pose) for pose in zip(*best, strict=True))
+
+
+def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
+    """In a pose that has become shaded a move is worth more than its way alone would be."""
+    to_sun = direction_from_azimuth(*sun_position(MORNING, *LYNGBY)[:2], LYNGBY[0])
+    faces = 700.0 * np.maximum(np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]]) @ to_sun, 0.0)
+    faces += np.array([40.0, 40.0, 40.0, 70.0])
+    laws = [optimal_live.build(optimal_live.SETTINGS(), facts(group)) for group in (None, FIELD)]
+    for law in laws:
+        for scan in range(120):
+            law.observe(Reading(MORNING - 600.0 + 5.0 * scan, 5.0 * scan, tuple(faces)))
+    alone = laws[0].aim(Moment(MORNING, tuple(faces), Angles(0.0, 90.0))).target
+    # Where a tracker alone would be content to stay, this one turns out of the shade.
+    stays, turns = (law.aim(Moment(MORNING + 1.0, tuple(faces), alone)) for law in laws)
+    assert stays.target is None
+    assert turns.target is not None
+    assert FIELD.shade(to_sun, *turns.target).lost < FIELD.shade(to_sun, *alone).lost

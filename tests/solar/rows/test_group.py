@@ -1,0 +1,115 @@
+"""The shade that trackers of a group cast on each other, against rays traced one by one and against pvlib."""
+
+import copy
+
+import numpy as np
+import pytest
+from pvlib.shading import direct_martinez, shaded_fraction1d
+
+from solar.frames import azimuth_from_direction, direction_from_azimuth, normal_from_angles
+from solar.rows.group import TrackerGroup
+
+LYNGBY_DEG = 55.79
+SIDE = 80
+
+
+def field(columns=3, rows=2, pitch_m=5.0, size_m=(2.0, 2.0), up_m=(), groups=3):
+    east, north = (pitch_m * part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(rows)))
+    return TrackerGroup.on_map(east.tolist(), north.tolist(), up_m, size_m, LYNGBY_DEG, groups)
+
+
+def traced(offsets_m, sun, a_deg, b_deg, size_m):
+    """Return the shaded share of a module by rays from a lattice of its points."""
+    normal = normal_from_angles(a_deg, b_deg)
+    along = np.array([-np.sin(np.radians(b_deg)), 0.0, np.cos(np.radians(b_deg))])
+    across = np.cross(along, normal)
+    steps = (np.arange(SIDE) + 0.5) / SIDE - 0.5
+    x, y = (part.ravel() for part in np.meshgrid(steps * size_m[0], steps * size_m[1]))
+    points = np.outer(x, across) + np.outer(y, along)
+    dark = np.zeros(len(points), dtype=bool)
+    for offset in offsets_m[np.any(offsets_m != 0.0, axis=-1)]:
+        way = ((offset - points) @ normal) / (sun @ normal)
+        hit = points + np.outer(way, sun) - offset
+        dark |= (way > 0.0) & (abs(hit @ across) < size_m[0] / 2) & (abs(hit @ along) < size_m[1] / 2)
+    return dark.mean()
+
+
+@pytest.mark.parametrize(("size_m", "up_m"), [((2.0, 2.0), ()), ((3.0, 1.0), (0.0, 0.4, 0.8, 0.1, 0.5, 0.9))])
+def test_the_shaded_share_of_every_place_is_that_of_rays_traced_one_by_one(size_m, up_m):
+    group = field(4 if not up_m else 3, 2, 3.2, size_m, up_m)
+    random = np.random.default_rng(7)
+    together = 0
+    for _ in range(60):
+        sun = direction_from_azimuth(random.uniform(60, 300), random.uniform(3, 25), LYNGBY_DEG)
+        a_deg, b_deg = random.uniform(-50, 50), random.uniform(15, 90)
+        if sun @ normal_from_angles(a_deg, b_deg) < 0.1:
+            continue
+        found = group.shade_of_each(sun, a_deg, b_deg).share
+        seen = [traced(offsets, sun, a_deg, b_deg, size_m) for offsets in group.offsets_m]
+        np.testing.assert_allclose(found, seen, atol=3.0 / SIDE)
+        worst = group.worst_share(sun, a_deg, b_deg)
+        # The worst is of one neighbour; several together shade more.
+        assert worst <= found.max() + 1e-9 or worst == pytest.approx(found.max())
+        together += bool((found > worst + 0.01).any())
+    assert together > 3
+
+
+def test_long_rows_shade_each_other_as_pvlib_says():
+    group = TrackerGroup.on_map([0.0, 5.0], [0.0, 0.0], (), (2.0, 1e6), LYNGBY_DEG)
+    azimuth, elevation = (part.ravel() for part in np.meshgrid([95.0, 120.0, 250.0], [4.0, 9.0, 16.0, 30.0]))
+    sun = direction_from_azimuth(azimuth, elevation, LYNGBY_DEG)
+    a_deg = np.where(azimuth < 180.0, -45.0, 45.0)
+    expected = shaded_fraction1d(90.0 - elevation, azimuth, 180.0, a_deg, collector_width=2.0, pitch=5.0)
+    np.testing.assert_allclose(group.worst_share(sun, a_deg, 90.0), expected, atol=1e-4)
+    # Of two rows the one towards the sun has none.
+    np.testing.assert_allclose(group.shade(sun, a_deg, 90.0).share, expected / 2.0, atol=1e-4)
+    assert (expected > 0.3).any()
+    assert (expected == 0.0).any()
+
+
+def test_bypass_groups_take_the_beam_that_pvlib_s_martinez_takes():
+    # Due east, the shadow is shifted across the groups alone: it touches as many as it is wide.
+    for elevation_deg in (4.0, 9.0, 15.0):
+        sun = direction_from_azimuth(90.0, elevation_deg, LYNGBY_DEG)
+        places = field(2, 1).shade_of_each(sun, -45.0, 90.0)
+        share = places.share.max()
+        lost = direct_martinez(1.0, 1.0, share, np.ceil(3.0 * share), 3)
+        assert 0.1 < share < 0.9
+        np.testing.assert_allclose(np.sort(places.lost), [0.0, lost], atol=1e-9)
+        bare = field(2, 1, groups=0).shade_of_each(sun, -45.0, 90.0)
+        np.testing.assert_allclose(bare.lost, bare.share, atol=1e-12)
+
+
+def test_flat_modules_on_level_ground_and_backs_to_the_sun_have_no_shade():
+    group, low = field(), direction_from_azimuth([90.0, 180.0, 270.0], 1.0, LYNGBY_DEG)
+    np.testing.assert_array_equal(group.worst_share(low, 0.0, 90.0), 0.0)
+    away = group.shade(low[0], 50.0, 90.0)
+    assert (away.share, away.lost) == (0.0, 0.0)
+    assert group.worst_share(low[0], 50.0, 90.0) == 1.0
+
+
+def test_north_is_where_it_is_on_either_side_of_the_equator():
+    for latitude_deg, azimuth_deg in ((55.0, 180.0), (-30.0, 0.0)):
+        group = TrackerGroup.on_map([0.0, 0.0], [0.0, 4.0], (), (2.0, 2.0), latitude_deg)
+        towards = direction_from_azimuth(azimuth_deg, 10.0, latitude_deg)
+        azimuth, _ = azimuth_from_direction(towards, latitude_deg)
+        assert azimuth == pytest.approx(azimuth_deg)
+        assert group.worst_share(towards, 0.0, 20.0) > 0.3
+
+
+def test_alike_places_of_a_large_field_are_looked_at_once():
+    group = field(20, 10, 5.0)
+    assert group.count == 200
+    assert len(group.offsets_m) < 60
+    assert group.weights.sum() == pytest.approx(1.0)
+    assert group.offsets_m.shape[1] == 25
+    assert copy.deepcopy(group) is group
+
+
+@pytest.mark.parametrize(
+    ("positions", "size"),
+    [([[0, 0, 0]], (2, 2)), ([[0, 0, 0], [np.nan, 0, 0]], (2, 2)), ([[0, 0], [1, 0]], (2, 2)), (np.eye(3), (-2, 2))],
+)
+def test_no_group_is_made_of_what_is_none(positions, size):
+    with pytest.raises(ValueError, match="group"):
+        TrackerGroup(positions, *size)
