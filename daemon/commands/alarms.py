@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.operate import TokenOption, WhyOption, give
 from daemon.commands.options import ApiOption, ConfigOption, TrackerOption
 
@@ -37,7 +37,7 @@ def alarms(
     elif state["alarms"]:
         Console(highlight=False).print(*(_lines(alarm, state) for alarm in state["alarms"]), sep="\n")
     else:
-        typer.echo("no alarm is on, and none waits to be acknowledged")
+        say("no alarm is on, and none waits to be acknowledged")
 
 
 @app.command("ack")
@@ -114,6 +114,6 @@ def notify(
     if test:
         raise typer.Exit(0 if asyncio.run(courier.test(settings, recipients, typer.echo)) else 1)
     services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
-    typer.echo(f"telling {people} of alarms of {services}")
+    say(f"telling {people} of alarms of {services}")
     manager = process.Notifier(os.environ, os.getpid())
     asyncio.run(courier.serve(settings, recipients, SystemClock(), manager))

@@ -1,14 +1,19 @@
-"""Answers for scripts: what a command has found, as JSON alone on standard output."""
+"""Answers: for scripts as JSON alone on standard output, for people in lines that a terminal has room for."""
 
+import os
+import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from textwrap import wrap
+from typing import Annotated, Any, TextIO
 
 import typer
-from rich.console import Console
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="The answer as JSON, alone on standard output; all else goes to standard error.")
 ]
+
+# Of a terminal that does not tell.
+_COLUMNS = 80
 
 
 def print_json(page: Mapping[str, Any] | list[Any]) -> None:
@@ -25,5 +30,33 @@ def print_json(page: Mapping[str, Any] | list[Any]) -> None:
 
 def teller(*, as_json: bool) -> Callable[[str], None]:
     """Return what takes a line for people: to standard output, or to standard error where JSON has that for itself."""
-    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
-    return lambda text: console.print(text, markup=False)
+    return lambda text: say(text, err=as_json)
+
+
+def say(text: str, *, err: bool = False, hang: int = 2, end: str = "\n") -> None:
+    """Print text for people, to standard error if `err`, and `end` after it; `hang` as of `wrapped`."""
+    typer.echo(wrapped(text, sys.stderr if err else sys.stdout, hang=hang) + end, err=err, nl=False)
+
+
+def wrapped(text: str, stream: TextIO, *, hang: int = 2) -> str:
+    """Return text whose lines fit the terminal behind a stream, broken between words; as it is for a file or a pipe.
+
+    What is broken goes on `hang` columns further to the right than its line begins.
+    """
+    if not stream.isatty():
+        return text
+    columns = _columns(stream)
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + hang)
+        parts = wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        lines += parts or [""]
+    return "\n".join(lines)
+
+
+def _columns(stream: TextIO) -> int:
+    told = os.environ.get("COLUMNS", "")
+    try:
+        return int(told) if told.isdigit() else os.get_terminal_size(stream.fileno()).columns or _COLUMNS
+    except OSError:
+        return _COLUMNS

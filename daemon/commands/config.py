@@ -1,6 +1,7 @@
 """`heliocube config`: check a configuration file, write a commented one, bring an older one into today's form."""
 
 import contextlib
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.base.records import FACES
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say, wrapped
 from daemon.commands.file_check import check_file, lacking_by_role
 from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
 
@@ -67,9 +68,14 @@ def check(
     console = Console(highlight=False, soft_wrap=True)
     console.print(Text.assemble((str(file), "bold"), " is ", ("good", "bold green"), "."))
     for subject, text in summary.items():
-        console.print(Text.assemble((f"  {subject:<12} ", "dim"), text))
+        console.print(_line(subject, "dim", text))
     for sentence in gaps:
-        console.print(Text.assemble(("  warning      ", "bold yellow"), sentence))
+        console.print(_line("warning", "bold yellow", sentence))
+
+
+def _line(subject: str, style: str, text: str) -> Text:
+    head = f"  {subject:<12} "
+    return Text.assemble((head, style), wrapped(head + text, sys.stdout, hang=len(head) - 2)[len(head) :])
 
 
 @app.command()
@@ -99,7 +105,7 @@ def migrate(
     """Bring FILE into today's form; the old one is kept beside it."""
     from daemon.config.migrate import migrate as bring_up_to_date
 
-    typer.echo(bring_up_to_date(file, keys_only=keys_only))
+    say(bring_up_to_date(file, keys_only=keys_only))
 
 
 def _probe(role: RoleChoice | None, answers: dict[str, str], settings: "Settings") -> list[str]:

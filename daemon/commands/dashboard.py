@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.commands.answers import say
 from daemon.commands.options import SERVICE
 
 app = typer.Typer()
@@ -50,7 +51,7 @@ def dashboard(
     # A line for each request would be a line a second.
     logging.getLogger("httpx").setLevel(logging.WARNING)
     bound = bind(listen or settings.listen)
-    typer.echo(f"dashboard at {url_of(bound)}, of {', '.join(str(service) for service in services)}")
+    say(f"dashboard at {url_of(bound)}, of {', '.join(str(service) for service in services)}")
     notifier = process.Notifier(os.environ, os.getpid())
     parent = sys.stdin.fileno() if with_parent else None
     asyncio.run(serve(bound, services, settings.hosts, SystemClock(), notifier, parent))

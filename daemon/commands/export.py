@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import CONFIG_VARIABLE, FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
 
@@ -68,7 +68,7 @@ def export(
         print_json({"tables": out, "format": table_format, "rows": rows})
         return
     counts = ", ".join(f"{count} {name}" for name, count in rows.items())
-    typer.echo(f"written to {out}: {counts}")
+    say(f"written to {out}: {counts}")
 
 
 def store_directory(command: str, store: Path | None, config: Path | None) -> Path:

@@ -16,7 +16,7 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.archive import command as archive_command
 from daemon.commands.options import (
     BENCH,
@@ -212,7 +212,7 @@ def simulate(
         summary = run_simulation(settings, begin, days, out, table_format.value, progress, force=force)
     pages: Sequence[Path] = ()
     if not as_json:
-        report(summary, settings, out, console, Console())
+        report(summary, settings, out)
     if drawn:
         draw_pictures(drawn, settings, out, local)
         pages = drawn
@@ -317,7 +317,7 @@ def main() -> None:
     try:
         app()
     except UserError as error:
-        Console(stderr=True).print(f"heliocube: {error}", markup=False, highlight=False, soft_wrap=True)
+        say(f"heliocube: {error}", err=True)
         sys.exit(error.exit_code)
 
 

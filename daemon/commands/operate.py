@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import OPERATION, ApiOption, ConfigOption, TrackerOption
 
 app = typer.Typer()
@@ -82,5 +82,5 @@ def give(
     if as_json:
         print_json(reply.page)
     else:
-        typer.echo(reply.text)
+        say(reply.text)
     raise typer.Exit(reply.exit_code)

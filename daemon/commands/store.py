@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 
 app = typer.Typer(help="The file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
 
@@ -36,6 +36,6 @@ def salvage(
         return
     counts = ", ".join(f"{count} {name}" for name, count in found.read.items())
     state = "is damaged" if found.damaged else "is whole"
-    typer.echo(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")
+    say(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")
     if found.missing:
-        typer.echo(f"{found.missing} records between them are missing: unreadable here, or in another store")
+        say(f"{found.missing} records between them are missing: unreadable here, or in another store")

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
+
+_VERB = 36
 
 app = typer.Typer(help="Tools for the UDP bridge between cube and trackers.", no_args_is_help=True)
 
@@ -102,7 +104,7 @@ def control(
     _require_terminals()
     if verb == "help":
         for name, (usage, meaning) in bench_verbs().items():
-            typer.echo(f"{f'{name} {usage}'.rstrip():<36}  {meaning}")
+            say(f"{f'{name} {usage}'.rstrip():<{_VERB}}  {meaning}", hang=_VERB + 2)
         return
     result = ask_bench(directory.absolute(), verb, arguments or [])
     if result is not None:

@@ -48,11 +48,15 @@ def weather_choice(text: str) -> str | Path:
     return text if text in get_args(WeatherName) else Path(text)
 
 
-def check_weather_file(path: Path) -> None:
-    """Raise `UserError` where there is no such file, before anything is loaded that could read it."""
+def check_weather_file(path: Path, *, or_built_in: bool = True) -> None:
+    """Raise `UserError` where there is no such file, before anything is loaded that could read it.
+
+    Built-in skies are named in it where the command takes them.
+    """
     if not path.is_file():
         known = ", ".join(get_args(WeatherName))
-        raise UserError(f"there is no weather file at {path}, and it is none of the built-in skies {known}")
+        hint = f", and it is none of the built-in skies {known}" if or_built_in else ": name a file of measured weather"
+        raise UserError(f"there is no weather file at {path}{hint}")
 
 
 def settings_for(

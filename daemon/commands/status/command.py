@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import ExitCode, UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import OPERATION, ApiOption, ConfigOption
 
 app = typer.Typer()
@@ -44,7 +44,7 @@ def status(
         if as_json:
             print_json(checks.page(state, health))
         else:
-            typer.echo("\n".join(lines))
+            say("\n".join(lines))
         raise typer.Exit(code)
     if as_json:
         print_json(client.state())

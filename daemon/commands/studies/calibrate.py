@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.studies.inputs import instant
 
 app = typer.Typer(help="Calibrate the cube: beside a reference pyranometer, or where it stands.", no_args_is_help=True)
@@ -160,5 +160,5 @@ def field(
 
 def _print(lines: list[str], identifier: str, out: Path) -> None:
     for line in lines:
-        typer.echo(line)
-    typer.echo(f"\ncalibration {identifier} written to {out}; set cube.calibration_file to use it")
+        say(line)
+    say(f"\ncalibration {identifier} written to {out}; set cube.calibration_file to use it")

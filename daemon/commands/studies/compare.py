@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
@@ -96,7 +96,7 @@ def simulate(
     sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S, with_gaps=True)
     console = Console(stderr=True)
     if warning:
-        console.print(f"heliocube: warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+        say(f"heliocube: warning: {warning}", err=True)
     with ExitStack() as stack:
         tables = None if out is None else stack.enter_context(writer(out, table_format.value, force=force))
         keep: Callable[[str, Record], None] = _forget
@@ -124,15 +124,15 @@ def simulate(
             {"simulated": True, "site": place, "laws": names, "powers": len(measured), "table": table, "store": store}
         )
         return
-    typer.echo(
+    say(
         f"SIMULATED {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g}), T-Cube {names[0]}, T-Chrono"
         f" {names[1]}, weather {settings.simulation.weather}, sky {settings.simulation.sky}, seed"
         f" {settings.simulation.seed}"
     )
     if out is not None:
-        typer.echo(f"{len(measured)} powers in {out / f'powers.{table_format.value}'}")
+        say(f"{len(measured)} powers in {out / f'powers.{table_format.value}'}")
     if store is not None:
-        typer.echo(f"all records of both trackers in the store {store}")
+        say(f"all records of both trackers in the store {store}")
 
 
 @app.command()
@@ -168,9 +168,9 @@ def fit(
         print_json({"simulated": flat.simulated} | asdict(found) | agreement | {"written": out})
         return
     if flat.simulated:
-        typer.echo("SIMULATED")
-    typer.echo(as_text(found), nl=False)
-    typer.echo(f"written to {out}")
+        say("SIMULATED")
+    say(as_text(found), end="")
+    say(f"written to {out}")
 
 
 @app.command()
@@ -222,11 +222,11 @@ def report(
         print_json(page | {"gains": rows, "page": out / "report.html"})
         return
     if pairs.simulated:
-        typer.echo("SIMULATED")
-    typer.echo(as_text(rows, pairs.names), nl=False)
+        say("SIMULATED")
+    say(as_text(rows, pairs.names), end="")
     if found is None:
-        typer.echo(f"{cube}'s power is not corrected: name the file of 'heliocube compare fit' with --bias")
-    typer.echo(f"figures and page: {out / 'report.html'}")
+        say(f"{cube}'s power is not corrected: name the file of 'heliocube compare fit' with --bias")
+    say(f"figures and page: {out / 'report.html'}")
 
 
 @app.command()
@@ -272,9 +272,9 @@ def paper(
         page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}
         print_json(page | {"page": out / "paper.html"})
     else:
-        typer.echo(as_text(found))
-        typer.echo("\n\n".join(paragraphs))
-        typer.echo(f"\nfigures and page: {out / 'paper.html'}")
+        say(as_text(found))
+        say("\n\n".join(paragraphs))
+        say(f"\nfigures and page: {out / 'paper.html'}")
     if ended is not None:
         raise type(ended)(f"{ended}; {out} has {len(runs)} of {len(chosen) * seeds} runs")
 

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ForceOption
 from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
@@ -52,7 +52,7 @@ def energy(
     check_names(skies, names)
     place = parse_site(site)
     for path in weather:
-        check_weather_file(path)
+        check_weather_file(path, or_built_in=False)
     check_outputs([out / f"energy.{ending}" for ending in ("txt", "csv", "png")], "--out", force=force)
     _compare(weather, place, out, skies, names, albedo, None if ideal else speed, as_json=as_json)
 
@@ -77,7 +77,7 @@ def _compare(
     errors, done = Console(stderr=True), "all"
     minutes = measured_minutes(weather, Site(*place))
     for warning in minutes.warnings:
-        errors.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+        say(f"heliocube: warning: {warning}", err=True)
     try:
         days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
     except ValueError as error:

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
@@ -115,7 +115,7 @@ def gain(
         raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
-        errors.print(f"heliocube: warning: {sky.warning}", markup=False, highlight=False, soft_wrap=True)
+        say(f"heliocube: warning: {sky.warning}", err=True)
     along = asked.latitudes_deg.tolist()
     if sky is not None and len(along) > 1:
         along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)
@@ -123,7 +123,7 @@ def gain(
     if plot is not None:
         kind = plot_kind or _fitting(asked)
         plots.draw(kind, asked, columns, sky, plot)
-        errors.print(f"figure in {plot}", markup=False, highlight=False, soft_wrap=True)
+        say(f"figure in {plot}", err=True)
     label = sky.label if sky else None
     if as_json:
         print_json(output.as_page(columns, label) | {"figure": plot})

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.commands.answers import say
 from daemon.commands.options import ForceOption
 
 
@@ -21,7 +22,5 @@ def samples(
     check_output(out, [source.name for source in sources], "--out", force=force)
     for source in sources:
         shutil.copyfile(source, out / source.name)
-    typer.echo(f"written to {out}: {', '.join(source.name for source in sources)}")
-    typer.echo(
-        f"SIMULATED; site {SITE.latitude_deg:g},{SITE.longitude_deg:g},{SITE.altitude_m:g}; free to use (CC0-1.0)"
-    )
+    say(f"written to {out}: {', '.join(source.name for source in sources)}")
+    say(f"SIMULATED; site {SITE.latitude_deg:g},{SITE.longitude_deg:g},{SITE.altitude_m:g}; free to use (CC0-1.0)")

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.commands.answers import JsonOption, print_json
+from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 from daemon.store.outputs import check_outputs
 from daemon.studies.text_table import signed
@@ -53,10 +53,10 @@ def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequenc
     }
 
 
-def report(summary: "Summary", settings: "Settings", out: Path, errors: Console, console: Console) -> None:
-    """Print what was simulated and where the tables are; a warning goes to `errors`."""
+def report(summary: "Summary", settings: "Settings", out: Path) -> None:
+    """Print what was simulated and where the tables are; a warning goes to standard error."""
     if summary.warning:
-        errors.print(f"heliocube: warning: {summary.warning}", markup=False, highlight=False, soft_wrap=True)
+        say(f"heliocube: warning: {summary.warning}", err=True)
     site = settings.site
     hours = ", ".join(f"{mode} {seconds / 3600:.1f} h" for mode, seconds in summary.mode_s.items() if seconds >= 180)
     laws = ", ".join(dict.fromkeys(own.law.driver for _, own in settings.trackers))
@@ -75,7 +75,7 @@ def report(summary: "Summary", settings: "Settings", out: Path, errors: Console,
         f"tables in {out}",
     )
     for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(line)
 
 
 def _received(one: "PlaneInsolation", *, several: bool) -> str:
@@ -133,7 +133,7 @@ def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
         print_json({"written": paths})
         return
     for path in paths:
-        typer.echo(f"written: {path}")
+        say(f"written: {path}")
 
 
 def replay(
@@ -180,7 +180,7 @@ def replay(
         recording = read_csv(faces)
         rows = recording.rows
         for note in recording.notes():
-            typer.echo(f"{faces}: {note}", err=True)
+            say(f"{faces}: {note}", err=True)
     else:
         assert store is not None  # noqa: S101 - narrowing; one of the two is there
         rows = rows_of_store(store)
@@ -197,7 +197,7 @@ def replay(
     if as_json:
         print_json({"simulated": True, "rows": done, "law": settings.law.driver, "table": out, "reports": pages})
     else:
-        typer.echo(f"{done} rows by {settings.law.driver} on a SIMULATED tracker: {out}")
+        say(f"{done} rows by {settings.law.driver} on a SIMULATED tracker: {out}")
         tell_pages(pages)
     if done < len(rows):
         raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from daemon.base.errors import ExitCode, UserError
-from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.commands.answers import JsonOption, print_json, say, teller
 from daemon.commands.options import FILES, OPERATION, ConfigOption, RoleChoice
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def self_check(
     Nothing is written and nothing moves. While the service runs it is asked, and not its instruments. Ends with 0, with
     4 where something is to be looked at, and with 2 where the configuration cannot be used.
     """
-    from daemon.commands.upgrade.finding import exit_code, lines, page
+    from daemon.commands.upgrade.finding import exit_code, hang, lines, page
 
     if config is None:
         raise UserError("self-check needs the service's configuration: name it with --config or in HELIOCUBE_CONFIG")
@@ -44,7 +44,7 @@ def self_check(
     if as_json:
         print_json(page(found))
     else:
-        typer.echo("\n".join(lines(found)))
+        say("\n".join(lines(found)), hang=hang(found))
     raise typer.Exit(exit_code(found))
 
 

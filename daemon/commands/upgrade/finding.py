@@ -8,6 +8,7 @@ from daemon.base.errors import ExitCode
 from daemon.config.keys import printable
 
 CONFIGURATION = "configuration"
+_OUTCOME = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +37,7 @@ class Finding:
 
 def lines(findings: Sequence[Finding]) -> list[str]:
     """Return a line for each finding, and one for the sum."""
-    width = max(len(finding.subject) for finding in findings)
-    found = [_line(finding, width) for finding in findings]
+    found = [_line(finding, _width(findings)) for finding in findings]
     amiss = sum(not finding.ok for finding in findings)
     return [*found, f"{amiss} to look at" if amiss else "all is well"]
 
@@ -56,8 +56,17 @@ def page(findings: Sequence[Finding]) -> dict[str, Any]:
     return {"exit_code": int(exit_code(findings)), "findings": found}
 
 
+def hang(findings: Sequence[Finding]) -> int:
+    """Return the column in which the texts of the lines begin."""
+    return _OUTCOME + 1 + _width(findings) + 2
+
+
+def _width(findings: Sequence[Finding]) -> int:
+    return max(len(finding.subject) for finding in findings)
+
+
 def _line(finding: Finding, width: int) -> str:
     remedy = f"; {finding.remedy}" if finding.remedy else ""
     # What an instrument or another program says is a single line here.
     text = printable(" ".join(f"{finding.text}{remedy}".split()))
-    return f"{'ok' if finding.ok else 'PROBLEM':<8} {finding.subject:<{width}}  {text}"
+    return f"{'ok' if finding.ok else 'PROBLEM':<{_OUTCOME}} {finding.subject:<{width}}  {text}"

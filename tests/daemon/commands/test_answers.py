@@ -1,4 +1,8 @@
+import fcntl
 import json
+import os
+import struct
+import termios
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -7,7 +11,7 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from daemon.commands.answers import print_json
+from daemon.commands.answers import print_json, wrapped
 from daemon.commands.main import app
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
@@ -102,3 +106,21 @@ def test_whom_to_tell_is_looked_at_as_well(heliocube, tmp_path):
     )
     people.write_text("ntfy://ntfy.lab/roof\n")
     assert heliocube("config", "check", file)[0] == 0
+
+
+def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_path, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 30, 0, 0))
+    text = "  store   the disk is full: free it\n/a/path/that/is/longer/than/thirty/columns of 2\nshort"
+    with os.fdopen(ours, "wb"), os.fdopen(theirs, "w") as terminal, (tmp_path / "file").open("w") as file:
+        assert wrapped(text, file) == text
+        assert wrapped(text, terminal, hang=8).split("\n") == [
+            "  store   the disk is full:",
+            "          free it",
+            "/a/path/that/is/longer/than/thirty/columns",
+            "        of 2",
+            "short",
+        ]
+        monkeypatch.setenv("COLUMNS", "40")
+        assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"
