@@ -36,10 +36,7 @@ log = logging.getLogger("heliocube.service")
 
 # Of the ground, where the law learns none; the same as that of laws that are told one.
 _ALBEDO = 0.2
-_NO_WIND_SOURCE = (
-    "no wind source: nothing stows the tracker in a storm; set mqtt.wind.topic or mqtt.safe.topic,"
-    ' or safety.without_wind_source = "accepted"'
-)
+_NO_WIND_SOURCE = "no wind source: nothing stows the tracker in a storm"
 STARTED_NAME = "started.json"
 _TO_KEEP = "what persons ask for, a storm and what is in doubt"
 _NOTHING_KEPT = (

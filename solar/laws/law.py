@@ -233,7 +233,13 @@ class DirectionLaw(Law):
         to_sun = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, self.site[0])
         direction = self.direction(now, to_sun)
         if not np.isfinite(direction).all():
-            return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=sun, target=None, why="has no direction")
+            return Aim(
+                azimuth_deg=np.nan,
+                elevation_deg=np.nan,
+                sun=sun,
+                target=None,
+                why="the readings tell no direction",
+            )
         a_deg, b_deg = angles_within(direction, self.limits)
         azimuth, elevation = map(float, azimuth_from_direction(direction, self.site[0]))
         wanted = Angles(float(a_deg), float(b_deg))

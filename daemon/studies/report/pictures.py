@@ -27,6 +27,8 @@ INK, FAINT, NIGHT = "#15191d", "#b9c0c7", "#3b4a63"
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#7a828a",
 )  # fmt: skip
+# Sine of 2 deg: in less light the diffuse fraction is one of small numbers, and tells the noise.
+_LOWEST_SUN = 0.035
 _FACE_STYLES = dict(zip(FACES, ((BLUE, "-"), (RED, "--"), (GREEN, "-."), (INK, ":")), strict=True))
 _MODE_STYLES = {
     "tracking": (GREEN, ""),
@@ -90,7 +92,7 @@ def light_picture(drawing: Drawing) -> Figure:
             colour, line = _FACE_STYLES[face]
             upper.plot(*_thinned(light.utc_s, values), color=colour, linestyle=line, label=face)
         upper.set_ylabel("irradiance [W/m²]")
-        fraction = np.where(light.sun[:, 2] > 0.0, light.diffuse_fraction, np.nan)
+        fraction = np.where(light.sun[:, 2] > _LOWEST_SUN, light.diffuse_fraction, np.nan)
         lower.plot(*_thinned(light.utc_s, fraction), color=GREY)
         lower.set(ylabel="diffuse\nfraction [-]", ylim=(0.0, 1.05))
         _legend(upper, 4)
