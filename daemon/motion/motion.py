@@ -115,6 +115,11 @@ class Motion(MotionState):
         self.may_rehome = False
 
     @property
+    def looks_every_s(self) -> float:
+        """The longest time from one look at a positioner that answers to the next [s]."""
+        return self._polling.idle_s
+
+    @property
     def resting(self) -> bool:
         """Whether nothing moves and nothing that was asked for waits to be taken up."""
         asked = self._wanted or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
@@ -222,6 +227,12 @@ class Motion(MotionState):
             await self._reconnection.run(self._serve, self._close, self._forget)
         finally:
             await self._leave()
+
+    def give_up(self, why: str) -> None:
+        """Know nothing any more of a positioner that `run` has left for good."""
+        self._forget()
+        self.outage.down(self._clock.monotonic(), why)
+        self._note_readiness()
 
     async def _leave(self) -> None:
         """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""

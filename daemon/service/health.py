@@ -125,6 +125,8 @@ class Watchdog:
             due_s = self._clock.monotonic() + interval_s
             await asyncio.sleep(interval_s)
             late_s = (self._clock.monotonic() - due_s) / self._speed
+            for tracker in self._trackers:
+                tracker.watch_driver()
             trouble = f"the event loop runs {late_s:.1f} s late" if late_s > _LATEST_S else self._stuck_part()
             if trouble is None:
                 self._notifier.watchdog()

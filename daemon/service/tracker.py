@@ -45,6 +45,9 @@ _NOTHING_KEPT = (
 )
 # So that all connect, and are then looked at, one after the other.
 _CONNECT_WITHIN_S = 0.5
+# Drivers answer or fail within seconds; one that does neither would never be missed.
+_HUNG_AFTER_S = 120.0
+_LOOKS_MISSED = 3.0
 # The unit needs a second or two; systemd waits 15 s for the whole of it.
 _STAND_WITHIN_S = 8.0
 
@@ -151,6 +154,8 @@ class Tracker:
         )
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
+        self._moving: asyncio.Future[None] | None = None
+        self._hung_why: str | None = None
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:
             self.curves = IvAcquisition(
@@ -247,17 +252,40 @@ class Tracker:
         try:
             if not self.alone:
                 await asyncio.sleep(self._phase.delay_s(_CONNECT_WITHIN_S))
-            await self.motion.run()
-        except DriverHungError as error:
+            self._moving = asyncio.ensure_future(self.motion.run())
+            await self._until_it_ends(self._moving)
+        except Exception as error:
             if self.alone:
                 raise
+            if not isinstance(error, DriverHungError):
+                log.exception("the driver of the positioner has failed")
             self._give_up(error)
             await asyncio.Event().wait()
 
-    def _give_up(self, error: DriverHungError) -> None:
+    async def _until_it_ends(self, moving: asyncio.Future[None]) -> None:
+        try:
+            await moving
+        except asyncio.CancelledError:
+            if self._hung_why is None:
+                raise
+            raise DriverHungError("positioner", self._hung_why) from None
+
+    def watch_driver(self) -> None:
+        """Give the positioner up if a call of its driver does not return; called every few seconds."""
+        telemetry = self.motion.telemetry
+        if self._moving is None or self._moving.done() or telemetry is None:
+            return
+        silent_s = self.clock.monotonic() - telemetry.time_monotonic_s
+        if silent_s > max(_HUNG_AFTER_S, _LOOKS_MISSED * self.motion.looks_every_s):
+            self._hung_why = f"a call of its driver has not returned for {silent_s:.0f} s"
+            self._moving.cancel()
+
+    def _give_up(self, error: Exception) -> None:
         """Leave a positioner that only a new process can connect, so that the other trackers go on."""
-        sentence = f"{error}: the tracker {self.name} is out of work until the service is started anew"
+        what = str(error) if isinstance(error, DriverHungError) else f"positioner: {type(error).__name__}: {error}"
+        sentence = f"{what}: the tracker {self.name} is out of work until the service is started anew"
         log.error("%s", sentence)
+        self.motion.give_up(what)
         self.publish(Event(self.clock.utc(), self.clock.monotonic(), "service", sentence))
         self.alarms.set("driver-hung", sentence)
 

@@ -246,6 +246,7 @@ class Control(Doors):
         self._reminders.watch(self._motion.outage, mode, why)
         self._folder.retry()
         self._alarms.set("not-kept", self._folder.trouble)
+        self._alarms.set("law-failed", self.pointing.failed_why)
         self.last_tick_s = now_s
 
     def _turn_days(self, utc_s: float) -> None:
@@ -350,7 +351,7 @@ class Control(Doors):
             time_utc_s=utc_s,
             time_monotonic_s=now_s,
             mode=self.mode,
-            law=chosen.name,
+            law=self._deciding.name,
             irradiances=mean,
             direction_azimuth_deg=answer.azimuth_deg,
             direction_elevation_deg=answer.elevation_deg,

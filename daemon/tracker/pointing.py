@@ -3,8 +3,9 @@
 import copy
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_file import LawFile
-from solar.frames import Angles, normal_from_angles, separation_deg
-from solar.laws.law import Aim, Law, Moment, Reading, TrackerFacts
+from solar.frames import Angles, Array, normal_from_angles, separation_deg
+from solar.laws.law import Aim, Estimates, Faces, Law, Moment, Reading, TrackerFacts
 
 log = logging.getLogger("heliocube.control")
+
+Answer = TypeVar("Answer")
 
 
 class NamedLaw(NamedTuple):
@@ -76,6 +79,107 @@ class Foresight:
     moves: bool
 
 
+class GuardedLaw(Law):
+    """A law whose failure stops neither its tracker nor others: from then on another law answers in its place.
+
+    Parameters
+    ----------
+    named
+        The law, which anybody may have written.
+    other
+        Answers after it has raised what it never should, or has answered with no `Aim`.
+
+    Attributes
+    ----------
+    failed_why
+        What has happened, in a sentence, or None.
+    """
+
+    def __init__(self, named: NamedLaw, other: NamedLaw) -> None:
+        self._named = named
+        self._other = other
+        self.failed_why: str | None = None
+        self._take_over(named.law)
+
+    @property
+    def name(self) -> str:
+        """Of the law that answers."""
+        return (self._named if self.failed_why is None else self._other).name
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Law:
+        """Return a copy of the law that answers, for questions that are to leave no trace."""
+        return copy.deepcopy((self._named if self.failed_why is None else self._other).law, memo)
+
+    def aim(self, now: Moment) -> Aim:
+        """Return where the law wants to point."""
+
+        def answer(law: Law) -> Aim:
+            found = law.aim(now)
+            if not isinstance(found, Aim):
+                raise TypeError(f"{type(found).__name__} is no Aim")
+            return found
+
+        return self._ask(answer)
+
+    @property
+    def learned(self) -> Any:
+        """What was learned of the site."""
+        return self._ask(lambda law: law.learned)
+
+    def observe(self, reading: Reading) -> None:
+        """Take in a scan that has just arrived."""
+        self._ask(lambda law: law.observe(reading))
+
+    def turn(self, utc_s: float) -> bool:
+        """Look whether a new day has begun since the last call."""
+        return self._ask(lambda law: law.turn(utc_s))
+
+    def affords(self, distance_deg: float) -> bool:
+        """Whether one more move of this length stays within the law's own plan of the day."""
+        return self._ask(lambda law: law.affords(distance_deg))
+
+    def book(self, distance_deg: float) -> None:
+        """Take a move that was ordered out of the plan of the day."""
+        self._ask(lambda law: law.book(distance_deg))
+
+    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:
+        """Whether the zenith face of a mean can be believed."""
+        return self._ask(lambda law: law.believes_zenith(faces_w_m2, utc_s))
+
+    def relearn(self) -> None:
+        """Forget what was learned of the site."""
+        self._ask(lambda law: law.relearn())
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """Return what a later run needs to go on from here."""
+        return self._ask(lambda law: law.to_dict())
+
+    def shown(self) -> dict[str, dict[str, float]]:
+        """Return what a person may want to see of it."""
+        return self._ask(lambda law: law.shown())
+
+    def estimates(self, faces: Array, sun: Array, learned: Any) -> Estimates:
+        """Return what faces show by what was learned."""
+        return self._ask(lambda law: law.estimates(faces, sun, learned))
+
+    def _ask(self, question: Callable[[Law], Answer]) -> Answer:
+        if self.failed_why is None:
+            try:
+                return question(self._named.law)
+            except Exception as error:
+                log.exception("the law %s has failed", self._named.name)
+                why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+                self.failed_why = (
+                    f"the law {self._named.name} has failed ({why}), and {self._other.name} points instead"
+                )
+                self._take_over(self._other.law)
+        return question(self._other.law)
+
+    def _take_over(self, law: Law) -> None:
+        self.site, self.limits = law.site, law.limits
+        self.faces_needed, self.needs_sun, self.decide_every_s = law.faces_needed, law.needs_sun, law.decide_every_s
+
+
 class Pointing:
     """What points one tracker.
 
@@ -90,14 +194,24 @@ class Pointing:
     """
 
     def __init__(self, chosen: NamedLaw, fallback: NamedLaw, file: LawFile) -> None:
-        self.chosen = chosen
+        self._guarded = GuardedLaw(chosen, fallback)
         self.fallback = fallback
         self._file = file
 
     @property
     def law(self) -> Law:
-        """The law of the configuration."""
-        return self.chosen.law
+        """The law of the configuration; what answers in its place once it has failed."""
+        return self._guarded
+
+    @property
+    def chosen(self) -> NamedLaw:
+        """The same with the name of whatever answers."""
+        return NamedLaw(self._guarded.name, self._guarded)
+
+    @property
+    def failed_why(self) -> str | None:
+        """What has befallen the law of the configuration, in a sentence, or None."""
+        return self._guarded.failed_why
 
     def receive(self, scan: Scan, utc_s: float) -> None:
         """Hand a scan that has just arrived to the law."""
@@ -133,7 +247,9 @@ def ask(
     if chosen.law.needs_sun and not sun_known:
         why = "the clock was set a short while ago: the sun's position is in doubt"
         return LawAnswer(replace(answer, target=None), _standing(whereabouts.pose, why))
-    why = f"{chosen.name}: {answer.why}" if answer.why else chosen.name
+    # It may have failed at this very question.
+    name = chosen.law.name if isinstance(chosen.law, GuardedLaw) else chosen.name
+    why = f"{name}: {answer.why}" if answer.why else name
     if answer.target is None:
         return LawAnswer(answer, _standing(whereabouts.pose, why))
     return LawAnswer(answer, Target(answer.target.a_deg, answer.target.b_deg, why))

@@ -101,9 +101,16 @@ _ALL = (
     _kind(
         "driver-hung",
         Severity.CRITICAL,
-        "of several trackers, the driver of one does not return; only a new process can connect it",
+        "of several trackers, the driver of one does not return, or has failed; only a new process can connect it",
         "this tracker is neither moved nor stowed; the others go on",
         "restart the service when the others may stand still for it",
+    ),
+    _kind(
+        "law-failed",
+        Severity.WARNING,
+        "the pointing law has raised an error of its own, which the log has in full",
+        "the tracker follows the sun by ephemeris; limits, stow and commands are as ever",
+        "correct the law or choose another, then restart the service",
     ),
     _kind(
         "no-wind-source",
