@@ -2,27 +2,23 @@
 
 Usage: ``python -m tests.mutation.run --sample 250 --seed 7`` (``--help`` for the rest). Everything happens in a copy of
 the tree. Each change is put to the tests that lie nearest: those of its module, those that import it, those of its
-folder, in this order, until one is red or `--limit` seconds are over; where `--reach` knows which tests enter the
-function (tests.mutation.reach), to those, the quickest first. What tests further away would notice is not
-asked, so the share is rather too low. What is left alive is printed with what was changed. A change that no test can
-notice is listed in equivalent.toml with the reason and is not counted.
+folder, in this order, until one is red or `--limit` seconds are over. With `--reach`, which knows the lines that each
+test reaches (tests.mutation.reach), it is put to all that reach its line, those of its module first, the quickest
+first; without, what tests further away would notice is not asked, so the share is rather too low. What is left alive is
+printed with what was changed. A change that no test can notice is listed in equivalent.toml with the reason and is not
+counted. Ctrl-C ends it early and tells the share of what has been tried.
 """
 
 import argparse
 import contextlib
-import functools
 import importlib
 import itertools
-import json
 import math
 import multiprocessing
 import os
 import random
-import re
 import resource
-import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -32,8 +28,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutation.nearest import Reached
 from tests.mutation.operators import Mutant, mutants
-from tests.support import ROOT, SHARED
+from tests.mutation.tree import begin_afresh, copy_into
+from tests.support import ROOT
 
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
 # The parts where a slip costs most: what computes, what moves, what stops, and what is believed.
@@ -49,10 +47,6 @@ PARTS = (
     "daemon/mqtt/safety_inputs.py",
     "daemon/service/operator.py",
 )
-# Tests that start processes or brokers tell little of one line, and late.
-_TOO_FAR = {"campaign", "docs", "firmware", "fuzz", "measurements", "mutation", "support", "system"}
-# Holds every default and bound of the settings.
-_OF_SETTINGS = "tests/daemon/config/test_file.py::test_the_reference_document_is_current"
 # Read once, before the forks: a test's process then begins in a fraction of a second.
 _LIBRARIES = ("numpy", "pandas", "pvlib", "pydantic", "pyarrow", "scipy.interpolate", "scipy.optimize", "scipy.special")
 _PLAIN = (
@@ -76,7 +70,10 @@ _CAUGHT, _ALIVE = "caught", "alive"
 
 def main() -> None:
     """Sample, try and tell."""
+    global _reached
     arguments = _arguments()
+    # Before the forks: a process of the pool that cannot begin is begun again for ever.
+    _reached = Reached(arguments.reach)
     all_mutants = _all_mutants(arguments.paths)
     if arguments.list:
         print("\n".join(f"{mutant.path}:{mutant.line}: {mutant.was}  ->  {mutant.now}" for mutant in all_mutants))
@@ -88,19 +85,21 @@ def main() -> None:
         chosen = random.Random(arguments.seed).sample(unequal, arguments.sample)
     chosen = [mutant for mutant in chosen if arguments.only is None or mutant.path.startswith(arguments.only)]
     print(f"{len(chosen)} of {len(unequal)} changes, seed {arguments.seed}", flush=True)
-    results = {}
+    results: dict[Mutant, str] = {}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with (
+        contextlib.suppress(KeyboardInterrupt),
         tempfile.TemporaryDirectory(prefix="heliocube-mutation-") as folder,
         multiprocessing.get_context("fork").Pool(arguments.jobs, _settle, (Path(folder),)) as pool,
     ):
-        reach = json.loads(arguments.reach.read_text()) if arguments.reach else {}
-        work = [(mutant, _tests_for(mutant, reach), arguments.limit) for mutant in chosen]
+        work = [(mutant, arguments.limit) for mutant in chosen]
         for number, (mutant, verdict, note) in enumerate(pool.imap_unordered(_try, work), 1):
             results[mutant] = verdict
             if verdict == _ALIVE or arguments.verbose:
                 print(f"{number:4} {verdict} {mutant.path}:{mutant.line} ({note})", flush=True)
                 print(f"       - {mutant.was}\n       + {mutant.now}", flush=True)
-    _tell(results)
+    if results:
+        _tell(results)
 
 
 def _arguments() -> argparse.Namespace:
@@ -134,82 +133,28 @@ def equivalent() -> list[dict[str, str]]:
     return tomllib.loads(EQUIVALENT.read_text())["equivalent"] if EQUIVALENT.exists() else []
 
 
-def _copy_into(folder: Path) -> Path:
-    tree = folder / "tree"
-    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    for name in subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0"):
-        if name and (ROOT / name).is_file():
-            target = tree / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, target)
-    # The measured weather lies beside the tree.
-    if SHARED.is_dir():
-        (folder / SHARED.name).symlink_to(SHARED)
-    return tree
-
-
-def _begin_afresh() -> None:
-    """Have the tests import the tree of the current folder, and nothing of this one."""
-    for name in [name for name in sys.modules if name.partition(".")[0] in {"tests", "solar", "drivers", "daemon"}]:
-        del sys.modules[name]
-    sys.path[:] = [str(Path.cwd()), *(path for path in sys.path if Path(path or ".").resolve() != ROOT)]
-
-
 _tree: Path
+_reached: Reached
 
 
 def _settle(folder: Path) -> None:
     """Give this worker a tree of its own."""
     global _tree
-    _tree = _copy_into(folder / str(os.getpid()))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _tree = copy_into(folder / str(os.getpid()))
     for library in _LIBRARIES:
         importlib.import_module(library)
 
 
-@functools.cache
-def _nearest(path: str) -> tuple[str, ...]:
-    """Return the test files of a module, then those that import it, then those of its folder."""
-    module = Path(path)
-    folder = Path("tests", module.parent)
-    name = ".".join(module.with_suffix("").parts)
-    imports = re.compile(rf"(?:from|import) {re.escape(name)}\b")
-    own, importing, beside = [], [], []
-    for file in sorted((ROOT / "tests").rglob("test_*.py")):
-        place = file.relative_to(ROOT)
-        if place.parts[1] in _TOO_FAR:
-            continue
-        if place == folder / f"test_{module.name}":
-            own.append(str(place))
-        elif imports.search(file.read_text()):
-            importing.append(str(place))
-        elif folder in place.parents:
-            beside.append(str(place))
-    of_settings = (_OF_SETTINGS,) if "Field(" in (ROOT / path).read_text() else ()
-    return *own, *of_settings, *importing, *beside
-
-
-def _tests_for(mutant: Mutant, reach: dict[str, dict]) -> tuple[str, ...]:
-    """Return what to run for a change: the nearest test files, in the place of those that are known their own tests."""
-    nearest = _nearest(mutant.path)
-    within = f"{mutant.path}:{mutant.function}"
-    entering = [test for test, entry in reach.items() if mutant.function and within in entry["functions"]]
-    if not entering:
-        return nearest
-    known = {test.partition("::")[0] for test in reach}
-    unknown = [file for file in nearest if file not in known]
-    # Those of its own module come first in any case.
-    first = int(unknown[:1] == list(nearest[:1]))
-    return *unknown[:first], *sorted(entering, key=lambda test: reach[test]["seconds"]), *unknown[first:]
-
-
-def _try(work: tuple[Mutant, tuple[str, ...], float]) -> tuple[Mutant, str, str]:
-    mutant, tests, limit_s = work
+def _try(work: tuple[Mutant, float]) -> tuple[Mutant, str, str]:
+    mutant, limit_s = work
     file = _tree / mutant.path
     source, times = file.read_bytes(), file.stat()
     file.write_bytes(mutant.applied(source))
     began_s = time.monotonic()
     try:
-        red, whole = _first_red(tests, limit_s)
+        red, whole = _first_red(mutant, limit_s)
     finally:
         file.write_bytes(source)
         os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
@@ -218,24 +163,55 @@ def _try(work: tuple[Mutant, tuple[str, ...], float]) -> tuple[Mutant, str, str]
     return mutant, _ALIVE if red is None else _CAUGHT, f"{note}, {took_s:.0f} s"
 
 
-def _first_red(tests: tuple[str, ...], limit_s: float) -> tuple[str | None, bool]:
+class _Chosen:
+    """A pytest plugin that keeps these tests in this order, and all of a file that is named as a whole."""
+
+    def __init__(self, tests: list[str], path: str) -> None:
+        self.files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
+        self._place = {test: place for place, test in enumerate(tests)}
+        self._path = path
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items):
+        """Leave out the others; what was not there when the tests were looked at comes last."""
+        places = [self._place_of(item.nodeid) for item in items]
+        ordered = sorted(zip(places, range(len(items)), items, strict=True))
+        items[:] = [item for place, _, item in ordered if place < math.inf]
+
+    def _place_of(self, test: str) -> float:
+        place = self._place.get(test, self._place.get(test.partition("::")[0]))
+        if place is not None:
+            return place
+        return len(self._place) if _reached.is_new(test, self._path) else math.inf
+
+
+def _first_red(mutant: Mutant, limit_s: float) -> tuple[str | None, bool]:
     """Run tests until one is red; return its name, or None where none is, and whether the time was enough."""
+    ends_s = time.monotonic() + limit_s
+    for tests in _reached.stages(mutant):
+        status = _status(_Chosen(tests, mutant.path), ends_s) if tests else 0
+        if status is None:
+            return None, False
+        if status:
+            return _named_in_output(), True
+    return None, True
+
+
+def _status(chosen: _Chosen, ends_s: float) -> int | None:
+    """Run tests in a process of their own; return 0 for green, and None where the time was too short."""
     child = os.fork()
     if child == 0:
-        _run_and_exit(tests)
-    ends_s = time.monotonic() + limit_s
-    status = 0
-    while time.monotonic() < ends_s:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            _end_group(child)
-            break
-        time.sleep(0.02)
-    else:
+        _run_and_exit(chosen)
+    try:
+        while time.monotonic() < ends_s:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return 0 if os.waitstatus_to_exitcode(status) == pytest.ExitCode.NO_TESTS_COLLECTED else status
+            time.sleep(0.02)
+    finally:
         _end_group(child)
-        os.waitpid(child, 0)
-        return None, False
-    return _named_in_output() if status else None, True
+    os.waitpid(child, 0)
+    return None
 
 
 def _named_in_output() -> str:
@@ -252,7 +228,9 @@ def _end_group(leader: int) -> None:
         os.killpg(leader, signal.SIGKILL)
 
 
-def _run_and_exit(tests: tuple[str, ...]) -> None:
+def _run_and_exit(chosen: _Chosen) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY_BYTES, _MOST_MEMORY_BYTES))
     sys.dont_write_bytecode = True
@@ -260,10 +238,10 @@ def _run_and_exit(tests: tuple[str, ...]) -> None:
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.chdir(_tree)
-    _begin_afresh()
+    begin_afresh()
     code = 3
     try:
-        code = int(pytest.main([*_PLAIN, "-x", f"--timeout={_ONE_TEST_S}", *tests]))
+        code = int(pytest.main([*_PLAIN, "-x", f"--timeout={_ONE_TEST_S}", *chosen.files], plugins=[chosen]))
     except BaseException:  # noqa: BLE001 - nothing may come back into the worker
         traceback.print_exc()
     finally:

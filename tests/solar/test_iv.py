@@ -50,6 +50,12 @@ def test_the_uncertainty_is_of_the_size_of_the_error():
     assert 0.7 < np.std(pulls) < 1.6
 
 
+def test_the_short_circuit_current_of_a_leaky_module_is_that_at_no_voltage():
+    truth, voltage, current = swept(800.0, 25.0, 40)
+    leaky = measured_maximum(voltage, current - 0.03 * voltage)
+    assert leaky.isc_a == pytest.approx(truth.isc_a, rel=5e-4)
+
+
 @given(irradiances, temperatures, st.integers(0, 30), st.floats(-3.0, 3.0))
 def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
     truth, voltage, current = swept(irradiance, temperature)

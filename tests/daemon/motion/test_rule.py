@@ -312,6 +312,19 @@ def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
     run_rig(scenario)
 
 
+def test_freezing_sends_a_stop_even_to_axes_that_seem_to_stand(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.freeze("Ann works there")
+        assert rig.motion.stands_since_s is None
+        await asyncio.sleep(5)
+        assert any(data.startswith(b"$9s") for _, data in sent)
+        assert rig.motion.stands_since_s is not None
+
+    run_rig(scenario)
+
+
 @pytest.mark.parametrize("busy", ["clear", "home", "queued home", "queued target"])
 def test_a_stop_is_never_lost_in_what_goes_on(run_rig, busy):
     async def scenario(rig):

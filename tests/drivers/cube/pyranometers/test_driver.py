@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from drivers.cube.pyranometers.settings import FACE_NAMES
 from drivers.errors import ConnectError, LinkLostError
 from sim_drivers.modbus.pyranometers import SimulatedApogee
 from tests.drivers.cube.pyranometers.conftest import LIGHT
@@ -250,6 +251,18 @@ def test_a_register_that_is_not_there_is_told_with_the_remedy(on_rig):
     reading = on_rig(asked, make="map", map={"register_number": 500})
     assert flaws(reading) == ("missing", None, None, None)
     assert "address 1 has no such register (exception 2): is it of the configured make?" in reading.notes[0]
+
+
+@pytest.mark.parametrize(("keys", "flaw"), [({}, None), ({"east": {"serial": 101}}, "missing")])
+def test_a_sensor_that_hides_its_number_is_read_unless_its_number_is_pinned(on_rig, keys, flaw):
+    async def hides(rig):
+        east = rig.sensors[0]
+        data = {register: word for register, word in east.registers(0.0).items() if register < 41}
+        east.registers = lambda w_m2: data | {5: round(w_m2)}
+        await rig.cube.open()
+        return (await rig.scans(2))[0]
+
+    assert flaws(on_rig(hides, **keys))[FACE_NAMES.index("east")] == flaw
 
 
 def test_a_reading_cube_writes_nothing(on_rig):
