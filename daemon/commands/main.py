@@ -48,7 +48,7 @@ from daemon.commands.studies.simulate import (
     tell_pages,
 )
 from daemon.commands.upgrade import command as upgrade_command
-from daemon.studies.inputs import instant, settings_for, site_values
+from daemon.studies.inputs import instant, of_several, settings_for, site_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -185,6 +185,10 @@ def simulate(
     seed: SeedOption = None,
     cube: CubeOption = None,
     positioner: PositionerOption = None,
+    trackers: Annotated[
+        int | None,
+        typer.Option(min=1, max=9999, metavar="NUMBER", help="So many trackers by one cube, named t1 and so on."),
+    ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
     plot: Annotated[
         Path | None, typer.Option(help="Draw light, angles and insolation too: their names are added to this one's.")
@@ -200,6 +204,8 @@ def simulate(
     settings = _settings(
         config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube, positioner=positioner
     )
+    if trackers is not None:
+        settings = of_several(settings, trackers)
     begin = instant(start, "--start")
     check_tables(out, table_format.value, force=force)
     drawn = checked_pictures(plot, settings, force=force)

@@ -1,6 +1,7 @@
 """The settings of the service: all sections together, consistent with each other."""
 
-from typing import NamedTuple, Self
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
@@ -48,10 +49,10 @@ class Settings(Sections):
         """
         if not self.tracker:
             return (NamedSettings(self.mqtt.name or "tracker", self),)
-        return tuple(NamedSettings(table.name, self._of(table)) for table in self.tracker)
+        values = values_of(self)
+        return tuple(NamedSettings(table.name, self._of(table, values)) for table in self.tracker)
 
-    def _of(self, table: TrackerTable) -> "Settings":
-        raw = merged(values_of(self), table.model_dump())
+    def _of(self, table: TrackerTable, values: Mapping[str, Any]) -> "Settings":
         # Two connections with one name throw each other out.
         client_id = None if self.mqtt.client_id is None else f"{self.mqtt.client_id}-{table.name}"
         directory = None if self.store.directory is None else self.store.directory / table.name
@@ -59,7 +60,10 @@ class Settings(Sections):
             "mqtt": self.mqtt.model_copy(update={"name": table.name, "client_id": client_id}),
             "store": self.store.model_copy(update={"directory": directory}),
         }
-        return Settings.model_validate(raw).model_copy(update=own)
+        if not table.model_fields_set - {"name"}:
+            # Hundreds of trackers differ in a name: to check the same again takes milliseconds each.
+            return self.model_copy(update={"tracker": (), **own})
+        return Settings.model_validate(merged(values, table.model_dump())).model_copy(update=own)
 
 
 def settings_of_one(settings: Settings, tracker: str | None) -> Settings:

@@ -10,6 +10,7 @@ from daemon.base.errors import UserError
 from daemon.config.plugged import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
+from daemon.service.rig import Role
 from drivers.interfaces import Cube, ElectronicLoad, Multiplexer, Positioner, Voltmeter
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
@@ -84,6 +85,16 @@ def build_cube(settings: Settings, clock: Clock) -> Cube:
         return cast("Cube", plugins.load(plugins.CUBES, own.driver).build(own, cube_surroundings(settings, clock)))
     except SettingsError as error:
         raise UserError(str(error)) from None
+
+
+def build_cube_of(settings: Settings, role: Role, clock: Clock) -> Cube:
+    """Return the cube of a process that has a role; raises `UserError`, with what else may have been meant."""
+    try:
+        return build_cube(settings, clock)
+    except UserError as error:
+        if role is Role.BOTH and settings.tracker:
+            raise UserError(f"{error}; where the cube is another process's, give --role tracker") from None
+        raise
 
 
 def cube_surroundings(

@@ -20,7 +20,7 @@ from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.measured import CubeInGaps, missing_by_day, weather_notes
 from daemon.rigs.real import (
-    build_cube,
+    build_cube_of,
     build_load,
     build_positioner,
     build_pozsol,
@@ -102,7 +102,7 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
     """
     trackers = () if role is Role.CUBE else settings.trackers
     return Rig(
-        cube=None if role is Role.TRACKER else build_cube(settings, clock),
+        cube=None if role is Role.TRACKER else build_cube_of(settings, role, clock),
         trackers=tuple(TrackerInstruments(build_positioner(own, clock), build_load(own)) for _, own in trackers),
         wind_speed_m_s=None,
         simulated=settings.instruments.bench,

@@ -128,3 +128,21 @@ def settings_for(
         instruments["positioner"] = POSITIONER.changed(settings.instruments.positioner, driver)
     changes["instruments"] = instruments
     return override(settings, changes)
+
+
+def of_several(settings: "Settings", number: int) -> "Settings":
+    """Return the settings of so many trackers that are all alike, for one process and one cube.
+
+    Raises
+    ------
+    UserError
+        The settings name their trackers.
+    """
+    from daemon.config.trackers import TrackerTable  # noqa: PLC0415 - as above
+
+    if settings.tracker:
+        names = ", ".join(table.name for table in settings.tracker)
+        raise UserError(f"--trackers: the configuration names its trackers already ({names}); leave the option out")
+    width = len(str(number))
+    tables = tuple(TrackerTable(name=f"t{place:0{width}}") for place in range(1, number + 1))
+    return settings.model_copy(update={"tracker": tables})

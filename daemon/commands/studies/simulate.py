@@ -70,12 +70,21 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
             f"{summary.travel_deg:.0f} degrees of travel"
         ),
         f"modes: {hours}",
-        *(_received(each, several=len(summary.insolation) > 1) for each in summary.insolation),
+        *_lines_of_planes(summary.insolation),
         *(["that is without the shade of neighbours"] if any(own.rows.east_m for _, own in settings.trackers) else []),
         f"tables in {out}",
     )
     for line in lines:
         say(line)
+
+
+def _lines_of_planes(planes: "Sequence[PlaneInsolation]") -> list[str]:
+    if len(planes) <= _MOST_LINES:
+        return [_received(each, several=len(planes) > 1) for each in planes]
+    least, most = (choose(planes, key=lambda each: each.gain_pct) for choose in (min, max))
+    return [f"on the modules of {len(planes)} trackers, from the least to the most:"] + [
+        _received(each, several=True) for each in (least, most)
+    ]
 
 
 def _received(one: "PlaneInsolation", *, several: bool) -> str:
@@ -86,6 +95,7 @@ def _received(one: "PlaneInsolation", *, several: bool) -> str:
     )
 
 
+_MOST_LINES = 10
 _PICTURES = ("light", "angles", "received")
 
 

@@ -1,0 +1,43 @@
+"""`heliocube simulate` of many trackers, as a person asks for it."""
+
+import csv
+import json
+
+
+def test_so_many_trackers_have_names_of_their_own_and_one_line_stands_for_all_of_them(heliocube, tmp_path):
+    out = tmp_path / "out"
+    code, told, _ = heliocube(
+        "simulate", "--trackers", 11, "--start", "2022-10-14T11:00Z", "--days", 0.01, "--out", out
+    )
+    assert code == 0
+    assert "on the modules of 11 trackers, from the least to the most:" in told
+    assert told.count("kWh/m2 by") == 2
+    rows = csv.DictReader((out / "poses.csv").read_text().splitlines())
+    assert {row["tracker"] for row in rows} == {f"t{place:02}" for place in range(1, 12)}
+    code, told, _ = heliocube(
+        "simulate", "--trackers", 2, "--start", "2022-10-14T11:00Z", "--days", 0.01, "--out", out, "--force", "--json"
+    )
+    assert code == 0
+    assert [plane["tracker"] for plane in json.loads(told)["insolation"]] == ["t1", "t2"]
+
+
+def test_a_number_of_trackers_is_refused_where_the_file_names_them(heliocube, tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
+    code, _, told = heliocube(
+        "simulate", "--trackers", 3, "--config", file, "--start", "2022-10-14", "--out", tmp_path / "out"
+    )
+    assert (code, told) == (
+        2,
+        "heliocube: --trackers: the configuration names its trackers already (east, west); leave the option out\n",
+    )
+
+
+def test_trackers_without_a_cube_are_told_what_is_missing_and_what_else_may_be_meant(heliocube, tmp_path):
+    file = tmp_path / "heliocube.toml"
+    file.write_text('[instruments]\nkind = "real"\n[[tracker]]\nname = "east"\n[[tracker]]\nname = "west"\n')
+    code, _, told = heliocube("run", "--config", file)
+    assert code == 2
+    assert told.count("\n") == 1
+    assert "instruments.voltmeter.resource is missing" in told
+    assert told.endswith("; where the cube is another process's, give --role tracker\n")
