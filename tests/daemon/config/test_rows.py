@@ -1,10 +1,8 @@
 """The group of trackers in the file: what is read of it, and what is told where it cannot be one."""
 
-import textwrap
-
 import pytest
 
-from daemon.config.file import ConfigError, load_settings
+from daemon.config.file import ConfigError
 from daemon.config.settings import Settings
 
 GOOD = """
@@ -14,18 +12,6 @@ GOOD = """
     module_width_m = 2.0
     module_height_m = 1.2
     """
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Read settings from the text of a file."""
-
-    def read_text(text):
-        file = tmp_path / "heliocube.toml"
-        file.write_text(textwrap.dedent(text))
-        return load_settings(file)
-
-    return read_text
 
 
 def test_without_positions_there_is_no_group(read):

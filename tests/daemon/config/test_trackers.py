@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from daemon.config.file import ConfigError, load_settings, override
+from daemon.config.file import ConfigError, override
 from daemon.config.settings import Settings
 
 TWO = """
@@ -25,18 +25,6 @@ TWO = """
     [tracker.law]
     driver = "chronometric"
     """
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Read settings from the text of a file."""
-
-    def read_text(text):
-        file = tmp_path / "heliocube.toml"
-        file.write_text(textwrap.dedent(text))
-        return load_settings(file)
-
-    return read_text
 
 
 def problems(read, text):
