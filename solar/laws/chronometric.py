@@ -3,6 +3,7 @@
 import numpy as np
 
 from solar.energy import DaylightWeather, Steer
+from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
@@ -54,5 +55,6 @@ def steer(
     sun = weather.gridded(weather.sun, np.nan)
     a_deg, b_deg = angles_within(sun, limits)
     if group is not None:
-        a_deg, b_deg = turned_back(group, sun, a_deg, b_deg, limits)
+        later = weather.gridded(sun_direction(weather.utc_s + weather.step_s, *weather.site), np.nan)
+        a_deg, b_deg = turned_back(group, [sun, later], a_deg, b_deg, limits)
     return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)

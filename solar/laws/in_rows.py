@@ -20,52 +20,59 @@ _TIMES = 3
 _AT_ONCE = 8
 
 
-def taken_by_neighbours(group: TrackerGroup, beam: Array, sun: Array, a_deg: Array, b_deg: Array) -> Array:
-    """Return what shade takes [W/m2] of a beam, shape (...), in poses (...) under suns (..., 3): mean of the group."""
-    towards = np.maximum(np.sum(sun * normal_from_angles(a_deg, b_deg), axis=-1), 0.0)
-    taken: Array = beam * towards * group.shade(sun, a_deg, b_deg).lost
+def taken_by_neighbours(group: TrackerGroup, beam: Array, suns: Sequence[Array], a_deg: Array, b_deg: Array) -> Array:
+    """Return what shade takes [W/m2] of a beam, shape (...), in poses (...): mean of the group and of suns (..., 3)."""
+    normals = normal_from_angles(a_deg, b_deg)
+    lost = [np.maximum(np.sum(sun * normals, axis=-1), 0.0) * group.shade(sun, a_deg, b_deg).lost for sun in suns]
+    taken: Array = beam * np.mean(lost, axis=0)
     return taken
 
 
 def best_among(
-    group: TrackerGroup, vector: Array, beam: Array, sun: Array, alone: tuple[Array, Array], limits: Limits
+    group: TrackerGroup,
+    vector: Array,
+    beam: Array,
+    suns: Sequence[Array],
+    alone: tuple[Array, Array],
+    limits: Limits,
 ) -> tuple[Array, Array]:
     """Return the poses [deg] that collect most, all of the group in the same one.
 
-    It is never less than alone, or turned back out of all shade.
+    It is never less than alone, or turned back from all shade.
 
     Parameters
     ----------
     vector, beam
         The expected light: :func:`solar.laws.light.aim_vector`'s, shape (..., 3), and its beam [W/m2], shape (...).
-    sun
-        Shape (..., 3).
+    suns
+        Each of shape (..., 3), of the instants that the pose is to last for.
     alone
         The best poses [deg] of a tracker without neighbours, shape (...).
     """
     shape = np.shape(beam)
-    rows_vector, rows_sun = vector.reshape(-1, 3), np.broadcast_to(sun, vector.shape).reshape(-1, 3)
+    rows_vector = vector.reshape(-1, 3)
+    rows_suns = [np.broadcast_to(sun, vector.shape).reshape(-1, 3) for sun in suns]
     rows_beam = np.asarray(beam, dtype=np.float64).reshape(-1)
     best_a, best_b = (np.array(np.broadcast_to(angle, shape), dtype=np.float64).reshape(-1) for angle in alone)
-    shaded = np.flatnonzero(taken_by_neighbours(group, rows_beam, rows_sun, best_a, best_b) > 0.0)
+    shaded = np.flatnonzero(taken_by_neighbours(group, rows_beam, rows_suns, best_a, best_b) > 0.0)
     for first in range(0, shaded.size, _AT_ONCE):
         some = shaded[first : first + _AT_ONCE]
-        light = (rows_vector[some, None], rows_beam[some, None], rows_sun[some, None])
-        turned_back = out_of_shade(group, rows_sun[some], best_a[some], best_b[some], limits)
+        light = (rows_vector[some, None], rows_beam[some, None], [sun[some, None] for sun in rows_suns])
+        turned_back = out_of_shade(group, [sun[some] for sun in rows_suns], best_a[some], best_b[some], limits)
         starts = [np.stack(pair, axis=-1) for pair in zip((best_a[some], best_b[some]), turned_back, strict=True)]
         best_a[some], best_b[some] = _searched(group, light, starts, limits)
     return best_a.reshape(shape), best_b.reshape(shape)
 
 
 def _searched(
-    group: TrackerGroup, light: tuple[Array, Array, Array], starts: Sequence[Array], limits: Limits
+    group: TrackerGroup, light: tuple[Array, Array, Sequence[Array]], starts: Sequence[Array], limits: Limits
 ) -> tuple[Array, Array]:
-    vector, beam, sun = light
+    vector, beam, suns = light
     everywhere = [np.broadcast_to(angles, (len(beam), angles.size)) for angles in lattice(limits, _COARSE_DEG)]
     tries = [np.concatenate(parts, axis=-1) for parts in zip(starts, everywhere, strict=True)]
     reach = _COARSE_DEG
     for _ in range(_TIMES + 1):
-        collected = product(vector, *tries) - taken_by_neighbours(group, beam, sun, *tries)
+        collected = product(vector, *tries) - taken_by_neighbours(group, beam, suns, *tries)
         best = np.argmax(collected, axis=-1)[:, None]
         a, b = (np.take_along_axis(angles, best, axis=-1)[:, 0] for angles in tries)
         tries = list(closer(a, b, reach, limits))

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from solar.ephemeris import Site, SunPosition, sun_position
+from solar.ephemeris import Site, SunPosition, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
 from solar.laws.words import out_of_shade_by
 from solar.rows.backtrack import turned_back
@@ -243,7 +243,7 @@ class DirectionLaw(Law):
         a_deg, b_deg = angles_within(direction, self.limits)
         azimuth, elevation = map(float, azimuth_from_direction(direction, self.site[0]))
         wanted = Angles(float(a_deg), float(b_deg))
-        target = self._out_of_shade(wanted, to_sun) if now.sun_known else wanted
+        target = self._out_of_shade(wanted, to_sun, now.utc_s) if now.sun_known else wanted
         reason = self.reason(azimuth, elevation)
         return Aim(
             azimuth_deg=azimuth,
@@ -253,10 +253,11 @@ class DirectionLaw(Law):
             why=reason if target == wanted else out_of_shade_by(wanted, target, reason),
         )
 
-    def _out_of_shade(self, wanted: Angles, to_sun: Array) -> Angles:
+    def _out_of_shade(self, wanted: Angles, to_sun: Array, utc_s: float) -> Angles:
         if self.group is None:
             return wanted
-        a_deg, b_deg = turned_back(self.group, to_sun, *wanted, self.limits)
+        later = sun_direction(utc_s + self.decide_every_s, *self.site)
+        a_deg, b_deg = turned_back(self.group, [to_sun, later], *wanted, self.limits)
         return Angles(float(a_deg), float(b_deg))
 
 

@@ -48,6 +48,8 @@ class OptimalSettings:
         two memories, averaged over the slow one, up to this share.
     lead_s
         How far ahead of the last reading the sun is taken.
+    rest_s
+        How far ahead a pose should still be out of the neighbours' shade.
     price_per_degree_w_m2, price_per_move_w_m2
         Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
     thrift
@@ -66,6 +68,7 @@ class OptimalSettings:
     unrest_weight: float = 0.6
     slow_share_max: float = 0.8
     lead_s: float = 240.0
+    rest_s: float = 600.0
     price_per_degree_w_m2: float = 0.02
     price_per_move_w_m2: float = 0.2
     thrift: float = 1.0
@@ -221,14 +224,28 @@ class OptimalLaw:
         light = Light(*((1.0 - share) * self._quick + share * self._slow))
         return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
 
-    def decide(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
+    def decide(
+        self,
+        a_deg: ArrayLike,
+        b_deg: ArrayLike,
+        sun: ArrayLike,
+        daylight_left: ArrayLike,
+        later: ArrayLike | None = None,
+    ) -> Choice:
         """Choose where to stand, and book the move if there is one; parameters as for `choose`."""
-        choice = self.choose(a_deg, b_deg, sun, daylight_left)
+        choice = self.choose(a_deg, b_deg, sun, daylight_left, later)
         distance = np.abs(choice.a_deg - np.asarray(a_deg)) + np.abs(choice.b_deg - np.asarray(b_deg))
         self.book(distance, choice.move)
         return choice
 
-    def choose(self, a_deg: ArrayLike, b_deg: ArrayLike, sun: ArrayLike, daylight_left: ArrayLike) -> Choice:
+    def choose(
+        self,
+        a_deg: ArrayLike,
+        b_deg: ArrayLike,
+        sun: ArrayLike,
+        daylight_left: ArrayLike,
+        later: ArrayLike | None = None,
+    ) -> Choice:
         """Choose where to stand, and leave it to the caller to `book` the move that comes of it.
 
         Parameters
@@ -239,6 +256,8 @@ class OptimalLaw:
             Unit vector(s) to the sun `lead_s` from now, shape (*shape, 3).
         daylight_left
             Share of the day's light hours that is still to come, 0..1.
+        later
+            The sun `rest_s` from now, like `sun`: the neighbours' shade is the mean of both. None for `sun` alone.
         """
         thrift = self._thrift(np.asarray(daylight_left, dtype=np.float64))
         expected = self.expect(thrift)
@@ -251,8 +270,9 @@ class OptimalLaw:
         shade_w_m2 = np.zeros(self._shape)
         if self._group is not None:
             beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)
-            best_a, best_b = best_among(self._group, vector, beam, sun, (best_a, best_b), self._limits)
-            here, there = (taken_by_neighbours(self._group, beam, sun, *pose) for pose in ((a, b), (best_a, best_b)))
+            suns = [sun] if later is None else [sun, np.asarray(later, dtype=np.float64)]
+            best_a, best_b = best_among(self._group, vector, beam, suns, (best_a, best_b), self._limits)
+            here, there = (taken_by_neighbours(self._group, beam, suns, *pose) for pose in ((a, b), (best_a, best_b)))
             shade_w_m2 = here - there
         distance = np.abs(best_a - a) + np.abs(best_b - b)
         gain = product(vector, best_a, best_b) - product(vector, a, b) + shade_w_m2

@@ -158,10 +158,11 @@ class LiveOptimal(Law):
         """Return where the law wants to point, with no target where it wants to stay."""
         utc_s = now.utc_s
         # One call for all instants: it costs little more than one instant.
-        instants = np.array([utc_s, utc_s + self._settings.lead_s, *(mean[0] for mean in self._waiting)])
+        ahead = (self._settings.lead_s, self._settings.rest_s)
+        instants = np.array([utc_s, *(utc_s + seconds for seconds in ahead), *(mean[0] for mean in self._waiting)])
         suns = sun_position(instants, *self.site)
         directions = direction_from_azimuth(suns.azimuth_deg, suns.elevation_deg, self.site[0])
-        self._take_in(directions[2:])
+        self._take_in(directions[3:])
         sun = SunPosition(*(float(values[0]) for values in suns))
         if now.heading is None:
             return Aim(
@@ -171,7 +172,7 @@ class LiveOptimal(Law):
                 target=None,
                 why="where the tracker stands is not known",
             )
-        choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s))
+        choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s), directions[2])
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         moves = bool(choice.move)
         why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves)
@@ -289,7 +290,10 @@ def steer(
     days = weather.shape[1]
     grid = weather.gridded(faces, np.nan)
     sun = weather.gridded(weather.sun, 0.0)
-    ahead = weather.gridded(sun_direction(weather.utc_s + plan.lead_s, *weather.site), 0.0)
+    ahead, later = (
+        weather.gridded(sun_direction(weather.utc_s + seconds, *weather.site), 0.0)
+        for seconds in (plan.lead_s, plan.rest_s)
+    )
     light = weather.gridded(np.ones(len(weather.utc_s)), 0.0)
     left = 1.0 - np.cumsum(light, axis=0) / np.maximum(light.sum(axis=0), 1.0)
     law = OptimalLaw(plan, limits, (days,), learned_by_day(weather, faces, start), group)
@@ -298,7 +302,7 @@ def steer(
         if step == 0:
             return a, b
         law.observe(grid[step - 1], sun[step - 1], weather.step_s)
-        choice = law.decide(a, b, ahead[step - 1], left[step - 1])
+        choice = law.decide(a, b, ahead[step - 1], left[step - 1], later[step - 1])
         return choice.a_deg, choice.b_deg
 
     return next_pose

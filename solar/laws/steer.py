@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from solar.energy import DaylightWeather, Steer
+from solar.ephemeris import sun_direction
 from solar.frames import Angles, Array, Limits, angles_within
 from solar.laws.law import Faces, Law, Moment, Reading, TrackerFacts
 from solar.rows.backtrack import turned_back
@@ -46,8 +47,10 @@ def by_the_mean(
     every = max(round(every_s / weather.step_s), 1)
     if group is not None:
         asked = slice(every - 1, None, every)
-        sun = weather.gridded(weather.sun, np.nan)[asked]
-        a_deg[asked], b_deg[asked] = turned_back(group, sun, a_deg[asked], b_deg[asked], limits)
+        rests_s = every * weather.step_s
+        suns = (weather.sun, sun_direction(weather.utc_s + rests_s, *weather.site))
+        instants = [weather.gridded(sun, np.nan)[asked] for sun in suns]
+        a_deg[asked], b_deg[asked] = turned_back(group, instants, a_deg[asked], b_deg[asked], limits)
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
         return or_stay(a_deg[step - 1], b_deg[step - 1], a, b) if step > 0 and step % every == 0 else (a, b)

@@ -8,6 +8,8 @@ and then ever closer around the best: to a few hundredths of a degree from the e
 to some tenths.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -29,7 +31,7 @@ _LOWEST_SUN = 1e-3
 
 
 def out_of_shade(
-    group: TrackerGroup, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
+    group: TrackerGroup, suns: Sequence[ArrayLike], a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
 ) -> tuple[Array, Array]:
     """Return the poses (a_deg, b_deg) inside `limits`, nearest to the given ones, that have no shade.
 
@@ -39,63 +41,65 @@ def out_of_shade(
     ----------
     group
         Whose shade it is; all of it is taken to stand in the pose that is returned.
-    sun
-        Unit vector(s) to the sun, shape (..., 3). A sun below the horizon is taken to be on it, so that the evening's
-        last pose lasts.
+    suns
+        Unit vectors to the sun, each of shape (..., 3), at the instants that the pose is for: at the beginning and at
+        the end of a rest, for at the very edge of the shade some minutes make it another. A sun below the horizon is
+        taken to be on it, so that the evening's last pose lasts.
     a_deg, b_deg
         What is wanted [deg], shape (...).
     """
-    sun = above_horizon(sun)
     a, b = (np.array(angle, dtype=np.float64) for angle in np.broadcast_arrays(a_deg, b_deg))
-    sun = np.broadcast_to(sun, (*a.shape, 3))
-    known = np.isfinite(a) & np.isfinite(b) & np.isfinite(sun).all(axis=-1)
-    shaded = np.flatnonzero((group.worst_share(sun, a, b) > _FREE_SHARE) & known)
-    flat_sun = sun.reshape(-1, 3)
+    instants = _instants(suns, a.shape)
+    shares = [group.worst_share(sun, a, b) for sun in instants]
+    known = np.isfinite(a) & np.isfinite(b) & np.isfinite(instants).all(axis=(0, -1))
+    shaded = np.flatnonzero((np.max(shares, axis=0) > _FREE_SHARE) & known)
+    rows = instants.reshape(len(instants), -1, 3)
     found_a, found_b = a.reshape(-1), b.reshape(-1)
     for first in range(0, shaded.size, _AT_ONCE):
         some = shaded[first : first + _AT_ONCE]
-        found_a[some], found_b[some] = _nearest(group, flat_sun[some], found_a[some], found_b[some], limits)
+        found_a[some], found_b[some] = _nearest(group, rows[:, some], found_a[some], found_b[some], limits)
     return found_a.reshape(a.shape), found_b.reshape(b.shape)
 
 
 def turned_back(
-    group: TrackerGroup, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
+    group: TrackerGroup, suns: Sequence[ArrayLike], a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
 ) -> tuple[Array, Array]:
     """Return the poses of `out_of_shade`, of a group that turns only if it pays where it gets more of the beam so."""
-    turned = out_of_shade(group, sun, a_deg, b_deg, limits)
+    turned = out_of_shade(group, suns, a_deg, b_deg, limits)
     if not group.only_if_it_pays:
         return turned
     wanted = np.broadcast_arrays(*(np.asarray(angle, dtype=np.float64) for angle in (a_deg, b_deg)))
     differ = (turned[0] != wanted[0]) | (turned[1] != wanted[1])
-    directions = above_horizon(sun)
-    directions = np.broadcast_to(directions, (*differ.shape, 3))[differ]
-    gains = np.zeros(differ.shape, dtype=np.bool_)
-    there, here = (group.beam_share(directions, a[differ], b[differ]) for a, b in (turned, (wanted[0], wanted[1])))
-    gains[differ] = there > here
-    return np.where(gains, turned[0], wanted[0]), np.where(gains, turned[1], wanted[1])
+    instants = _instants(suns, differ.shape)[:, differ]
+    there, here = (
+        sum(group.beam_share(sun, a[differ], b[differ]) for sun in instants) for a, b in (turned, tuple(wanted))
+    )
+    pays = np.zeros(differ.shape, dtype=np.bool_)
+    pays[differ] = there > here
+    return np.where(pays, turned[0], wanted[0]), np.where(pays, turned[1], wanted[1])
 
 
-def above_horizon(sun: ArrayLike) -> Array:
-    """Return directions, shape (..., 3), with those from below the horizon brought up to it."""
-    directions = np.array(sun, dtype=np.float64)
-    directions[..., 2] = np.maximum(directions[..., 2], _LOWEST_SUN)
-    return directions
+def _instants(suns: Sequence[ArrayLike], shape: tuple[int, ...]) -> Array:
+    """Return directions of shape (instants, *shape, 3), with those from below the horizon brought up to it."""
+    instants = np.stack([np.broadcast_to(np.asarray(sun, dtype=np.float64), (*shape, 3)) for sun in suns])
+    instants[..., 2] = np.maximum(instants[..., 2], _LOWEST_SUN)
+    return instants
 
 
-def _nearest(group: TrackerGroup, sun: Array, a: Array, b: Array, limits: Limits) -> tuple[Array, Array]:
+def _nearest(group: TrackerGroup, suns: Array, a: Array, b: Array, limits: Limits) -> tuple[Array, Array]:
     wanted = normal_from_angles(a, b)
     tries_a, tries_b = (angles[None, :] for angles in lattice(limits, _COARSE_DEG))
     reach = _COARSE_DEG
     for _ in range(_TIMES):
-        best_a, best_b = _best(group, sun, wanted, tries_a, tries_b)
+        best_a, best_b = _best(group, suns, wanted, tries_a, tries_b)
         tries_a, tries_b = closer(best_a, best_b, reach, limits)
         reach /= _CLOSER
-    return _best(group, sun, wanted, tries_a, tries_b)
+    return _best(group, suns, wanted, tries_a, tries_b)
 
 
-def _best(group: TrackerGroup, sun: Array, wanted: Array, tries_a: Array, tries_b: Array) -> tuple[Array, Array]:
+def _best(group: TrackerGroup, suns: Array, wanted: Array, tries_a: Array, tries_b: Array) -> tuple[Array, Array]:
     """Return of each row the try that costs least: a steeper one is worse than all others, one with shade worst."""
-    share = group.worst_share(sun[:, None, :], tries_a, tries_b)
+    share = np.max([group.worst_share(sun[:, None, :], tries_a, tries_b) for sun in suns], axis=0)
     tries = normal_from_angles(tries_a, tries_b)
     cost = np.sum((tries - wanted[:, None, :]) ** 2, axis=-1)
     cost += np.where(tries[..., 2] < wanted[:, None, 2] - _AS_STEEP, _STEEPER, 0.0)

@@ -110,11 +110,11 @@ def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back
     beams, zero = np.full(azimuth.size, beam), np.zeros(azimuth.size)
     vector = aim_vector(Light(beams, zero + diffuse, zero), sun)
     alone = angles_within(vector, LIMITS)
-    best = best_among(field, vector, beams, sun, alone, LIMITS)
-    back = out_of_shade(field, sun, *alone, LIMITS)
+    best = best_among(field, vector, beams, [sun], alone, LIMITS)
+    back = out_of_shade(field, [sun], *alone, LIMITS)
 
     def collected(pose):
-        return product(vector, *pose) - taken_by_neighbours(field, beams, sun, *pose)
+        return product(vector, *pose) - taken_by_neighbours(field, beams, [sun], *pose)
 
     assert (collected(best) >= collected(alone)).all()
     assert (collected(best) >= collected(back)).all()

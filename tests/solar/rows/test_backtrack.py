@@ -36,7 +36,7 @@ def test_long_rows_of_one_axis_turn_back_to_pvlib_s_angle(year, across):
         limits, size_m, axis_deg = Limits(0, 0, 15, 90), (LONG_M, WIDTH_M), 90.0
         group = TrackerGroup.on_map([0.0] * 3, places, (), size_m, LYNGBY[0])
     wanted = angles_within(sun, limits)
-    a_deg, b_deg = out_of_shade(group, sun, *wanted, limits)
+    a_deg, b_deg = out_of_shade(group, [sun], *wanted, limits)
     found = a_deg if across == "east" else 90.0 - b_deg
     largest = 50.0 if across == "east" else 75.0
     expected = singleaxis(
@@ -51,7 +51,7 @@ def test_long_rows_of_one_axis_turn_back_to_pvlib_s_angle(year, across):
 def test_two_axes_find_the_nearest_pose_without_shade_and_no_steeper_one(year):
     sun = year[0][::80]
     wanted = angles_within(sun, LIMITS)
-    a_deg, b_deg = out_of_shade(FIELD, sun, *wanted, LIMITS)
+    a_deg, b_deg = out_of_shade(FIELD, [sun], *wanted, LIMITS)
     assert (FIELD.worst_share(sun, a_deg, b_deg) <= 1e-6).all()
     normals, before = normal_from_angles(a_deg, b_deg), normal_from_angles(*wanted)
     assert (normals[:, 2] >= before[:, 2] - 1e-9).all()
@@ -76,19 +76,19 @@ def test_a_group_that_turns_only_if_it_pays_turns_where_it_gets_more_beam_and_no
         TrackerGroup.on_map(east_m, north_m, (), (WIDTH_M, WIDTH_M), LYNGBY[0], groups, only_if_it_pays=pays)
         for pays in (True, False)
     )
-    turned = out_of_shade(always, sun, *wanted, LIMITS)
-    np.testing.assert_array_equal(turned_back(always, sun, *wanted, LIMITS), turned)
+    turned = out_of_shade(always, [sun], *wanted, LIMITS)
+    np.testing.assert_array_equal(turned_back(always, [sun], *wanted, LIMITS), turned)
     here, there = (asked.beam_share(sun, *pose) for pose in (wanted, turned))
     better = there > here
     assert better.any()
     assert (there < here).any()
     expected = np.where(better, turned, wanted)
-    np.testing.assert_array_equal(turned_back(asked, sun, *wanted, LIMITS), expected)
+    np.testing.assert_array_equal(turned_back(asked, [sun], *wanted, LIMITS), expected)
 
 
 def test_what_has_no_shade_and_what_is_not_known_stay_as_they_are():
     sun = direction_from_azimuth([180.0, 180.0, 100.0], [50.0, 50.0, 8.0], LYNGBY[0])
-    a_deg, b_deg = out_of_shade(FIELD, sun, np.array([1.25, np.nan, -40.0]), np.array([50.5, 50.0, 60.0]), LIMITS)
+    a_deg, b_deg = out_of_shade(FIELD, [sun], np.array([1.25, np.nan, -40.0]), np.array([50.5, 50.0, 60.0]), LIMITS)
     assert (a_deg[0], b_deg[0]) == (1.25, 50.5)
     assert np.isnan(a_deg[1])
     assert (a_deg[2], b_deg[2]) != (-40.0, 60.0)
@@ -97,7 +97,7 @@ def test_what_has_no_shade_and_what_is_not_known_stay_as_they_are():
 def test_the_evening_s_last_pose_lasts_when_the_sun_has_set():
     azimuths, elevations = [295.0, 295.0, 295.0], [0.06, 0.0, -4.0]
     poses = [
-        out_of_shade(FIELD, direction_from_azimuth(azimuth, elevation, LYNGBY[0]), 45.0, 40.0, LIMITS)
+        out_of_shade(FIELD, [direction_from_azimuth(azimuth, elevation, LYNGBY[0])], 45.0, 40.0, LIMITS)
         for azimuth, elevation in zip(azimuths, elevations, strict=True)
     ]
     normals = normal_from_angles(*np.array(poses).T)
@@ -107,7 +107,7 @@ def test_the_evening_s_last_pose_lasts_when_the_sun_has_set():
 def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
     sun = direction_from_azimuth(180.0, 3.0, LYNGBY[0])
     south_is_higher = TrackerGroup.on_map([0, 0], [0, 4.0], [0.8, 0.0], (50.0, 2.0), LYNGBY[0])
-    a_deg, b_deg = out_of_shade(south_is_higher, sun, 0.0, 15.0, Limits(-10, 10, 15, 60))
+    a_deg, b_deg = out_of_shade(south_is_higher, [sun], 0.0, 15.0, Limits(-10, 10, 15, 60))
     every = np.meshgrid(np.arange(-10.0, 10.1, 1.0), np.arange(15.0, 60.1, 1.0))
     lattice = south_is_higher.worst_share(sun, *every)
     assert lattice.min() > 0.01
