@@ -25,6 +25,7 @@ MEASURED = SHARED / "data"
 
 
 pytest_plugins = (
+    "tests.support.forks",
     "tests.support.leaks",
     "tests.support.rig",
     "tests.support.api",

@@ -4,21 +4,17 @@ import contextlib
 import json
 import re
 import socket
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
-HELIOCUBE = Path(sys.executable).with_name("heliocube")
+from tests.support import forks
+
 TOKEN = "0123456789abcdef0123456789abcdef"
 
 
 def heliocube(*arguments):
-    return subprocess.run(
-        [str(HELIOCUBE), *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
-    )
+    return forks.run(*arguments, timeout=120)
 
 
 def configure(firmware, folder, more=""):
@@ -72,9 +68,7 @@ def tracker(firmware, folder, for_s):
     )
     config = configure(firmware, folder, more)
     with (folder / "log").open("w") as log:
-        service = subprocess.Popen(
-            [str(HELIOCUBE), "run", "-c", str(config), "--role", "tracker", "--for", str(for_s)], stdout=log, stderr=log
-        )
+        service = forks.start(["run", "-c", config, "--role", "tracker", "--for", for_s], stdout=log, stderr=log)
     try:
         yield config
     finally:

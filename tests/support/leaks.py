@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import forks
+
 _ENDS_WITHIN_S = 5.0
 
 
@@ -76,14 +78,17 @@ def _descriptors() -> dict[str, str]:
             "/tmp" in target and "site-packages" not in target
         ):
             found[entry.name] = target
-    return found
+    _, asked_on = forks.kept()
+    return {number: target for number, target in found.items() if int(number) not in asked_on}
 
 
 def _children() -> dict[int, str]:
     """Return the processes that this one has started and not waited for, with what they run."""
     found = {}
     # The kernel's own list: to ask every process of the machine for its parent took more time than most tests.
-    for number in " ".join(_read(task / "children") for task in Path("/proc/self/task").iterdir()).split():
+    origin, _ = forks.kept()
+    tasks = [task for parent in ("self", *origin) for task in Path(f"/proc/{parent}/task").iterdir()]
+    for number in set(" ".join(_read(task / "children") for task in tasks).split()) - set(map(str, origin)):
         found[int(number)] = _read(Path("/proc") / number / "cmdline").replace("\0", " ") or "ended, not awaited"
     return found
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from sim_drivers.bench.client import request
+from tests.support import forks
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 READY_WITHIN_S = 90.0
@@ -32,12 +33,10 @@ def wait_until(condition, within_s, what):
 class Process:
     """A process of ours, with its output in a file."""
 
-    def __init__(self, arguments, output, **options):
+    def __init__(self, arguments, output, stdout=None):
         self.output = output
         with output.open("ab") as stream:
-            self._process = subprocess.Popen(
-                [str(HELIOCUBE), *map(str, arguments)], stderr=stream, env=os.environ | {"COLUMNS": "200"}, **options
-            )
+            self._process = forks.start(arguments, stdout, stream, os.environ | {"COLUMNS": "200"})
         self.pid = self._process.pid
 
     def log(self):
@@ -68,9 +67,6 @@ class Process:
             self._process.kill()
             self._process.wait()
             raise
-        finally:
-            if self._process.stdout is not None:
-                self._process.stdout.close()
 
 
 class BenchProcess(Process):
@@ -79,14 +75,20 @@ class BenchProcess(Process):
     def __init__(self, directory, *options):
         self.directory = directory
         directory.mkdir(exist_ok=True)
-        super().__init__(
-            ["bench", "--dir", directory, *options], directory / "bench.log", stdout=subprocess.PIPE, text=True
-        )
-        readable, _, _ = select.select([self._process.stdout], [], [], READY_WITHIN_S)
-        line = self._process.stdout.readline() if readable else ""
+        told, tells = os.pipe()
+        # It stays open: the bench may say more.
+        self._said = os.fdopen(told, encoding="utf-8")
+        with os.fdopen(tells, "wb") as stream:
+            super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream)
+        readable, _, _ = select.select([self._said], [], [], READY_WITHIN_S)
+        line = self._said.readline() if readable else ""
         if line != "ready\n":
             self.stop()
             pytest.fail(f"the bench said {line!r} and logged: {self.log()}")
+
+    def stop(self, number=signal.SIGTERM):
+        self._said.close()
+        return super().stop(number)
 
     @property
     def config(self):

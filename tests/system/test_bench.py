@@ -19,15 +19,14 @@ from daemon.rigs.real import build_cube
 from drivers.errors import DeviceError
 from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.bench.client import BenchError
-from tests.system.processes import HELIOCUBE, wait_until
+from tests.support import forks
+from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
 
 
 def heliocube(*arguments):
-    return subprocess.run(
-        [str(HELIOCUBE), *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
-    )
+    return forks.run(*arguments)
 
 
 def test_a_bench_makes_everything_that_a_service_needs_and_leaves_no_port_behind(start_bench):

@@ -1,14 +1,13 @@
 """The electronic load behind its real driver: what is stored is what the module gives, whatever happens to the load."""
 
 import csv
-import os
 import signal
-import subprocess
 import time
 
 import pytest
 
-from tests.system.processes import HELIOCUBE, Process, wait_until
+from tests.support import forks
+from tests.system.processes import Process, wait_until
 from tests.system.rig import HIGH_SUN, SETTLES_WITHIN_S, Rig, brisk
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
@@ -30,8 +29,7 @@ def start(tmp_path, start_bench, start_service, make):
 def stored(rig, tmp_path):
     """Return the curves in the store."""
     out = tmp_path / f"out{time.monotonic_ns()}"
-    command = [HELIOCUBE, "export", "--config", rig.bench.config, "--out", out, "--kind", "curves"]
-    subprocess.run(command, check=True, capture_output=True, env=os.environ)
+    forks.run("export", "--config", rig.bench.config, "--out", out, "--kind", "curves").check_returncode()
     with (out / "curves.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 

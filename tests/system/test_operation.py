@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from daemon.api.token import generate_token, write_token
-from tests.support import ROOT
+from tests.support import ROOT, forks
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
@@ -21,14 +21,7 @@ PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
 
 def heliocube(*arguments, **environment):
     clean = {key: value for key, value in os.environ.items() if not key.startswith("HELIOCUBE_")}
-    done = subprocess.run(
-        [*PROGRAM, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=clean | environment | {"COLUMNS": "120"},
-        timeout=60,
-    )
+    done = forks.run(*arguments, cwd=ROOT, env=clean | environment | {"COLUMNS": "120"})
     return done.returncode, done.stdout, done.stderr
 
 

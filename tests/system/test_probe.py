@@ -4,7 +4,6 @@ import fcntl
 import json
 import os
 import re
-import subprocess
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from drivers.transcript import parse
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.voltmeter.core import VoltmeterCore
-from tests.system.processes import HELIOCUBE
+from tests.support import forks
 
 pytestmark = pytest.mark.system
 
@@ -22,9 +21,7 @@ READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 
 
 def probe(*arguments):
-    return subprocess.run(
-        [str(HELIOCUBE), "probe", *map(str, arguments)], capture_output=True, text=True, timeout=90, check=False
-    )
+    return forks.run("probe", *arguments)
 
 
 def pieces(path):
@@ -62,14 +59,10 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert "USB-6008" in multiplexer.stdout
     assert bench.state()["multiplexer"]["writes"] == 0
 
-    good = subprocess.run(
-        [str(HELIOCUBE), "config", "check", "--probe", bench.config], capture_output=True, timeout=90, check=False
-    )
+    good = forks.run("config", "check", "--probe", bench.config)
     assert good.returncode == 0, good.stderr
-    assert all(each in good.stdout for each in (b": KEITHLEY", b"NI USB-6008", b" 36A1 ", b": CHROMA")), good.stdout
-    checked = subprocess.run(
-        [str(HELIOCUBE), "self-check", "--json", "-c", bench.config], capture_output=True, timeout=90, check=False
-    )
+    assert all(each in good.stdout for each in (": KEITHLEY", "NI USB-6008", " 36A1 ", ": CHROMA")), good.stdout
+    checked = forks.run("self-check", "--json", "-c", bench.config)
     found = {each["subject"]: each["ok"] for each in json.loads(checked.stdout)["findings"]}
     assert all(found[name] for name in ("voltmeter", "multiplexer", "positioner", "load")), checked.stdout
     assert bench.state()["positioner"]["received"] == {}

@@ -5,13 +5,12 @@ import pty
 import re
 import select
 import signal
-import subprocess
 import time
 import tomllib
 
 import pytest
 
-from tests.system.processes import HELIOCUBE
+from tests.support import forks
 
 pytestmark = pytest.mark.system
 
@@ -25,8 +24,7 @@ class Terminal:
     def __init__(self, *arguments):
         self._screen, inside = pty.openpty()
         environment = os.environ | {"COLUMNS": "80", "TERM": "xterm", "NO_COLOR": "1"}
-        command = [str(HELIOCUBE), "setup", *map(str, arguments)]
-        self._process = subprocess.Popen(command, stdin=inside, stdout=inside, stderr=inside, env=environment)
+        self._process = forks.start(["setup", *arguments], inside, inside, environment, stdin=inside)
         os.close(inside)
         self.text = ""
         self._read = 0

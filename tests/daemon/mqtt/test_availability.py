@@ -3,17 +3,14 @@
 import asyncio
 import signal
 import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
+from tests.support import forks
 from tests.support.mqtt import observer
 
 pytestmark = pytest.mark.system
 
-PROGRAM = Path(sys.executable).with_name("heliocube")
 STATUS = "heliocube/tracker/status"
 
 
@@ -33,7 +30,7 @@ def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path):
 
     def start():
         with (tmp_path / "log").open("a") as log:
-            processes.append(subprocess.Popen([PROGRAM, "run", "--config", str(config)], stdout=log, stderr=log))
+            processes.append(forks.start(["run", "--config", config], stdout=log, stderr=log))
 
     async def found_late():
         async with observer(broker.port, STATUS) as late:

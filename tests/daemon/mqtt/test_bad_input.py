@@ -1,10 +1,9 @@
 """What cannot work: one clear sentence in the log, in the state and as an event, and the service tracks on."""
 
 import asyncio
+import os
 import signal
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,10 +12,10 @@ from daemon.base.records import Decision, Event, Mode
 from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.service.rig import Role
+from tests.support import forks
 from tests.support.broker import CERTIFICATES
 from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
 
-PROGRAM = Path(sys.executable).with_name("heliocube")
 BASE = "heliocube/tracker"
 OWN = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
 
@@ -174,16 +173,10 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
                 await lab.until(f"{BASE}/event", lambda found, text=sentence: found["text"] == text)
 
     with (tmp_path / "log").open("w") as log:
-        process = subprocess.Popen([PROGRAM, "run", "--config", str(config)], stdout=log, stderr=log)
+        process = forks.start(["run", "--config", config], stdout=log, stderr=log)
     try:
         asyncio.run(scenario())
-        shown = subprocess.run(
-            [PROGRAM, "status", "--config", str(config)],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={"COLUMNS": "400"},
-        ).stdout
+        shown = forks.run("status", "--config", config, env=os.environ | {"COLUMNS": "400"}).stdout
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
     finally:
@@ -195,7 +188,7 @@ def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_
         assert sentence in shown
         assert log.count(sentence) == 1
     assert f"127.0.0.1:{broker.port} since" in shown
-    checked = subprocess.run([PROGRAM, "config", "check", str(config)], capture_output=True, text=True, check=False)
+    checked = forks.run("config", "check", config)
     assert checked.returncode == 2
     assert 'mqtt.wind.topic = "weather/#": must be a topic without wildcards' in checked.stderr
     assert 'mqtt.safe.json_path = "a.": must be names with full stops between' in checked.stderr

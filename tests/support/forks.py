@@ -1,0 +1,279 @@
+"""Processes of `heliocube` that begin as copies of one that has imported everything.
+
+To import it takes one or two seconds of a processor, and the tests start some two hundred. A copy is a process of its
+own in every other respect: its arguments, its surroundings, its files, its signals, its exit code. That the program
+also starts from nothing is shown where that is the point, with subprocess: in tests/system/test_run.py,
+test_operation.py, test_deploy.py and others.
+"""
+
+import contextlib
+import gc
+import importlib
+import io
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+IMPORTED = (
+    *("daemon.commands.main", "daemon.commands.run", "daemon.rigs.real", "daemon.rigs.simulated", "daemon.rigs.bench"),
+    *("daemon.commands.kept", "daemon.dashboard.serve", "sim_drivers.bench.bench", "sim_drivers.bench.control"),
+    *("pvlib.spa", "nidaqmx._grpc_interpreter", "nidaqmx.stream_writers", "pyvisa_py", "psutil"),
+)
+_MOST = 1 << 20
+_HEAR_EVERY_S = 0.02
+# What an interpreter or a library reads when it begins, and not again.
+_READ_ONCE = ("PYTHON", "LD_", "OPENBLAS", "OMP_")
+
+
+class _Origin:
+    """The process that is copied, seen from the tests."""
+
+    def __init__(self):
+        self._here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with there:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tests.support.forks", str(there.fileno())],
+                pass_fds=[there.fileno()],
+                cwd=Path(__file__).parents[2],
+                # A thread of a library would not be in the copy.
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            )
+        self.surroundings = _read_once(os.environ)
+        self.pid = self._process.pid
+        self._ended = {}
+        self._lock = threading.Lock()
+
+    def start(self, arguments, environment, cwd, files):
+        order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd})
+        with self._lock:
+            socket.send_fds(self._here, [order.encode()], files)
+            while True:
+                heard = self._hear()
+                if "started" in heard:
+                    return heard["started"]
+
+    def ended(self, pid):
+        """Return how a copy ended, or None."""
+        with self._lock:
+            while selectable(self._here):
+                self._hear()
+            return self._ended.get(pid)
+
+    def _hear(self):
+        heard = self._here.recv(_MOST)
+        if not heard:
+            raise RuntimeError("the process that is copied has ended")
+        said = json.loads(heard)
+        if "ended" in said:
+            self._ended[said["ended"]] = said["code"]
+        return said
+
+    def fileno(self):
+        return self._here.fileno()
+
+    def close(self):
+        self._here.close()
+        self._process.wait()
+
+
+_origin: _Origin | None = None
+
+
+def kept():
+    """Return the process that is copied and the descriptor on which it is asked, in lists that may be empty."""
+    return ([], []) if _origin is None else ([_origin.pid], [_origin.fileno()])
+
+
+def begin():
+    """Start the process that is copied, if there is none yet."""
+    global _origin
+    if _origin is None:
+        _origin = _Origin()
+    return _origin
+
+
+def pytest_unconfigure():
+    """End it, and with it whatever is left of its copies."""
+    global _origin
+    if _origin is not None:
+        _origin.close()
+        _origin = None
+
+
+def selectable(one):
+    with selectors.DefaultSelector() as selector:
+        selector.register(one, selectors.EVENT_READ)
+        return bool(selector.select(0))
+
+
+def _read_once(environment):
+    return {name: value for name, value in environment.items() if name.startswith(_READ_ONCE)}
+
+
+class Fork:
+    """A process of `heliocube`, with what the tests use of subprocess.Popen."""
+
+    def __init__(self, arguments, stdin, stdout, stderr, environment, cwd):
+        self._origin = begin()
+        self.args = arguments
+        self.returncode = None
+        self.pid = self._origin.start(arguments, environment, str(cwd or Path.cwd()), [stdin, stdout, stderr])
+
+    def poll(self):
+        if self.returncode is None:
+            self.returncode = self._origin.ended(self.pid)
+        return self.returncode
+
+    def wait(self, timeout=None):
+        deadline_s = None if timeout is None else time.monotonic() + timeout
+        while self.poll() is None:
+            if deadline_s is not None and time.monotonic() > deadline_s:
+                raise subprocess.TimeoutExpired(self.args, timeout)
+            time.sleep(_HEAR_EVERY_S)
+        return self.returncode
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, number)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+
+def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None):
+    """Start `heliocube` with arguments; streams are open files or descriptors, and by itself it has nothing to read.
+
+    A process whose surroundings differ in what is read at the start of an interpreter starts from nothing.
+    """
+    arguments = list(map(str, arguments))
+    environment = dict(os.environ if env is None else env)
+    if _read_once(environment) != begin().surroundings:
+        program = Path(sys.executable).with_name("heliocube")
+        given = {"stdin": subprocess.DEVNULL if stdin is None else stdin, "stdout": stdout, "stderr": stderr}
+        return subprocess.Popen([program, *arguments], **given, env=environment, cwd=cwd)
+    with Path(os.devnull).open("rb") as nothing:
+        given = zip((stdin, stdout, stderr), (nothing, 1, 2), strict=True)
+        files = [_number(usual if file is None else file) for file, usual in given]
+        return Fork(arguments, *files, environment, cwd)
+
+
+def _number(file):
+    return file if isinstance(file, int) else file.fileno()
+
+
+def run(*arguments, timeout=90, env=None, cwd=None):
+    """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
+    with contextlib.ExitStack() as stack:
+        out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))
+        process = start(arguments, out, err, env, cwd)
+        try:
+            code = process.wait(timeout)
+        except subprocess.TimeoutExpired as error:
+            process.kill()
+            process.wait()
+            raise subprocess.TimeoutExpired(error.cmd, timeout, _text(out), _text(err)) from None
+        return subprocess.CompletedProcess(process.args, code, _text(out), _text(err))
+
+
+def _memory(name):
+    return os.fdopen(os.memfd_create(name), "r+b")
+
+
+def _text(file):
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+# What follows runs in the process that is copied, and in the copies.
+
+
+def _serve(orders):
+    """Copy this process for every order, and tell of each end; return in a copy, with its order."""
+    copies = {}
+    with selectors.DefaultSelector() as selector:
+        selector.register(orders, selectors.EVENT_READ)
+        while True:
+            for key, _ in selector.select():
+                if key.fileobj is not orders:
+                    selector.unregister(key.fileobj)
+                    _tell_end(orders, copies.pop(key.fileobj), key.fileobj)
+                    continue
+                order, files, _, _ = socket.recv_fds(orders, _MOST, 3)
+                if not order:
+                    for pid in copies.values():
+                        os.kill(pid, signal.SIGKILL)
+                    os._exit(0)
+                pid = os.fork()
+                if pid == 0:
+                    for kept in copies:
+                        os.close(kept)
+                    return json.loads(order), files
+                for file in files:
+                    os.close(file)
+                orders.send(json.dumps({"started": pid}).encode())
+                copies[watched := os.pidfd_open(pid)] = pid
+                selector.register(watched, selectors.EVENT_READ)
+
+
+def _tell_end(orders, pid, watched):
+    _, status = os.waitpid(pid, 0)
+    os.close(watched)
+    with contextlib.suppress(OSError):
+        orders.send(json.dumps({"ended": pid, "code": os.waitstatus_to_exitcode(status)}).encode())
+
+
+def _become(order, files):
+    """Turn a copy into what was ordered."""
+    for number, file in enumerate(files):
+        os.dup2(file, number)
+    for file in files:
+        os.close(file)
+    os.chdir(order["cwd"])
+    os.environ.clear()
+    os.environ.update(order["environment"])
+    time.tzset()
+    # A script has none, and messages begin with its name.
+    sys.modules["__main__"].__package__ = None
+    sys.argv = [str(Path(sys.executable).with_name("heliocube")), *order["arguments"]]
+    sys.stdin, sys.stdout, sys.stderr = (
+        io.TextIOWrapper(
+            io.open(number, mode, closefd=False),  # noqa: UP020, SIM115 - they live as long as the process
+            encoding="utf-8",
+            errors="backslashreplace" if number == 2 else "strict",
+            line_buffering=number == 2 or os.isatty(number),
+        )
+        for number, mode in enumerate(("rb", "wb", "wb"))
+    )
+    sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr
+
+
+def _main():
+    # A person's Ctrl-C at the tests is theirs.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    orders = socket.socket(fileno=int(sys.argv[1]))
+    for name in IMPORTED:
+        importlib.import_module(name)
+    from daemon.entry import main  # noqa: PLC0415 - the copies' business
+
+    gc.collect()
+    gc.freeze()
+    order, files = _serve(orders)
+    orders.close()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    _become(order, files)
+    main()
+
+
+if __name__ == "__main__":
+    _main()

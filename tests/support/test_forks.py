@@ -1,0 +1,46 @@
+"""A copy is a process like one from nothing: arguments, surroundings, streams, signals and exit code."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support import forks
+
+pytestmark = pytest.mark.live
+WORDS = (["--version"], ["config", "check", "nowhere.toml"], ["config", "--help"])
+
+
+@pytest.mark.parametrize("words", WORDS, ids=" ".join)
+def test_a_copy_answers_as_a_process_from_nothing_does(words, tmp_path):
+    surroundings = os.environ | {"COLUMNS": "70"}
+    copied = forks.run(*words, env=surroundings, cwd=tmp_path)
+    fresh = subprocess.run(
+        [Path(sys.executable).with_name("heliocube"), *words],
+        capture_output=True,
+        text=True,
+        env=surroundings,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert (copied.returncode, copied.stdout, copied.stderr) == (fresh.returncode, fresh.stdout, fresh.stderr)
+
+
+def test_a_copy_is_ended_by_signals_and_waited_for(tmp_path):
+    with (tmp_path / "said").open("wb") as said:
+        running = forks.start(["run"], said, said)
+    with pytest.raises(subprocess.TimeoutExpired):
+        running.wait(0.1)
+    running.kill()
+    assert running.wait(60) == -signal.SIGKILL
+
+
+def test_what_is_read_at_the_start_of_an_interpreter_is_read_by_one(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("print('begun')")
+    with (tmp_path / "said").open("wb") as said:
+        begun = forks.start(["--version"], said, env=os.environ | {"PYTHONPATH": str(tmp_path)})
+    assert begun.wait(60) == 0
+    assert (tmp_path / "said").read_text().startswith("begun\n")
