@@ -11,7 +11,7 @@ import httpx
 from playwright.sync_api import expect, sync_playwright
 
 from tests.system.processes import BenchProcess, Process, wait_until
-from tests.system.rig import BRISK
+from tests.system.rig import BRISK, HIGH_SUN
 
 CHROMIUM = shutil.which("chromium")
 TOKEN = "t" * 43
@@ -20,9 +20,6 @@ TABLET = {"width": 820, "height": 1180}
 DESKTOP = {"width": 1440, "height": 900}
 # For a program that hangs, not for a machine that is slow.
 WITHIN_MS = 60_000
-
-# The sun is high: the tracker is near to its stow position.
-NEAR_STOW = ("--weather", "clear", "--site", "10,0", "--start", "2022-09-21T11:50Z")
 
 SIMULATED = """
 [site]
@@ -187,7 +184,7 @@ def site_on_bench(folder):
     """Give a site whose instruments are a bench's, and the bench."""
     text = BRISK.format(send_to="").replace("[api]\nenabled = false\n", "")
     basis, api = with_interface(folder, text)
-    bench = BenchProcess(folder / "bench", "--config", basis, *NEAR_STOW)
+    bench = BenchProcess(folder / "bench", "--config", basis, *HIGH_SUN)
     try:
         with run_site(bench.config, api) as found:
             yield found, bench

@@ -12,7 +12,7 @@ SETTLES_WITHIN_S = 120.0
 BACK_WITHIN_S = 60.0
 ROLES = {"positioner": "the positioner", "voltmeter": "the cube", "multiplexer": "the cube"}
 # High sun: the tracker begins near to where it has to go, and a shaded face turns it by a few degrees.
-HIGH_SUN = ("--weather", "clear", "--site", "30,0", "--start", "2022-09-21T11:50Z")
+HIGH_SUN = ("--weather", "clear", "--site", "10,0", "--start", "2022-09-21T11:50Z")
 SHADED = ("east", "west")
 
 
@@ -140,10 +140,10 @@ listen = "127.0.0.1:0"
 send_to = [{send_to}]
 insecure = true
 [simulation]
-motor_speed_mm_s = 12.8
+motor_speed_mm_s = 6.4
 sensor_noise_mv = 0.005
 """
-"""The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors four times as fast.
+"""The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors twice as fast.
 
 Faster ones would come near to what counts as a jump when a busy machine shows the unit's screens half a second late.
 """

@@ -92,7 +92,7 @@ def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_use
         config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"')
         + '[instruments.positioner]\ndtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
         # End switches within some seconds of where the axes stand: they are looked for twice.
-        + "a_axis = { low_deg = -10.0 }\nb_axis = { low_deg = 50.0 }\n[limits]\na_min_deg = -8.0\nb_min_deg = 52.0\n"
+        + "a_axis = { low_deg = -10.0 }\nb_axis = { low_deg = 68.0 }\n[limits]\na_min_deg = -8.0\nb_min_deg = 70.0\n"
     )
     bench = start_bench("--config", config, *HIGH_SUN)
     bench.ask("boots-at-open", 3)
