@@ -308,7 +308,7 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_every
         stands = rig.truth()
         rig.wind_m_s = 20.0
         look_seldom(rig)
-        await asyncio.sleep(2.5 * 86400)
+        await asyncio.sleep(2.1 * 86400)
         assert rig.truth() == stands
         assert not alarms(rig)
         assert "stow is wanted and not done (wind" in rig.control.why
