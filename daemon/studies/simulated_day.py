@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -44,9 +45,16 @@ def placed(record: Record, latitude_deg: float) -> Record:
     """Return a pose with where its plane faces at a latitude, anything else as it is."""
     if not isinstance(record, Pose):
         return record
-    azimuth, elevation = azimuth_from_direction(normal_from_angles(record.a_deg, record.b_deg), latitude_deg)
+    tilt_deg, azimuth_deg = _plane(record.a_deg, record.b_deg, latitude_deg)
     own = {field.name: getattr(record, field.name) for field in fields(Pose)}
-    return PlacedPose(**own, surface_tilt=90.0 - float(elevation), surface_azimuth=float(azimuth))
+    return PlacedPose(**own, surface_tilt=tilt_deg, surface_azimuth=azimuth_deg)
+
+
+# A tracker stands at one place for most of its poses.
+@lru_cache(maxsize=256)
+def _plane(a_deg: float, b_deg: float, latitude_deg: float) -> tuple[float, float]:
+    azimuth, elevation = azimuth_from_direction(normal_from_angles(a_deg, b_deg), latitude_deg)
+    return 90.0 - float(elevation), float(azimuth)
 
 
 class WeatherOfSpan(Protocol):
