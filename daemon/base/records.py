@@ -310,7 +310,7 @@ def stamped(publish: Subscriber, tracker: str) -> Subscriber:
     """Return what hands records on to `publish` with the name of their tracker; a scan belongs to none."""
 
     def publish_named(record: Record) -> None:
-        publish(record if isinstance(record, Scan) else replace(record, tracker=tracker))
+        publish(record if isinstance(record, Scan) or record.tracker == tracker else replace(record, tracker=tracker))
 
     return publish_named
 

@@ -99,6 +99,7 @@ class Guard:
         self._reset_before = False
         self._under_inquiry: str | None = None
         self._halted_for: tuple[str, ...] = ()
+        self._alarmed: tuple[object, ...] = ()
         self._deaf_looks = 0
         self.telemetry: Telemetry | None = None
         self.pose: Pose | None = None
@@ -149,10 +150,16 @@ class Guard:
         self.doubts.see(telemetry, clearing=self.clearing)
         self._judge(before, telemetry)
         self._currents.update(telemetry, None if moving else self.watch.stands_since_s)
-        show(self._alarms, self.doubts, self.identity, telemetry, self._currents)
+        self._raise_alarms(telemetry)
         self._note_pose(telemetry, moving=moving)
         self._polled()
         return telemetry
+
+    def _raise_alarms(self, telemetry: Telemetry) -> None:
+        alarmed = self.doubts.changes, telemetry.faults, self.identity, self._currents.text
+        if alarmed != self._alarmed:
+            self._alarmed = alarmed
+            show(self._alarms, self.doubts, self.identity, telemetry, self._currents)
 
     async def expect_move(self) -> None:
         """Let motion towards the destinations pass from now on: the unit has just confirmed a target."""

@@ -4,8 +4,7 @@ Kept beside the store, so that a restart of the service forgets none of it.
 """
 
 import logging
-from collections.abc import Collection
-from functools import lru_cache
+from collections.abc import Collection, Iterable
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -33,9 +32,7 @@ class _Kept(BaseModel):
     homing: bool = False
 
 
-# Asked for at every look at the positioner, some 200,000 times a day, and the same for most of it.
-@lru_cache(maxsize=64)
-def _said_once(texts: tuple[str, ...]) -> str:
+def _said_once(texts: Iterable[str]) -> str:
     """Return the sentences in one, without those that another one says as well."""
     parts = list(dict.fromkeys(part for text in texts for part in text.split("; ")))
     return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
@@ -51,6 +48,15 @@ class Doubts:
     ----------
     folder
         Of the file.
+
+    Attributes
+    ----------
+    reference
+        Why the reference is in doubt, or None.
+    incident
+        What moved without an order or did not stop, or None.
+    changes
+        Grows with every change, for those who show it.
     """
 
     def __init__(self, folder: StateFolder) -> None:
@@ -60,18 +66,10 @@ class Doubts:
         self._incidents = dict(kept.incidents)
         self._faults = tuple(kept.faults)
         self._homing = False
+        self.changes = 0
+        self._sum_up()
         if kept.homing:
             self.doubt("homing", NOT_FINISHED)
-
-    @property
-    def reference(self) -> str | None:
-        """Why the reference is in doubt, or None."""
-        return _said_once(tuple(self._doubts.values())) or None
-
-    @property
-    def incident(self) -> str | None:
-        """What moved without an order or did not stop, or None."""
-        return "; ".join(self._incidents.values()) or None
 
     @property
     def vanished(self) -> tuple[str, ...]:
@@ -166,6 +164,13 @@ class Doubts:
             text = f"{error}, so nobody knows what was in doubt before the restart: home it"
             return _Kept(doubts={"unreadable": text})
 
+    def _sum_up(self) -> None:
+        # Asked for at every look at the positioner, some 200,000 times a day, and the same for most of it.
+        self.reference = _said_once(self._doubts.values()) or None
+        self.incident = "; ".join(self._incidents.values()) or None
+        self.changes += 1
+
     def _save(self) -> None:
+        self._sum_up()
         faults = list(self._faults)
         self._file.save(_Kept(doubts=self._doubts, incidents=self._incidents, faults=faults, homing=self._homing))

@@ -181,7 +181,7 @@ class Tracker:
 
     def _publish_of_motion(self, record: Record) -> None:
         if isinstance(record, Pose):
-            record = replace(record, wind_m_s=self.stow_watch.take_gust())
+            record = replace(record, wind_m_s=self.stow_watch.take_gust(), tracker=self.name)
         self.publish(record)
 
     def _albedo(self) -> float:

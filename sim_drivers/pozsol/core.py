@@ -14,7 +14,7 @@ from drivers.interfaces import AxisName
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol import faults, screens
-from sim_drivers.pozsol.screens import AxisReadout, Readout
+from sim_drivers.pozsol.screens import Readout
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.pozsol.unit import POLL_S, PositionerUnit
 from solar.frames import Angles
@@ -142,10 +142,15 @@ class PositionerCore:
         self.advance(now)
         return self._unit.readout(now, self._links)
 
-    def axis_readout(self, name: AxisName, now: float) -> AxisReadout:
-        """Return what the screens are printed from of one axis; a third of the cost of `readout`."""
+    def course(self, name: AxisName, now: float) -> tuple[float, float]:
+        """Return position and destination [mm] that the unit shows of an axis, without the rest of the screen."""
         self.advance(now)
-        return self._unit.axis_readout(name, now)
+        return self._unit.axes[name].counted_mm(now), self._unit.destination(name, now)
+
+    def shown_deg(self, name: AxisName, now: float) -> float:
+        """Return the angle [deg] that the unit shows of an axis."""
+        self.advance(now)
+        return self._unit.axes[name].counted_deg(now)
 
     def inject(self, fault: str, now: float) -> None:
         """Cause one of `FAULTS`; `ValueError` for anything else. Conditions last until `repair`."""

@@ -68,6 +68,7 @@ class Axis:
         self._planned: tuple[float, bool] | None = None
         self._passes_s = math.inf
         self._blind_s = 0.0
+        self._true_at = self._counted_at = (math.nan, math.nan)
         self.target_mm = self.counted_mm(0.0)
 
     @property
@@ -87,6 +88,20 @@ class Axis:
         """Where the unit believes it is, in whole impulses."""
         counts = math.floor(self._exact_mm(now_s) * self.drive.counts_per_mm + 1e-6)
         return counts / self.drive.counts_per_mm
+
+    def true_deg(self, now_s: float) -> float:
+        """Where the axis is."""
+        self._true_at = at = self._angle_at(self._true_at, self.true_mm(now_s))
+        return at[1]
+
+    def counted_deg(self, now_s: float) -> float:
+        """Where the unit believes it is."""
+        self._counted_at = at = self._angle_at(self._counted_at, self.counted_mm(now_s))
+        return at[1]
+
+    def _angle_at(self, before: tuple[float, float], position_mm: float) -> tuple[float, float]:
+        # One axis of two rests at any time, and is asked for its angle all the same.
+        return before if before[0] == position_mm else (position_mm, self.actuator.angle_deg(position_mm))
 
     def counts(self, way_mm: float) -> int:
         """Return a distance in whole impulses."""

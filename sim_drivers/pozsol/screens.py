@@ -112,7 +112,7 @@ def axis_readout(axis: Axis, destination_mm: float, now: float) -> AxisReadout:
     """Return what is shown of an axis on its way to a destination."""
     counted_mm = axis.counted_mm(now)
     return AxisReadout(
-        angle_deg=axis.actuator.angle_deg(counted_mm),
+        angle_deg=axis.counted_deg(now),
         position_mm=counted_mm,
         destination_mm=destination_mm,
         current_a=_MOTOR_CURRENT_A if axis.active and axis.velocity_mm_s(now) else 0.0,

@@ -161,7 +161,7 @@ class PositionerUnit:
     def truth(self, now: float) -> Angles:
         """Return where the axes really stand."""
         a, b = self.axes.values()
-        return Angles(a.actuator.angle_deg(a.true_mm(now)), b.actuator.angle_deg(b.true_mm(now)))
+        return Angles(a.true_deg(now), b.true_deg(now))
 
     def destination(self, name: AxisName, now: float) -> float:
         """Return the destination [mm] that the unit shows; where it only follows the position, that moves with it."""

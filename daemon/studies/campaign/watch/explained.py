@@ -21,9 +21,8 @@ Why = Literal["hand", "home", "order", "run-out"]
 
 
 class Counted(NamedTuple):
-    """What the unit itself says of an axis: its angle [deg], and position and destination in what it counts in."""
+    """What the unit itself says of an axis: position and destination in what it counts in."""
 
-    angle_deg: float
     position: float
     destination: float
 

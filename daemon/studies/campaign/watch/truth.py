@@ -240,11 +240,11 @@ class TruthWatch:
         before, gone_s, self._at = self._at, now_s - self._sampled_s, at
         self._sampled_s = now_s
         self.reach.sample(self.plant, now_s)
+        live = self._live(now_s)
         if before is not None and gone_s > 0:
             least = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
-            self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least, now_s)
-            self._check_axis("b", at.b_deg, at.b_deg - before.b_deg, least, now_s)
-        live = self._live(now_s)
+            self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least, now_s, live=live)
+            self._check_axis("b", at.b_deg, at.b_deg - before.b_deg, least, now_s, live=live)
         self._check_stop(now_s, live=live)
         self._check_reference(at, now_s)
         # The storm itself is one of them.
@@ -255,7 +255,9 @@ class TruthWatch:
         else:
             self.reporting.forget()
 
-    def _check_axis(self, axis: AxisName, at_deg: float, turned_deg: float, least_deg: float, now_s: float) -> None:
+    def _check_axis(
+        self, axis: AxisName, at_deg: float, turned_deg: float, least_deg: float, now_s: float, *, live: bool
+    ) -> None:
         moving = self.moving[axis] = abs(turned_deg) > least_deg
         if not moving:
             self._unexplained_s[axis] = None
@@ -265,7 +267,7 @@ class TruthWatch:
         counted = self._counted_of(axis)
         heading = motion.target is not None
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
-        if not self._live(now_s):
+        if not live:
             self._unexplained_s[axis] = None
             return
         if why is None:
@@ -289,8 +291,11 @@ class TruthWatch:
         return self._counted_of("a"), self._counted_of("b")
 
     def _counted_of(self, axis: AxisName) -> Counted:
-        shown = self.plant.unit.axis_readout(axis, self.now_s)
-        return Counted(shown.angle_deg, shown.position_mm, shown.destination_mm)
+        return Counted(*self.plant.unit.course(axis, self.now_s))
+
+    def _shown(self) -> Angles:
+        unit, now_s = self.plant.unit, self.now_s
+        return Angles(unit.shown_deg("a", now_s), unit.shown_deg("b", now_s))
 
     # The promises.
 
@@ -340,12 +345,12 @@ class TruthWatch:
 
     def _counts(self, axis: AxisName, at_deg: float) -> bool:
         """Tell whether the unit's count of an axis is the truth, to a hair."""
-        return abs(self._counted_of(axis).angle_deg - at_deg) < COUNTED_DEG
+        return abs(self.plant.unit.shown_deg(axis, self.now_s) - at_deg) < COUNTED_DEG
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is not what is true."""
-        (a, b), at = self._counted(), self._at or self.plant.truth()
-        return max(abs(a.angle_deg - at.a_deg), abs(b.angle_deg - at.b_deg)) > REFERENCE_DEG
+        shown, at = self._shown(), self._at or self.plant.truth()
+        return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
         if any(self.moving.values()) or not self.plant.is_served or now_s - self._compared_s < REFERENCE_EVERY_S:
@@ -366,7 +371,7 @@ class TruthWatch:
         if tracks and late and not self.reference_excused and motion.doubt is None and self._live(now_s):
             self.fails(
                 "believes-a-wrong-count",
-                f"the unit says {self._counted()}, the truth is {at}; mode {control.mode}, no doubt",
+                f"the unit says {self._shown()}, the truth is {at}; mode {control.mode}, no doubt",
             )
 
     def _check_target(self, target: tuple[float, float]) -> None:

@@ -42,9 +42,11 @@ class Scripted:
     def truth(self):
         return Angles(self.at["a"], self.at["b"])
 
-    def axis_readout(self, axis, now_s):
-        at, count_off = self.at[axis], self.count_off if axis == "a" else 0.0
-        return SimpleNamespace(angle_deg=at + count_off, position_mm=at * 5, destination_mm=self.destination[axis])
+    def course(self, axis, now_s):
+        return self.at[axis] * 5, self.destination[axis]
+
+    def shown_deg(self, axis, now_s):
+        return self.at[axis] + (self.count_off if axis == "a" else 0.0)
 
     def wait(self, duration_s, a=0.0, b=0.0):
         """Let time pass in samples, the axes turning by so many degrees in all."""
