@@ -121,10 +121,15 @@ def _beginning(path: Path) -> bytes:
         return file.read(len(_MAGIC))
 
 
-def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a store that is there, also while the service writes to it; raises `StoreError`."""
+def require_store(path: Path) -> None:
+    """Raise `StoreError` where there is no file of a store."""
     if not path.is_file():
         raise StoreError(f"there is no store at {path}; name its folder with --store, or the service's --config")
+
+
+def open_for_reading(path: Path) -> sqlite3.Connection:
+    """Open a store that is there, also while the service writes to it; raises `StoreError`."""
+    require_store(path)
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_BUSY_S, isolation_level=None)
     try:
         with _naming(path):

@@ -1,6 +1,6 @@
 """What people give to the studies and commands as text: sites, instants, weather."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -57,6 +57,13 @@ def check_weather_file(path: Path, *, or_built_in: bool = True) -> None:
         known = ", ".join(get_args(WeatherName))
         hint = f", and it is none of the built-in skies {known}" if or_built_in else ": name a file of measured weather"
         raise UserError(f"there is no weather file at {path}{hint}")
+
+
+def check_data_files(paths: Sequence[Path], of: str) -> None:
+    """Raise `UserError` for the first path at which there is no file `of` something, likewise."""
+    for path in paths:
+        if not path.is_file():
+            raise UserError(f"there is no file {path} with {of}")
 
 
 def settings_for(

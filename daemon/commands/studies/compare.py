@@ -12,7 +12,8 @@ from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
-from daemon.studies.inputs import check_weather_file, instant, parse_site, site_values, weather_choice
+from daemon.studies.compare.spans import parse_span
+from daemon.studies.inputs import check_data_files, check_weather_file, instant, parse_site, site_values, weather_choice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -149,6 +150,7 @@ def fit(
 ) -> None:
     """Find the bias between the two measuring chains from a time in which both trackers lay flat."""
     check_outputs([out, out.with_suffix(".png"), out.with_suffix(".svg")], "--out", force=force)
+    _check_measurements(data, store, cube, chrono)
     from daemon.studies.compare import figures
     from daemon.studies.compare.fit import as_text, flat_pairs, write
     from daemon.studies.compare.fit import fit as fit_bias
@@ -193,14 +195,15 @@ def report(
 ) -> None:
     """Report what T-Cube gained over T-Chrono, equation (16), by day and period, with the paper's figures."""
     check_outputs([out / "report.html", out / "gains.csv"], "--out", force=force)
+    _check_measurements(data, store, cube, chrono)
+    spans = [parse_span(text) for text in period or []]
     from daemon.studies.compare.fit import flat_pairs, read
-    from daemon.studies.compare.gains import as_text, parse_span
+    from daemon.studies.compare.gains import as_text
     from daemon.studies.compare.report import write_report
     from daemon.studies.compare.stored import kept_curve, parse_store
     from solar.ephemeris import Site
 
     place = None if site is None else Site(*parse_site(site))
-    spans = [parse_span(text) for text in period or []]
     pairs, stored_site = _pairs(data, store, cube, chrono)
     place = place or stored_site
     if place is None:
@@ -249,11 +252,8 @@ def paper(
     check_outputs(list(_paper_files(out)), "--out", force=force)
     from typing import get_args
 
-    from daemon.commands.studies.simulate import progress_bar
     from daemon.config.plugged import law_names
-    from daemon.config.settings import Settings
     from daemon.config.simulation import WeatherName
-    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, verdicts, write_paper
     from solar.sky import SKY_MODELS, SkyModel
 
     chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
@@ -261,6 +261,10 @@ def paper(
         raise UserError(f"--skies: name one of {', '.join(SKY_MODELS)} at least")
     names: tuple[WeatherName, ...] = get_args(WeatherName)
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
+    from daemon.commands.studies.simulate import progress_bar
+    from daemon.config.settings import Settings
+    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, verdicts, write_paper
+
     workers, settings = chosen_workers(jobs, cluster), Settings()
     with progress_bar(Console(stderr=True), "correcting") as progress:
         correction = find_correction(settings, progress)
@@ -291,15 +295,20 @@ def _forget(_name: str, _record: object) -> None:
     """Take a record that nobody wants."""
 
 
+def _check_measurements(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> None:
+    """Raise `UserError` for what no measurements can come from, before the science is loaded."""
+    if cube == chrono:
+        raise UserError(f"--cube and --chrono both name '{cube}': two trackers are needed")
+    if bool(data) is bool(stores):
+        raise UserError("measurements come either from tables, POWERS..., or from --store DIR: name one of them")
+    check_data_files(data or (), "measured powers")
+
+
 def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> "tuple[Pairs, Site | None]":
     """Return the measurements of tables or of stores, laid side by side, and the site that a store knows."""
     from daemon.studies.compare.pairs import pair, read_tables
     from daemon.studies.compare.stored import parse_store, read_stores
 
-    if cube == chrono:
-        raise UserError(f"--cube and --chrono both name '{cube}': two trackers are needed")
-    if bool(data) is bool(stores):
-        raise UserError("measurements come either from tables, POWERS..., or from --store DIR: name one of them")
     if data:
         return pair(read_tables(data), (cube, chrono)), None
     frame, site = read_stores([parse_store(text) for text in stores or []])

@@ -12,6 +12,7 @@ from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
 from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
+from daemon.studies.inputs import check_weather_file
 
 if TYPE_CHECKING:
     from daemon.studies.gain.request import Request
@@ -77,6 +78,8 @@ def gain(
         check_outputs([out], "--out", force=force)
     if plot is not None:
         check_outputs([plot], "--plot", force=force)
+    if weather not in (None, "clear") and lat_range is None:
+        check_weather_file(Path(weather), or_built_in=False)
     from daemon.studies.gain import output, request
     from daemon.studies.gain.evaluate import evaluate, evaluate_points
 

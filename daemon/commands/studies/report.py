@@ -12,6 +12,8 @@ from daemon.commands.answers import JsonOption
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.studies.simulate import progress_bar, tell_pages
+from daemon.store.schema import FILE_NAME, require_store
+from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,6 +63,7 @@ def report(
 
     wanted = Wanted(day, start, end)
     directory, settings = store_directory("report", store, config), _settings(config)
+    require_store(directory / FILE_NAME)
     from daemon.studies.report.write import check_output, with_settings, write_reports, zone_of
 
     local = zone_of(zone)
@@ -97,13 +100,15 @@ def plot(
     as_json: JsonOption = False,
 ) -> None:
     """Draw quick pictures of a day from the store, or from tables of simulate or export."""
-    from daemon.studies.report.plot import check_pictures, draw, material_of_tables, picture_paths
+    check_pictures(what)
+    paths = picture_paths(out, what)
+    if tables is not None:
+        format_of_tables(tables)
+    from daemon.studies.report.plot import draw, material_of_tables
     from daemon.studies.report.span import Wanted
     from daemon.studies.report.write import check_output, with_settings, zone_of
 
-    check_pictures(what)
     local, settings = zone_of(zone), _settings(config)
-    paths = picture_paths(out, what)
     check_output(out.parent, [path.name for path in paths], "--out", force=force)
     whole = day is None and start is None and end is None
     with progress_bar(Console(stderr=True), "reading") as progress:

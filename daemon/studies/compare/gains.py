@@ -1,7 +1,6 @@
 """Equation (16) day by day and period by period."""
 
 import csv
-import re
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -9,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from daemon.base.clock import iso_utc
-from daemon.base.errors import UserError
 from daemon.studies.compare.pairs import Pairs
-from daemon.studies.inputs import instant
+from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
 from solar.compare import ChainBias, energy_wh, gain_pct
 from solar.ephemeris import DAY_S, Site, sun_position
@@ -21,16 +19,6 @@ from solar.sky_periods import sky_periods
 WHOLE_DAY = "day"
 # Lower, the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing.
 LOWEST_SUN_DEG = 7.0
-_PERIOD = re.compile(r"(?P<name>[^=]+)=(?P<start>[^/]+)/(?P<end>[^/]+)")
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A named stretch of time, the end not included [s UTC]."""
-
-    name: str
-    start_utc_s: float
-    end_utc_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +62,6 @@ class Gain:
 def corrected_power(pairs: Pairs, bias: ChainBias | None) -> Array:
     """Return T-Cube's power after correction; as it is without one."""
     return pairs.cube.pmpp_w if bias is None else bias.corrected(pairs.cube.pmpp_w)
-
-
-def parse_span(text: str) -> Span:
-    """Return the stretch of time of ``NAME=FROM/TO``; `UserError` for other text."""
-    match = _PERIOD.fullmatch(text)
-    if match is None:
-        raise UserError(f"--period: '{text}' is not NAME=FROM/TO, such as fog=2022-10-12T06:20/2022-10-12T08:10")
-    begin_s, end_s = (instant(match[key].strip(), "--period").timestamp() for key in ("start", "end"))
-    if not begin_s < end_s:
-        raise UserError(f"--period: '{text}' ends before it begins")
-    return Span(match["name"], begin_s, end_s)
 
 
 def spans_by_sky(pairs: Pairs, site: Site) -> list[Span]:

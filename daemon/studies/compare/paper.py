@@ -16,10 +16,11 @@ from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts
 from daemon.studies.compare.fit import Fit, fit, flat_pairs
-from daemon.studies.compare.gains import WHOLE_DAY, Gain, Span, gains
+from daemon.studies.compare.gains import WHOLE_DAY, Gain, gains
 from daemon.studies.compare.pairs import Pairs, frame_of, pair
 from daemon.studies.compare.report import Table, bias_shown, experiment_figures, fit_table, modelled_curve, write_page
 from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.compare.spans import Span
 from daemon.studies.spread.workers import Workers, gather
 from daemon.studies.text_table import signed, table
 from solar.ephemeris import Site, sun_direction

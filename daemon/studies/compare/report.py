@@ -14,8 +14,9 @@ from daemon.base.errors import UserError
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare import figures
 from daemon.studies.compare.fit import Fit
-from daemon.studies.compare.gains import Gain, Span, gains, spans_by_sky, write_csv
+from daemon.studies.compare.gains import Gain, gains, spans_by_sky, write_csv
 from daemon.studies.compare.pairs import Pairs
+from daemon.studies.compare.spans import Span
 from daemon.studies.compare.stored import KeptCurve
 from daemon.studies.stamp import stamped
 from daemon.studies.text_table import signed

@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from daemon.base.records import FACES
+from daemon.studies.report.asked import NAMES
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import NOT_RECORDED, RecordedMotion
 from daemon.studies.report.yields import RecordedLight, Yield
@@ -239,14 +240,15 @@ def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool)
         return stamped(figure, simulated)
 
 
-PICTURES = {
-    "light": Series("irradiance of the faces and diffuse fraction", light_picture),
-    "angles": Series("A and B, set and actual, and the sun's path", angles_picture),
-    "received": Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
-    "motion": Series("modes, moves and travel", motion_picture),
-    "wind": Series("wind and what it stows from", wind_picture),
-    "power": Series("maximum power of the module by its I-V curves", power_picture),
-}
+_DRAWN = (
+    Series("irradiance of the faces and diffuse fraction", light_picture),
+    Series("A and B, set and actual, and the sun's path", angles_picture),
+    Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
+    Series("modes, moves and travel", motion_picture),
+    Series("wind and what it stows from", wind_picture),
+    Series("maximum power of the module by its I-V curves", power_picture),
+)
+PICTURES = dict(zip(NAMES, _DRAWN, strict=True))
 """By the name that the command line gives it."""
 
 

@@ -10,6 +10,7 @@ from matplotlib import rc_context
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
 from daemon.studies.inputs import parse_site
+from daemon.studies.report.asked import format_of_tables
 from daemon.studies.report.material import Material, from_tables, nothing_in, of_tables, reach_of_tables
 from daemon.studies.report.motion import motion_of
 from daemon.studies.report.pictures import PICTURES, Drawing
@@ -17,22 +18,7 @@ from daemon.studies.report.span import Wanted
 from daemon.studies.report.yields import light_of
 from solar.ephemeris import Site
 
-_ENDINGS = (".png", ".svg")
 _DPI = 150
-
-
-def check_pictures(names: Sequence[str]) -> None:
-    """Raise `UserError` for a picture that does not exist."""
-    for name in names:
-        if name not in PICTURES:
-            raise UserError(f"there is no picture {ascii(name)[:40]}; choose from {', '.join(PICTURES)}")
-
-
-def picture_paths(out: Path, names: Sequence[str]) -> list[Path]:
-    """Return the file of each picture: `out` itself for one, its name with the picture's for several."""
-    if out.suffix.lower() not in _ENDINGS:
-        raise UserError(f"--out: {out} must end in .png or .svg")
-    return [out if len(names) == 1 else out.with_name(f"{out.stem}-{name}{out.suffix}") for name in names]
 
 
 def material_of_tables(
@@ -47,12 +33,7 @@ def material_of_tables(
     """
     if site is None and settings is None:
         raise UserError("tables do not say where the site is: add --site LAT,LON[,ALT] or --config FILE")
-    table_format = next((one for one in ("parquet", "csv") if (directory / f"scans.{one}").exists()), None)
-    if table_format is None:
-        raise UserError(
-            f"--tables: {directory} has neither scans.csv nor scans.parquet: name a folder that simulate or"
-            " export has written"
-        )
+    table_format = format_of_tables(directory)
     if settings is None or site is not None:
         name, place = str(site), Site(*parse_site(str(site)))
     else:
