@@ -15,7 +15,9 @@ from daemon.commands.answers import print_json, wrapped
 from daemon.commands.main import app
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
-WITHOUT = {"run", "bench", "dashboard", "notify", "setup", "config init", "config migrate", "samples", "bench-ctl"}
+WITHOUT = {
+    "run", "archive", "bench", "dashboard", "notify", "setup", "config init", "config migrate", "samples", "bench-ctl",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
