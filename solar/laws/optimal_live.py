@@ -315,7 +315,7 @@ def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None
     """
     site = SiteLearning(learned=start)
     known = [site.learned]
-    order = np.argsort(weather.day, kind="stable")
+    order = np.argsort(weather.utc_s)
     ends = np.cumsum(np.bincount(weather.day, minlength=weather.shape[1]))[:-1]
     for rows in np.split(order, ends)[:-1]:
         sun = weather.sun[rows]

@@ -39,8 +39,8 @@ _ARITHMETIC = {
 }
 _OTHER_CALL = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
 _MAY_BE_LEFT_OUT = {"abs", "sorted", "reversed"}
-# Of `zip`, of files, and for people: nothing that a line of ours decides by.
-_NOT_LEFT_OUT = {"strict", "encoding", "errors", "name", "extra", "exc_info", "examples", "description"}
+# Of `zip`, of arrays of numbers, of files, and for people: nothing that a line of ours decides by.
+_NOT_LEFT_OUT = {"strict", "dtype", "encoding", "errors", "name", "extra", "exc_info", "examples", "description"}
 _LOGGERS = {"log", "_log", "logger", "_LOG", "LOG"}
 
 

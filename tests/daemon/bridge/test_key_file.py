@@ -102,6 +102,23 @@ def test_while_two_keys_are_alive_both_are_accepted_and_no_third(tmp_path):
     run(scenario, tmp_path)
 
 
+def test_new_keys_are_taken_once(tmp_path):
+    async def scenario():
+        taken = []
+        file = tmp_path / "bridge.key"
+        write(file, OLD)
+        watch = asyncio.create_task(KeyFileWatch(file, load_keys(file), taken.append, 1.0).run())
+        await asyncio.sleep(3 * READ_EVERY_S)
+        assert taken == []
+        write(file, NEW, OLD)
+        await asyncio.sleep(5 * READ_EVERY_S)
+        watch.cancel()
+        assert taken == [(NEW, OLD)]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
 def test_a_file_that_cannot_be_used_is_reported_once_and_changes_nothing(tmp_path, caplog):
     async def scenario(sides):
         with caplog.at_level(logging.WARNING, "heliocube.bridge"):

@@ -140,7 +140,15 @@ def test_its_law_points_its_positioner_on_the_simulated_rig(package, file, tmp_p
     assert summary.moves == 1
 
 
-@pytest.mark.parametrize("wrong", ["faces_needed = 0", "decide_every_s = float('nan')"])
+@pytest.mark.parametrize("faces", [1, 4])
+def test_a_law_may_ask_for_one_face_and_for_all(package, file, tmp_path, faces):
+    law = tmp_path / "site" / "acme_law.py"
+    asking = f"        self.faces_needed = {faces}\n        self._direction ="
+    law.write_text(LAW.replace("        self._direction =", asking))
+    assert build_pointing(check_file(file), 0.0, StateFolder(None)).law.faces_needed == faces
+
+
+@pytest.mark.parametrize("wrong", ["faces_needed = 0", "faces_needed = 5", "decide_every_s = float('nan')"])
 def test_a_law_that_asks_for_what_there_is_not_is_refused_at_the_start(package, file, tmp_path, wrong):
     law = tmp_path / "site" / "acme_law.py"
     law.write_text(LAW.replace("        self._direction =", f"        self.{wrong}\n        self._direction ="))

@@ -100,6 +100,11 @@ def test_clouds_tell_how_far_a_clock_is_ahead(ahead_s):
     assert found == pytest.approx(ahead_s, abs=1.0)
 
 
+def test_readings_of_every_second_are_searched_second_by_second():
+    utc_s = np.arange(0.0, 3600.0)
+    assert lag_s(utc_s, clouds(utc_s), utc_s + 2.3, clouds(utc_s), largest_s=3.0) == pytest.approx(2.3, abs=0.1)
+
+
 @pytest.mark.parametrize("step_s", [10.0, 60.0])
 def test_slow_readings_do_not_draw_the_lag_to_whole_steps(step_s):
     sky = Scene(SIRTA, GeneratedWeather("variable", SIRTA, 1))

@@ -5,7 +5,6 @@ import math
 
 import pytest
 
-from drivers.cube.pyranometers.settings import FACE_NAMES
 from drivers.errors import ConnectError, LinkLostError
 from sim_drivers.modbus.pyranometers import SimulatedApogee
 from tests.drivers.cube.pyranometers.conftest import LIGHT
@@ -82,6 +81,18 @@ def test_a_sensor_that_comes_back_is_used_again(on_rig):
     assert silent.notes == ("the south sensor (address 2) does not answer",)
     assert values(back) == pytest.approx(LIGHT)
     assert back.notes == ()
+
+
+def test_a_sensor_that_was_silent_for_an_hour_is_asked_twice_a_minute(on_rig):
+    async def silent(rig):
+        rig.sensors[3].silent = True
+        await rig.scans(60, every_s=60.0)
+        rig.sensors[3].silent = False
+        return (await rig.scans(every_s=29.0))[0], (await rig.scans(every_s=2.0))[0]
+
+    before, after = on_rig(silent)
+    assert flaws(before) == (None, None, None, "late")
+    assert values(after) == pytest.approx(LIGHT)
 
 
 def test_opening_again_forgets_what_was_missed_before(on_rig):
@@ -260,9 +271,9 @@ def test_a_sensor_that_hides_its_number_is_read_unless_its_number_is_pinned(on_r
         data = {register: word for register, word in east.registers(0.0).items() if register < 41}
         east.registers = lambda w_m2: data | {5: round(w_m2)}
         await rig.cube.open()
-        return (await rig.scans(2))[0]
+        return [flaws((await rig.scans(every_s=31.0))[0])[0] for _ in range(5)]
 
-    assert flaws(on_rig(hides, **keys))[FACE_NAMES.index("east")] == flaw
+    assert on_rig(hides, **keys) == [flaw] * 5
 
 
 def test_a_reading_cube_writes_nothing(on_rig):
