@@ -1,5 +1,7 @@
 """Where an archive is: the URL of a PostgreSQL database, with the name of an installation behind it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
@@ -22,6 +24,10 @@ class ArchiveAwayError(ArchiveError):
     """The database does not answer, now; it may later."""
 
     exit_code = ExitCode.UNREACHABLE
+
+
+class PagesRefusedError(ArchiveError):
+    """The database does not take what is in the pages, or in one of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +99,29 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
         raise _reason(address, error) from None
     except psycopg.Error as error:
         raise ArchiveError(f"{address.url} is no address of a database: {one_line(error)}") from None
+
+
+@contextmanager
+def telling(address: ArchiveAddress) -> Iterator[None]:
+    """Turn what the database raises into a sentence."""
+    import psycopg  # noqa: PLC0415 - it is in an extra
+
+    try:
+        yield
+    except psycopg.errors.ReadOnlySqlTransaction as error:
+        raise ArchiveError(
+            f"the database {address.url} takes no records ({one_line(error)}): it is a replica; name the one it follows"
+        ) from None
+    except psycopg.errors.InsufficientPrivilege as error:
+        raise ArchiveError(
+            f"the database {address.url} does not let this user do that ({one_line(error)}): let its owner grant it"
+        ) from None
+    except (psycopg.OperationalError, psycopg.InterfaceError) as error:
+        raise ArchiveAwayError(f"the database {address.url} does not answer: {one_line(error)}") from None
+    except (psycopg.DataError, psycopg.IntegrityError) as error:
+        raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
+    except psycopg.Error as error:
+        raise ArchiveError(f"the database {address.url} refuses: {one_line(error)}") from None
 
 
 def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> ArchiveError:

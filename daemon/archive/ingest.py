@@ -11,8 +11,8 @@ from functools import partial
 from random import Random
 from typing import Any, TypeVar
 
-from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError
-from daemon.archive.writer import ArchiveWriter, PagesRefusedError, SentPage, Taken
+from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError, PagesRefusedError
+from daemon.archive.writer import ArchiveWriter, SentPage, Taken
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
-from daemon.archive.address import ArchiveError, one_line
+from daemon.archive.address import ArchiveAddress, ArchiveError, one_line
 from daemon.store.batches import KINDS
 from daemon.store.tables import COLUMNS, Column
 
@@ -98,6 +98,12 @@ def version_of(connection: "psycopg.Connection") -> int | None:
             " or name another database"
         )
     return version
+
+
+def check_is_archive(connection: "psycopg.Connection", address: ArchiveAddress) -> None:
+    """Raise `ArchiveError` where there is no archive, or a newer one."""
+    if version_of(connection) is None:
+        raise ArchiveError(f"{address.url} holds no archive: is it the right database?")
 
 
 def missing_columns(connection: "psycopg.Connection", name: str) -> list[Column]:

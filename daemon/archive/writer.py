@@ -4,12 +4,11 @@ import contextlib
 import os
 import socket
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
-from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError, connected, one_line
+from daemon.archive.address import ArchiveAddress, connected, telling
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, TYPES, ensure, make_days, partitioned
 from daemon.store.batches import KINDS, Batch
 from daemon.store.store import Origin
@@ -17,10 +16,6 @@ from daemon.store.store import Origin
 _DAY_S = 86400.0
 # Two services that send in turns are seen within this.
 _BOTH_ALIVE = "10 min"
-
-
-class PagesRefusedError(ArchiveError):
-    """The database does not take what is in the pages, or in one of them."""
 
 
 class SentPage(NamedTuple):
@@ -62,7 +57,7 @@ class ArchiveWriter:
 
     def prepare(self) -> None:
         """Make the tables if they are not there; raises as the constructor does."""
-        with self._telling():
+        with telling(self._address):
             ensure(self._connection)
             self._divided = partitioned(self._connection)
             for name in KINDS:
@@ -90,7 +85,7 @@ class ArchiveWriter:
         ArchiveError
             What the database does not let; nothing of the pages is in it then.
         """
-        with self._telling():
+        with telling(self._address):
             self._make_days(pages)
             known = dict(self._runs)
             with self._connection.transaction():
@@ -100,25 +95,6 @@ class ArchiveWriter:
                 rivals = self._rivals(pages, runs) if added else []
             self._runs = known
         return Taken(added, rivals)
-
-    @contextmanager
-    def _telling(self) -> Iterator[None]:
-        """Turn what the database raises into a sentence."""
-        import psycopg  # noqa: PLC0415 - it is in an extra
-
-        try:
-            yield
-        except (psycopg.errors.InsufficientPrivilege, psycopg.errors.ReadOnlySqlTransaction) as error:
-            raise ArchiveError(
-                f"the database {self._address.url} does not let this user write: {one_line(error)}: make it the owner"
-                f" of the schema {SCHEMA}"
-            ) from None
-        except (psycopg.OperationalError, psycopg.InterfaceError) as error:
-            raise ArchiveAwayError(f"the database {self._address.url} does not answer: {one_line(error)}") from None
-        except (psycopg.DataError, psycopg.IntegrityError) as error:
-            raise PagesRefusedError(f"the database takes no such records: {one_line(error)}") from None
-        except psycopg.Error as error:
-            raise ArchiveError(f"the database {self._address.url} refuses: {one_line(error)}") from None
 
     def _make_days(self, pages: Sequence[SentPage]) -> None:
         wanted = {

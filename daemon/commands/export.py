@@ -1,5 +1,6 @@
 """`heliocube export`: records of the store as tables."""
 
+import math
 import os
 from enum import StrEnum
 from pathlib import Path
@@ -42,7 +43,7 @@ def export(
         ),
     ] = None,
     store: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the store, without a configuration.")
+        str | None, typer.Option(metavar="DIR|URL", help="Folder of the store, without a configuration, or an archive.")
     ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
@@ -51,19 +52,15 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write records of the store as tables, even while the service runs."""
+    from daemon.commands.archive.readable import readable
     from daemon.store.export import export as write_tables
 
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
-    rows = write_tables(
-        store_directory("export", store, config),
-        out,
-        table_format.value,
-        first,
-        last,
-        [one.value for one in kind or []],
-        force=force,
-    )
+    kinds = [one.value for one in kind or []]
+    ends_s = -math.inf if first is None else first.timestamp(), math.inf if last is None else last.timestamp()
+    with readable(store_directory("export", store, config), lambda _: ends_s) as (directory, _):
+        rows = write_tables(directory, out, table_format.value, first, last, kinds, force=force)
     if as_json:
         print_json({"tables": out, "format": table_format, "rows": rows})
         return
@@ -71,8 +68,8 @@ def export(
     say(f"written to {out}: {counts}")
 
 
-def store_directory(command: str, store: Path | None, config: Path | None) -> Path:
-    """Return the folder of the store that is named or configured, in HELIOCUBE_CONFIG at last; raises `UserError`."""
+def store_directory(command: str, store: str | None, config: Path | None) -> str:
+    """Return the store that is named or configured, in HELIOCUBE_CONFIG at last; raises `UserError`."""
     if store is None and config is None and os.environ.get(CONFIG_VARIABLE):
         config = Path(os.environ[CONFIG_VARIABLE])
     if store is not None and config is None:
@@ -85,4 +82,4 @@ def store_directory(command: str, store: Path | None, config: Path | None) -> Pa
     directory = records_of(load_settings(config), config, os.environ)
     if directory is None:
         raise UserError(f"{config} sets no store.directory, and its rig is simulated: its service keeps no records")
-    return directory
+    return str(directory)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from daemon.base.errors import UserError
+from daemon.commands.answers import JsonOption, print_json, teller
 from daemon.commands.options import CONFIG_VARIABLE
+from daemon.studies.inputs import instant
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the database's client.
@@ -45,6 +47,76 @@ def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = 
     address = database(config, to)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     asyncio.run(serve(mqtt, own, address, SystemClock(), process.Notifier(os.environ, os.getpid())))
+
+
+@app.command()
+def fill(
+    store: Annotated[Path, typer.Argument(help="Folder of a store, or its file. A service may write to it meanwhile.")],
+    name: Annotated[
+        str, typer.Option(metavar="PREFIX/NAME", help="Whose records they are: the name that its service sends under.")
+    ],
+    config: ConfigOption = None,
+    to: ToOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write into the archive what it has not of a store, by file: nothing twice."""
+    from daemon.archive.fill import fill as write_records
+    from daemon.mqtt.topics import check_topic
+
+    address = database(config, to)
+    try:
+        check_topic(name)
+    except ValueError as error:
+        raise UserError(
+            f"--name: {error}; it is mqtt.prefix and mqtt.name of the service, such as plant/roof"
+        ) from None
+    found = write_records(store, address, name)
+    if as_json:
+        print_json({"store": store, "archive": str(address), "installation": name, **found._asdict()})
+        return
+    typer.echo(f"{store}: {found.read} records were read; {found.added} of them are new in {address}, as {name}")
+
+
+@app.command()
+def parquet(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the files; made if it is missing.")],
+    day: Annotated[
+        str | None, typer.Option(metavar="DAY", help="Only this UTC day, such as 2022-10-14, even if it is there.")
+    ] = None,
+    drop_after: Annotated[
+        int | None,
+        typer.Option(metavar="DAYS", min=1, help="Drop older days from the database whose files have all their rows."),
+    ] = None,
+    config: ConfigOption = None,
+    to: ToOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write each day that is over as Parquet, if its file is missing or has not all rows; for every night."""
+    from datetime import UTC, datetime, timedelta
+
+    from daemon.archive.parquet import drop_days, write_days
+
+    address, today = database(config, to), datetime.now(UTC).date()
+    wanted = None if day is None else instant(day, "--day").date()
+    if wanted is not None and not wanted < today:
+        raise UserError(f"--day {day}: that day is not over")
+    tell = teller(as_json=as_json)
+    found = []
+    for one in write_days(address, out, today, wanted):
+        found.append(one)
+        if one.written:
+            tell(f"{one.path}: {one.rows} rows")
+    if wanted is not None and not found:
+        raise UserError(f"--day {day}: {address} has no record of that day")
+    dropped = []
+    if drop_after is not None:
+        for one in drop_days(address, out, today - timedelta(days=drop_after)):
+            dropped.append(one)
+            tell(f"{one.kind} of {one.day} dropped: {one.path} has its {one.rows} rows")
+    if as_json:
+        print_json({"days": [one._asdict() for one in found], "dropped": [one._asdict() for one in dropped]})
+        return
+    tell(f"{sum(one.written for one in found)} of {len(found)} files written, {len(dropped)} days dropped")
 
 
 def database(config: Path | None, named: str | None) -> "ArchiveAddress":

@@ -1,5 +1,6 @@
 """`heliocube compare`: two trackers side by side, as in the paper's experiment."""
 
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -33,7 +34,10 @@ DataArgument = Annotated[
 ]
 StoreOption = Annotated[
     list[str] | None,
-    typer.Option(metavar="[NAME=]DIR", help="Folder of a store, of tracker NAME if all of it is; may be repeated."),
+    typer.Option(
+        metavar="[NAME=]DIR|URL",
+        help="Folder of a store, or an archive, of tracker NAME if all of it is; may be repeated.",
+    ),
 ]
 CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker in question.")]
 ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is compared with.")]
@@ -64,8 +68,6 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Run both trackers on one simulated cube, and measure both modules every 5 s."""
-    from contextlib import ExitStack
-
     from daemon.commands.studies.simulate import progress_bar
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings
@@ -200,7 +202,7 @@ def report(
     from daemon.studies.compare.fit import flat_pairs, read
     from daemon.studies.compare.gains import as_text
     from daemon.studies.compare.report import write_report
-    from daemon.studies.compare.stored import kept_curve, parse_store
+    from daemon.studies.compare.stored import kept_curve
     from solar.ephemeris import Site
 
     place = None if site is None else Site(*parse_site(site))
@@ -218,7 +220,8 @@ def report(
     except UserError:
         # The days of the fit need not be among those of the report.
         flat = None
-    curve = kept_curve([parse_store(text) for text in store or []], cube)
+    with _readable(store or []) as folders:
+        curve = kept_curve(folders, cube)
     rows = write_report(pairs, found, flat, place, spans, curve, out, force=force)
     if as_json:
         page = {"simulated": pairs.simulated, "trackers": pairs.names, "corrected": found is not None}
@@ -307,12 +310,26 @@ def _check_measurements(data: list[Path] | None, stores: list[str] | None, cube:
 def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono: str) -> "tuple[Pairs, Site | None]":
     """Return the measurements of tables or of stores, laid side by side, and the site that a store knows."""
     from daemon.studies.compare.pairs import pair, read_tables
-    from daemon.studies.compare.stored import parse_store, read_stores
+    from daemon.studies.compare.stored import read_stores
 
     if data:
         return pair(read_tables(data), (cube, chrono)), None
-    frame, site = read_stores([parse_store(text) for text in stores or []])
+    with _readable(stores or []) as folders:
+        frame, site = read_stores(folders)
     return pair(frame, (cube, chrono)), site
+
+
+@contextmanager
+def _readable(stores: list[str]) -> "Iterator[list[tuple[str | None, Path]]]":
+    """Have stores at hand, of which some may be archives."""
+    from daemon.archive.address import is_archive
+    from daemon.commands.archive.readable import readable
+    from daemon.studies.compare.stored import parse_store
+
+    with ExitStack() as stack:
+        # An address may have an equals sign of its own.
+        named = [(None, text) if is_archive(text) else parse_store(text) for text in stores]
+        yield [(name, stack.enter_context(readable(str(place)))[0]) for name, place in named]
 
 
 def _words(text: str) -> list[str]:

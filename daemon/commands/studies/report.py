@@ -9,16 +9,18 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption
+from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.studies.simulate import progress_bar, tell_pages
-from daemon.store.schema import FILE_NAME, require_store
 from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     # The command line imports this module to show its help, which must not wait for the science.
+    from daemon.archive.reader import ArchiveReader
     from daemon.config.settings import Settings
     from daemon.studies.report.material import Material
     from daemon.studies.report.span import Wanted
@@ -34,7 +36,8 @@ FromOption = Annotated[
 ]
 ToOption = Annotated[str | None, typer.Option("--to", metavar="DAY|UTC", help="End, itself not included.")]
 StoreOption = Annotated[
-    Path | None, typer.Option("--store", metavar="DIR", help="Folder of the store, without a configuration.")
+    str | None,
+    typer.Option("--store", metavar="DIR|URL", help="Folder of the store, without a configuration, or an archive."),
 ]
 ConfigOption = Annotated[
     Path | None,
@@ -62,15 +65,18 @@ def report(
     from daemon.studies.report.span import Wanted
 
     wanted = Wanted(day, start, end)
-    directory, settings = store_directory("report", store, config), _settings(config)
-    require_store(directory / FILE_NAME)
+    place, settings = store_directory("report", store, config), _settings(config)
+    check_readable(place)
     from daemon.studies.report.write import check_output, with_settings, write_reports, zone_of
 
     local = zone_of(zone)
-    taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{tracker or '*'}.html")]
-    check_output(out, taken, "--out", force=force)
-    with progress_bar(Console(stderr=True), "reading and drawing") as progress:
-        materials = _materials(directory, wanted, tracker, lambda share: progress(0.8 * share))
+    with (
+        _readable(place, wanted) as (directory, called),
+        progress_bar(Console(stderr=True), "reading and drawing") as progress,
+    ):
+        taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{tracker or '*'}.html")]
+        check_output(out, taken, "--out", force=force)
+        materials = _materials(directory, called, wanted, tracker, lambda share: progress(0.8 * share))
         known = [with_settings(material, settings) for material in materials]
         paths = write_reports(known, out, local, lambda share: progress(0.8 + 0.2 * share), force=force)
     tell_pages(paths, as_json=as_json)
@@ -118,8 +124,9 @@ def plot(
             wanted = None if whole else Wanted(day, start, end)
             material = material_of_tables(tables, site, settings, wanted, tracker)
         else:
-            directory = store_directory("plot", store, config)
-            found = _materials(directory, Wanted(day, start, end), tracker, progress)
+            place, asked = store_directory("plot", store, config), Wanted(day, start, end)
+            with _readable(place, asked) as (directory, called):
+                found = _materials(directory, called, asked, tracker, progress)
             names = ", ".join(each.tracker for each in found)
             if len(found) > 1:
                 raise UserError(f"that store has several trackers, {names}: choose one with --tracker NAME")
@@ -136,6 +143,17 @@ def _settings(config: Path | None) -> "Settings | None":
     return load_settings(config)
 
 
+def _readable(place: str, wanted: "Wanted") -> "AbstractContextManager[tuple[Path, str]]":
+    """Have the records of a span at hand, from a store or an archive."""
+    from daemon.commands.archive.readable import readable
+
+    def ends_s(reader: "ArchiveReader") -> tuple[float, float]:
+        span = wanted.span(reader.longitude_deg, time.time())
+        return span.start_utc_s, span.end_utc_s
+
+    return readable(place, ends_s)
+
+
 def _name(directory: Path, wanted: "Wanted") -> str:
     """Return what the span is called, before anything is read but the place of the site."""
     from daemon.store.runs import runs_of
@@ -146,8 +164,8 @@ def _name(directory: Path, wanted: "Wanted") -> str:
 
 
 def _materials(
-    directory: Path, wanted: "Wanted", tracker: str | None, progress: "Callable[[float], None]"
+    directory: Path, called: str, wanted: "Wanted", tracker: str | None, progress: "Callable[[float], None]"
 ) -> "list[Material]":
     from daemon.studies.report.material import from_store
 
-    return from_store(directory, wanted, tracker, time.time(), progress)
+    return from_store(directory, wanted, tracker, time.time(), progress, called)

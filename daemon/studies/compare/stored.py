@@ -43,10 +43,10 @@ _BEST_CURVE = (
 )
 
 
-def parse_store(text: str) -> tuple[str | None, Path]:
+def parse_store(text: str) -> tuple[str | None, str]:
     """Return the tracker's name, if any, and the folder of ``DIR`` or ``NAME=DIR``."""
     name, found, folder = text.partition("=")
-    return (name, Path(folder)) if found else (None, Path(text))
+    return (name, folder) if found else (None, text)
 
 
 def read_stores(stores: Sequence[tuple[str | None, Path]]) -> tuple[pd.DataFrame, Site]:

@@ -94,7 +94,12 @@ def seconds(table: pd.DataFrame) -> Array:
 
 
 def from_store(
-    directory: Path, wanted: Wanted, tracker: str | None, now_utc_s: float, progress: Callable[[float], None]
+    directory: Path,
+    wanted: Wanted,
+    tracker: str | None,
+    now_utc_s: float,
+    progress: Callable[[float], None],
+    called: str = "",
 ) -> list[Material]:
     """Return the material of every tracker of a store, or of the one that is named.
 
@@ -110,6 +115,8 @@ def from_store(
         What has not happened yet is not missing.
     progress
         Called with the share that is read, 0..1.
+    called
+        Where its records come from, in words, if that is not this folder.
 
     Raises
     ------
@@ -117,9 +124,10 @@ def from_store(
         There is no store, no such tracker, or nothing in that time.
     """
     path = directory / FILE_NAME
+    called = called or f"the store {path}"
     runs = runs_of(path)
     if not runs:
-        raise UserError(f"the store {path} holds nothing yet")
+        raise UserError(f"{called} holds nothing yet")
     span = wanted.span(runs[-1].origin.longitude_deg, now_utc_s)
     tables = _read_days(directory, span, progress)
     if not any(len(table) for table in tables.values()):
@@ -128,7 +136,7 @@ def from_store(
     there = [run for run in runs if run.run in with_records]
     last = there[-1].origin
     site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
-    found = of_tables(tables, span, site, last.site, f"the store {path}", runs=tuple(there))
+    found = of_tables(tables, span, site, last.site, called, runs=tuple(there))
     chosen = [material for material in found if tracker in (None, material.tracker)]
     if not chosen:
         names = ", ".join(material.tracker for material in found)

@@ -1,0 +1,82 @@
+"""Records of a store into an archive by file, for what the service itself cannot send or would send for hours."""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+from daemon.archive.address import ArchiveAddress
+from daemon.archive.writer import ArchiveWriter, SentPage
+from daemon.base.errors import UserError
+from daemon.store.batches import Batch, BatchError, decoded, encoded, next_batch
+from daemon.store.runs import runs_of
+from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
+
+_PAGES_AT_ONCE = 20
+
+
+class ArchiveFilled(NamedTuple):
+    """How many records the store has, and how many of them the archive had not."""
+
+    read: int
+    added: int
+
+
+def fill(
+    store: Path, address: ArchiveAddress, installation: str, progress: Callable[[int], None] = lambda _count: None
+) -> ArchiveFilled:
+    """Write every record of a store that the archive has not.
+
+    Parameters
+    ----------
+    store
+        Its folder, or its file; a service may write to it meanwhile.
+    address, installation
+        Of the archive, and under which name, ``PREFIX/NAME``: that which the service sends under, where it sends too.
+    progress
+        Called with the number of records that are done.
+
+    Raises
+    ------
+    UserError
+        The store cannot be read, or the archive not written.
+    """
+    path = store / FILE_NAME if store.is_dir() else store
+    writer = None
+    read = added = 0
+    try:
+        part: list[SentPage] = []
+        for batch in _batches(path):
+            if writer is None:
+                writer = ArchiveWriter(address)
+                writer.prepare()
+            part.append(SentPage(installation, batch, live=False))
+            if len(part) == _PAGES_AT_ONCE:
+                added += writer.take(part).added
+                part = []
+            read += batch.count
+            progress(read)
+        if writer is not None and part:
+            added += writer.take(part).added
+    finally:
+        if writer is not None:
+            writer.close()
+    return ArchiveFilled(read, added)
+
+
+def _batches(path: Path) -> Iterator[Batch]:
+    runs = runs_of(path)
+    with closing(open_for_reading(path)) as connection:
+        for run, origin in runs:
+            after = -1
+            try:
+                while batch := next_batch(connection, run, origin, after):
+                    # Judged as what comes over a broker is.
+                    yield decoded(encoded(batch))
+                    after = batch.through
+            except sqlite3.Error as error:
+                raise unreadable(path, error) from None
+            except BatchError as error:
+                place = f"the store {path} has a record after number {after} of run {run} that no archive takes"
+                raise UserError(f"{place}: {error}") from None

@@ -1,0 +1,193 @@
+"""Days of an archive as Parquet: a file for each kind of record and UTC day, which DuckDB reads as one table."""
+
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, date, datetime
+from itertools import count as count_from
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from daemon.archive.address import ArchiveAddress, connected, telling
+from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, part_name
+from daemon.base.errors import UserError
+from daemon.store.batches import KINDS
+from daemon.store.outputs import check_folder
+
+if TYPE_CHECKING:
+    import psycopg
+
+_ROWS_PER_GROUP = 100_000
+_PART = re.compile(rf"({'|'.join(KINDS)})_(\d{{8}})")
+_EPOCH = date(1970, 1, 1)
+_RUN_COLUMNS = ("installation", "site", "simulated", "tracker")
+
+
+class ArchivedDay(NamedTuple):
+    """One kind and day: its file, its rows, and whether it was written now."""
+
+    kind: str
+    day: date
+    path: Path
+    rows: int
+    written: bool
+
+
+def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | None = None) -> Iterator[ArchivedDay]:
+    """Write each day before today whose file is missing, or has another number of rows than the archive; yield all.
+
+    Records that come late, after a night's file was written, are so in the next night's.
+
+    Parameters
+    ----------
+    out
+        Folder; files are ``KIND/day=2026-11-22/records.parquet``, as DuckDB and others know a folder of parts.
+    today
+        In UTC; it is not over yet.
+    wanted
+        Only this day, whether its file is there or not.
+
+    Raises
+    ------
+    UserError
+        The archive cannot be read, or the folder not written.
+    """
+    check_folder(out, "--out")
+    with closing(connected(address, "heliocube parquet")) as connection, telling(address):
+        connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
+        check_is_archive(connection, address)
+        for kind, day in days_of(connection):
+            if day < today and wanted in (None, day):
+                yield _written(connection, kind, day, out, again=wanted is not None)
+
+
+def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[ArchivedDay]:
+    """Drop each day before another one from the archive, if its file has all its rows, and yield it.
+
+    Raises
+    ------
+    UserError
+        The archive cannot be read, or this user may not.
+    """
+    with closing(connected(address, "heliocube parquet")) as connection, telling(address):
+        connection.autocommit = True
+        check_is_archive(connection, address)
+        for kind, day in days_of(connection):
+            if day >= before:
+                continue
+            dropped = _dropped(connection, kind, day, out)
+            if dropped is not None:
+                yield dropped
+
+
+def days_of(connection: "psycopg.Connection") -> list[tuple[str, date]]:
+    """Return the kinds and days that the archive has parts for, the oldest first."""
+    rows = connection.execute(
+        "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relispartition AND relkind = 'r'",
+        (SCHEMA,),
+    )
+    found = (_PART.fullmatch(row[0]) for row in rows)
+    known = [(match[1], datetime.strptime(match[2], "%Y%m%d").replace(tzinfo=UTC).date()) for match in found if match]
+    return sorted(known, key=lambda each: (each[1], each[0]))
+
+
+def file_of(out: Path, kind: str, day: date) -> Path:
+    """Return where a kind's records of a day are."""
+    return out / kind / f"day={day.isoformat()}" / "records.parquet"
+
+
+def rows_in(path: Path) -> int | None:
+    """Return how many rows a file has, None where there is none that is whole."""
+    import pyarrow as pa  # noqa: PLC0415 - half a second that other commands have no use for
+    from pyarrow import parquet  # noqa: PLC0415 - as above
+
+    try:
+        return int(parquet.read_metadata(path).num_rows)
+    except (FileNotFoundError, pa.ArrowInvalid):
+        return None
+
+
+def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) -> ArchivedDay | None:
+    path, table = file_of(out, kind, day), _table(kind, day)
+    with connection.transaction():
+        # What comes late waits, and finds a part that is made anew.
+        connection.execute(f"LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")
+        count = _count(connection, table)
+        if rows_in(path) != count:
+            return None
+        # Never written again, whatever comes late: that has a file of its own beside it.
+        final = _free_name(path.parent)
+        path.rename(final)
+        try:
+            connection.execute(f"DROP TABLE {table}")
+        except BaseException:
+            final.rename(path)
+            raise
+    return ArchivedDay(kind, day, final, count, written=False)
+
+
+def _free_name(folder: Path) -> Path:
+    names = (folder / f"final-{number}.parquet" for number in count_from(1))
+    return next(name for name in names if not name.exists())
+
+
+def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:
+    path = file_of(out, kind, day)
+    table = _table(kind, day)
+    count = _count(connection, table)
+    if not again and rows_in(path) == count:
+        return ArchivedDay(kind, day, path, count, written=False)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(path.name + ".part")
+        _write(connection, kind, table, part)
+        part.replace(path)
+    except OSError as error:
+        raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
+    return ArchivedDay(kind, day, path, count, written=True)
+
+
+def _table(kind: str, day: date) -> str:
+    return f"{SCHEMA}.{part_name(kind, (day - _EPOCH).days)}"
+
+
+def _count(connection: "psycopg.Connection", table: str) -> int:
+    row = connection.execute(f"SELECT count(*) FROM {table}").fetchone()  # noqa: S608 - our own names
+    return int(row[0]) if row else 0
+
+
+def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path) -> None:
+    import pyarrow as pa  # noqa: PLC0415 - as above
+    from pyarrow import parquet  # noqa: PLC0415 - as above
+
+    types = {
+        "time": pa.timestamp("us", tz="UTC"),
+        "float": pa.float64(),
+        "int": pa.int64(),
+        "bool": pa.bool_(),
+        "text": pa.string(),
+    }
+    own = [column for column in COLUMNS_OF[kind] if column.name not in _RUN_COLUMNS]
+    fields = [("installation", pa.string()), ("run", pa.string()), ("number", pa.int64())]
+    fields += [(column.name, types[column.holds]) for column in own]
+    fields += [("site", pa.string()), ("simulated", pa.bool_()), ("tracker", pa.string())]
+    schema = pa.schema(fields)
+    named = any(column.name == "tracker" for column in COLUMNS_OF[kind])
+    tracker = "COALESCE(NULLIF(runs.tracker, ''), kept.tracker, '')" if named else "runs.tracker"
+    query = (
+        f"SELECT runs.installation, runs.id, kept.number, {', '.join(f'kept.{column.name}' for column in own)},"  # noqa: S608 - our own names
+        f" runs.site, runs.simulated, {tracker} FROM {table} AS kept JOIN {SCHEMA}.runs USING (run)"
+        " ORDER BY runs.installation, kept.time, kept.run, kept.number"
+    )
+    with (
+        connection.cursor(f"of_{kind}", binary=True) as cursor,
+        parquet.ParquetWriter(path, schema, compression="zstd") as writer,
+    ):
+        cursor.execute(query)
+        while rows := cursor.fetchmany(_ROWS_PER_GROUP):
+            writer.write_table(_arrow(pa, rows, schema))
+
+
+def _arrow(pa: Any, rows: list[tuple[Any, ...]], schema: Any) -> Any:
+    arrays = [pa.array(values, type=field.type) for values, field in zip(zip(*rows, strict=True), schema, strict=True)]
+    return pa.Table.from_arrays(arrays, schema=schema)

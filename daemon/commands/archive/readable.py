@@ -1,0 +1,57 @@
+"""A store to read, wherever it is: a folder as it is, and an archive as a copy of what is wanted of it."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daemon.archive.address import is_archive, parse_archive
+from daemon.store.schema import FILE_NAME, require_store
+
+if TYPE_CHECKING:
+    from daemon.archive.reader import ArchiveReader
+
+# By the reader, which knows the site: from when to when [s UTC].
+Span = Callable[["ArchiveReader"], tuple[float, float]]
+
+
+def _all(_reader: "ArchiveReader") -> tuple[float, float]:
+    return -math.inf, math.inf
+
+
+def check_readable(store: str) -> None:
+    """Raise `UserError`, before anything large is loaded, for what is neither an archive's address nor a store."""
+    if is_archive(store):
+        parse_archive(store)
+    else:
+        require_store(Path(store) / FILE_NAME)
+
+
+@contextmanager
+def readable(store: str, span: Span = _all) -> Iterator[tuple[Path, str]]:
+    """Yield the folder of a store, and what it is called; that of an archive's copy goes afterwards.
+
+    Parameters
+    ----------
+    store
+        A folder, or ``postgresql://USER@HOST/DATABASE#PREFIX/NAME``.
+    span
+        What is wanted of an archive.
+
+    Raises
+    ------
+    UserError
+        The archive cannot be read, or has nothing of that time.
+    """
+    if not is_archive(store):
+        yield Path(store), ""
+        return
+    from daemon.archive.reader import ArchiveReader, copied
+
+    reader = ArchiveReader(parse_archive(store))
+    try:
+        with copied(reader, *span(reader)) as folder:
+            yield folder, f"the archive {reader.address.url}, {reader.installation}"
+    finally:
+        reader.close()

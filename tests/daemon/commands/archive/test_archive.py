@@ -1,0 +1,118 @@
+"""`heliocube archive fill` and `parquet`, and what reads an archive as it reads a store, against a real PostgreSQL."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DAY = "2022-10-12"
+HOW = "it is mqtt.prefix and mqtt.name of the service, such as plant/roof"
+SPAN = ("--from", f"{DAY}T10:00", "--to", f"{DAY}T10:14")
+
+
+@pytest.fixture
+def store(tmp_path, heliocube):
+    """Some minutes of two trackers with loads."""
+    folder = tmp_path / "store"
+    simulate = ("compare", "simulate", "--start", f"{DAY}T10:00", "--days", "0.01", "--laws", "chronometric,flat")
+    assert heliocube(*simulate, "--store", folder)[0] == 0
+    return folder
+
+
+def tables(folder):
+    return {path.name: path.read_text() for path in sorted(Path(folder).glob("*.csv"))}
+
+
+def in_duckdb(query):
+    """What DuckDB answers, asked in a process of its own."""
+    program = "import duckdb, json, sys; print(json.dumps(duckdb.sql(sys.argv[1]).fetchall()))"
+    done = subprocess.run([sys.executable, "-c", program, query], capture_output=True, text=True, check=True)
+    return [tuple(row) for row in json.loads(done.stdout)]
+
+
+@pytest.mark.slow
+def test_an_archive_is_read_as_the_store_that_it_was_filled_from_and_cools_down_to_parquet(
+    store, postgres, database, heliocube, tmp_path
+):
+    archive = f"{database}#plant/both"
+    code, out, err = heliocube("archive", "fill", store, "--to", database, "--name", "plant/both")
+    assert (code, "records were read" in out) == (0, True), err
+    is_read_as_a_store(store, archive, database, heliocube, tmp_path)
+    cools_down(store, postgres, database, heliocube, tmp_path)
+
+
+def is_read_as_a_store(store, archive, database, heliocube, tmp_path):
+    again = json.loads(heliocube("archive", "fill", store, "--to", database, "--name", "plant/both", "--json")[1])
+    assert (again["added"], again["read"] > 300) == (0, True)
+
+    for place, out in ((store, "a"), (archive, "b")):
+        assert heliocube("export", "--store", place, "--out", tmp_path / out)[0] == 0
+    assert tables(tmp_path / "a") == tables(tmp_path / "b")
+
+    pages = {}
+    for place, out in ((store, "c"), (archive, "d")):
+        code, _, err = heliocube("report", "--store", place, *SPAN, "--tracker", "T-Cube", "--out", tmp_path / out)
+        assert code == 0, err
+        pages[out] = next((tmp_path / out).glob("*.html")).read_text()
+    called = f"the archive {database}, plant/both"
+    assert pages["c"] == pages["d"].replace(called, f"the store {store / 'heliocube.sqlite'}")
+
+    found = []
+    for place, out in ((store, "e"), (archive, "f")):
+        code, said, err = heliocube("compare", "report", "--store", place, "--out", tmp_path / out, "--json")
+        found.append(json.loads(said)["gains"] if code == 0 else err)
+    assert found[0] == found[1] != []
+
+    heliocube("archive", "fill", store, "--to", database, "--name", "plant/roof")
+    sentences = {
+        database: f"{database} has plant/both, plant/roof: put one of them behind the address, after a #",
+        f"{database}#plant/x": f"{database} knows no installation plant/x: it has plant/both, plant/roof",
+    }
+    for place, sentence in sentences.items():
+        code, _, err = heliocube("export", "--store", place, "--out", tmp_path / "h")
+        assert (code, err) == (2, f"heliocube: {sentence}\n")
+    code, _, err = heliocube("export", "--store", archive, "--from", "2023-01-01", "--out", tmp_path / "h")
+    assert (code, err) == (2, f"heliocube: {database} has no record of plant/both in that time\n")
+
+
+def cools_down(store, postgres, database, heliocube, tmp_path):
+    """Each day becomes Parquet once, and goes when all of it is there."""
+    out = tmp_path / "cold"
+    run = ("archive", "parquet", "--to", database, "--out", out, "--json")
+    first = json.loads(heliocube(*run)[1])
+    assert {(one["kind"], one["written"]) for one in first["days"]} >= {("scans", True), ("curves", True)}
+    assert not any(one["written"] for one in json.loads(heliocube(*run)[1])["days"])
+
+    name = database.rpartition("/")[2]
+    query = "SELECT count(*), sum(pmpp_w), max(number) FROM heliocube.curves"
+    assert in_duckdb(query.replace("heliocube.curves", f"'{out}/curves/*/*.parquet'")) == [
+        pytest.approx(row) for row in postgres.sql(query, name)
+    ]
+    query = f"SELECT DISTINCT installation, tracker, simulated, day::text FROM read_parquet('{out}/poses/*/*.parquet')"
+    wanted = [(where, who, True, DAY) for where in ("plant/both", "plant/roof") for who in ("T-Chrono", "T-Cube")]
+    assert sorted(in_duckdb(query)) == wanted
+
+    # Another number of rows is a file anew; a day goes only when its file has all.
+    (out / "poses" / f"day={DAY}" / "records.parquet").unlink()
+    postgres.sql("DELETE FROM heliocube.scans WHERE number = (SELECT max(number) FROM heliocube.scans)", name)
+    again = json.loads(heliocube(*run, "--drop-after", "30")[1])
+    assert {one["kind"] for one in again["days"] if one["written"]} == {"poses", "scans"}
+    assert {one["kind"] for one in again["dropped"]} == {one["kind"] for one in again["days"]}
+    assert postgres.sql("SELECT count(*) FROM heliocube.poses", name) == [(0,)]
+
+    # What comes after the drop has a file of its own, and costs none that is final.
+    heliocube("archive", "fill", store, "--to", database, "--name", "plant/late")
+    heliocube(*run)
+    query = f"SELECT installation, count(*) FROM '{out}/poses/*/*.parquet' GROUP BY 1"
+    counts = dict(in_duckdb(query))
+    assert counts["plant/both"] == counts["plant/roof"] == counts["plant/late"] > 0
+
+
+def test_a_day_that_is_not_there_or_not_over_is_a_sentence(database, heliocube, tmp_path):
+    run = ("archive", "parquet", "--to", database, "--out", tmp_path)
+    assert heliocube(*run)[::2] == (2, f"heliocube: {database} holds no archive: is it the right database?\n")
+    assert heliocube(*run, "--day", "2999-01-01")[::2] == (2, "heliocube: --day 2999-01-01: that day is not over\n")
+    code, _, err = heliocube("archive", "fill", tmp_path, "--to", database, "--name", "a/+")
+    assert (code, err) == (2, f"heliocube: --name: 'a/+' has a wildcard, and a topic has none; {HOW}\n")
