@@ -24,7 +24,7 @@ _USER = "nobody" if os.geteuid() == 0 else None
 class Postgres:
     """One server on a loopback port of its own, whose folder is as short-lived as the tests."""
 
-    def __init__(self):
+    def __init__(self, durable=False):
         self.folder = Path(tempfile.mkdtemp(prefix="heliocube-pg-"))
         if _USER is not None:
             entry = pwd.getpwnam(_USER)
@@ -36,8 +36,10 @@ class Postgres:
         self._run("initdb", "-D", self._data, "-U", OWNER, "-A", "trust", "-N", "-E", "UTF8", "--locale", "C")
         # Who starts the server again after each death is one process for all tests, of which none is left with a child.
         options = {"listen_addresses": "127.0.0.1", "port": self.port, "unix_socket_directories": self.folder}
-        # A test's database outlives its own death, and need not outlive the machine's.
-        options |= {"fsync": "off", "shared_buffers": "16MB", "max_connections": 20, "autovacuum": "off"}
+        options |= {"max_connections": 20}
+        if not durable:
+            # A test's database outlives its own death, and need not outlive the machine's.
+            options |= {"fsync": "off", "shared_buffers": "16MB", "autovacuum": "off"}
         words = [str(BINARIES / "postgres"), "-D", str(self._data)]
         words += [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
         loop = f"while [ ! -e end ]; do [ -e down ] || {shlex.join(words)}; sleep 0.1; done"

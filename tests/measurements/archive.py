@@ -1,0 +1,246 @@
+"""What an archive takes: rows a second, bytes a row, and every record once whoever is killed.
+
+    python -m tests.measurements.archive rate
+    python -m tests.measurements.archive kill --trackers 50 --minutes 10
+
+`rate` writes pages of 1,000 installations, as they come over a broker, into a PostgreSQL of its own as fast as it takes
+them, and then a day of it to Parquet; from bytes a row and rows a day of one tracker it computes the sizes of plants.
+`kill` runs a broker, a PostgreSQL, two `heliocube archive` and as many stores with their feeds as trackers are asked
+for, at the service's own pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute), kills
+broker and database with SIGKILL twice each and one of the archive's processes once, and then counts.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from daemon.archive.address import parse_archive
+from daemon.archive.parquet import write_days
+from daemon.archive.writer import ArchiveWriter, SentPage
+from daemon.base.records import NO_ESTIMATE, Decision, Irradiances, Mode, Target
+from daemon.store.batches import decoded, encoded
+from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
+from tests.support.broker import Broker
+from tests.support.postgres import Postgres
+
+# Of one tracker with a cube of its own: a scan each 5 s, a pose each 10 s at rest and 0.5 s under way, a decision each
+# 5 min; counted in the store of a simulated variable day (docs/data.md).
+ROWS_A_DAY = {"scans": 17_280, "poses": 9_480, "decisions": 288, "moves": 61, "modes": 4, "events": 11}
+PLANTS = (10, 1_000, 100_000)
+INSTALLATIONS = 1_000
+DAY_S = 86_400
+
+
+def machine():
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, load {load}"
+
+
+def scan_row(number, at_s):
+    face = (812.25 + number % 7, "ok", at_s)
+    return number, at_s, at_s, "cube", "f3a9c2d1", number, True, *face, *face, *face, *face, "2026-05-sirta"
+
+
+def pages(round_number, runs):
+    """One round: a page of each installation with 32 scans and 18 poses, four minutes of a tracker at rest."""
+    for place, run in enumerate(runs):
+        first = round_number * 50
+        start_s = T0 + round_number * 160.0 + place * 0.001
+        rows = {
+            "scans": [scan_row(first + n, start_s + 5.0 * n) for n in range(32)],
+            "poses": [pose_row(first + 32 + n, start_s + 10.0 * n) for n in range(18)],
+        }
+        yield f"plant/t{place}", batch_of(run, rows)
+
+
+def rate(rounds):
+    server = Postgres(durable=True)
+    try:
+        writer = ArchiveWriter(parse_archive(server.url()))
+        writer.prepare()
+        runs = [origin(site="SIRTA", tracker=f"t{place}") for place in range(INSTALLATIONS)]
+        own_s = time.process_time()
+        rows, figures = 0, {"write": 0.0, "read": 0.0}
+        for number in range(rounds):
+            messages = [(name, encoded(batch)) for name, batch in pages(number, runs)]
+            for first in range(0, len(messages), 200):
+                began = time.perf_counter()
+                part = [SentPage(name, decoded(payload)) for name, payload in messages[first : first + 200]]
+                read = time.perf_counter()
+                rows += writer.take(part).added
+                figures["read"] += read - began
+                figures["write"] += time.perf_counter() - read
+        writer.close()
+        seconds, own_s = sum(figures.values()), time.process_time() - own_s
+        print(f"{machine()}; PostgreSQL with fsync on the same cores")
+        print(
+            f"{rows} rows in {seconds:.1f} s: {rows / seconds:.0f} rows/s; reading JSON {figures['read']:.1f} s of it;",
+            f"CPU of this process {own_s:.1f} s: {rows / own_s:.0f} rows per CPU s",
+        )
+        bytes_a_row = sizes(server)
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.perf_counter()
+            written = list(write_days(parse_archive(server.url()), Path(folder), datetime.now(UTC).date()))
+            took = time.perf_counter() - began
+            cold = {one.kind: one.path.stat().st_size / one.rows for one in written}
+            print(f"Parquet: {sum(one.rows for one in written) / took:.0f} rows/s")
+        for kind, size in bytes_a_row.items():
+            print(f"{kind}: {size:.0f} B/row in PostgreSQL with its key, {cold.get(kind, 0):.1f} B/row in Parquet")
+        plants(bytes_a_row, cold, rows / seconds)
+    finally:
+        server.close()
+
+
+def sizes(server):
+    found = {}
+    for kind in ("scans", "poses"):
+        parts = f"SELECT inhrelid FROM pg_inherits WHERE inhparent = 'heliocube.{kind}'::regclass"
+        size = server.sql(f"SELECT sum(pg_total_relation_size(inhrelid)) FROM ({parts}) AS parts")[0][0]
+        found[kind] = float(size) / server.sql(f"SELECT count(*) FROM heliocube.{kind}")[0][0]
+    return found
+
+
+def plants(hot, cold, sustained):
+    """Computed: a day of plants, from the rows of one tracker."""
+    print("computed, one cube and store for each tracker:")
+    print("| trackers | rows/s | share of the measured rate | PostgreSQL GB/day | Parquet GB/day |")
+    for count in PLANTS:
+        a_second = count * sum(ROWS_A_DAY.values()) / DAY_S
+        # What is not scans is as large as a pose, or rare.
+        large = [
+            count * sum(rows * size["scans" if kind == "scans" else "poses"] for kind, rows in ROWS_A_DAY.items()) / 1e9
+            for size in (hot, cold)
+        ]
+        print(f"| {count:,} | {a_second:,.1f} | {a_second / sustained:.2%} | {large[0]:,.3f} | {large[1]:,.4f} |")
+
+
+def decision(at_s):
+    return Decision(
+        time_utc_s=at_s,
+        time_monotonic_s=at_s,
+        mode=Mode.TRACKING,
+        law="mu-prime",
+        irradiances=Irradiances(100.0, 200.0, 300.0, 400.0, 1.0),
+        direction_azimuth_deg=1.0,
+        direction_elevation_deg=2.0,
+        sun_azimuth_deg=3.0,
+        sun_elevation_deg=4.0,
+        target=Target(1.0, 2.0, "a target inside the limits"),
+        moved=True,
+        estimate=NO_ESTIMATE,
+    )
+
+
+async def pace(sender, place, end_s):
+    """Keep records as a service does, the phase spread by tracker."""
+    await asyncio.sleep(5.0 * (place % 50) / 50)
+    count = 0
+    while time.monotonic() < end_s:
+        now = time.time()
+        sender.keep(scan(count, session=sender.origin.id, utc_s=now))
+        if count % 2 == 0:
+            sender.keep(pose(count, now))
+        if count % 12 == 0:
+            sender.keep(event(count, "a minute is over"))
+        if count % 60 == 0:
+            sender.keep(decision(now))
+        count += 1
+        await asyncio.sleep(5.0)
+
+
+async def kill(trackers, minutes, folder):
+    logging.getLogger("heliocube").setLevel(logging.ERROR)
+    server, broker = Postgres(durable=True), Broker(folder).start()
+    config = folder / "archive.toml"
+    config.write_text(f"[mqtt]\nport = {broker.port}\n[archive]\ndatabase = '{server.url()}'\n")
+    processes = []
+
+    def start_archive():
+        with (folder / "archive.log").open("a") as log:
+            command = [sys.executable, "-m", "daemon.commands.main", "archive", "--config", config]
+            processes.append(subprocess.Popen(command, stdout=log, stderr=log))
+
+    start_archive()
+    start_archive()
+    senders = [Sender(folder / f"t{n}", broker.port, f"t{n}", prefix="plant", every_s=10.0) for n in range(trackers)]
+    whole_s = minutes * 60.0
+    end_s = time.monotonic() + whole_s
+    down_s = min(20.0, whole_s / 15)
+    try:
+        async with contextlib.AsyncExitStack() as stack:
+            for sender in senders:
+                await stack.enter_async_context(sender.sending())
+            tasks = [asyncio.create_task(pace(sender, place, end_s)) for place, sender in enumerate(senders)]
+            for what in ("broker", "database", "archive", "broker", "database"):
+                await asyncio.sleep(whole_s / 6 - down_s)
+                print(f"{datetime.now(UTC):%H:%M:%S} kill -9 of the {what}, away for {down_s:.0f} s", flush=True)
+                if what == "archive":
+                    processes[0].send_signal(signal.SIGKILL)
+                    await asyncio.sleep(down_s)
+                    start_archive()
+                else:
+                    peer = broker if what == "broker" else server
+                    peer.kill()
+                    await asyncio.sleep(down_s)
+                    await asyncio.to_thread(peer.start)
+            await asyncio.gather(*tasks)
+            ended = time.monotonic()
+            while not all_there(server, senders) and time.monotonic() - ended < 600:  # noqa: ASYNC110 - by looking
+                await asyncio.sleep(2.0)
+            caught_up_s = time.monotonic() - ended
+        return report(server, senders, caught_up_s)
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+        for sender in senders:
+            sender.store.close()
+        broker.close()
+        server.close()
+
+
+def all_there(server, senders):
+    wanted = sum(len(sender.rows()) for sender in senders)
+    found = sum(server.sql(f"SELECT count(*) FROM heliocube.{kind}")[0][0] for kind in ROWS_A_DAY)
+    return found >= wanted
+
+
+def report(server, senders, caught_up_s):
+    lost = twice = count = 0
+    for sender in senders:
+        wanted, found = sender.rows(), archived(server, server.url(), sender.installation)
+        count += len(wanted)
+        lost += len(wanted - set(found))
+        twice += len(found) - len(set(found)) + len(set(found) - wanted)
+    print(f"{machine()}")
+    print(json.dumps({"records": count, "lost": lost, "twice": twice, "caught_up_s": round(caught_up_s, 1)}))
+    return lost + twice
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("what", choices=("rate", "kill"))
+    parser.add_argument("--trackers", type=int, default=50)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=20, help="of 50,000 rows")
+    asked = parser.parse_args()
+    if asked.what == "rate":
+        rate(asked.rounds)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="heliocube-archive-") as folder:
+        return 1 if asyncio.run(kill(asked.trackers, asked.minutes, Path(folder))) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
