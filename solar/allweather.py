@@ -197,7 +197,7 @@ def _polynomial(coefficients: Array, normals: Array) -> Array:
     row = {power: index for index, power in enumerate(_POWERS)}
     halves = []
     for k, degree in ((0, 4), (1, 3)):
-        in_y = np.zeros(np.broadcast_shapes(x.shape, coefficients.shape[1:]))
+        in_y = np.zeros(())
         for j in range(degree, -1, -1):
             in_x = coefficients[row[degree - j, j, k]] + 0.0 * x
             for i in range(degree - j - 1, -1, -1):

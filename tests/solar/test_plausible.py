@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.plausible import Response, responses
+from solar.plausible import Doubt, Response, doubts, lit, responses
 from solar.sky import sky
 
 SITE = (48.7176, 2.2090, 156.0)
@@ -61,3 +61,93 @@ def test_a_gap_in_a_face_and_a_low_sun_tell_nothing():
     assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
     faces, sun = half_hour(at_utc_s=1655265600.0)
     assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
+
+
+def towards_south(elevation_deg):
+    return np.array([np.cos(np.radians(elevation_deg)), 0.0, np.sin(np.radians(elevation_deg))])
+
+
+OK, DEAD, DARK, SAME, OVER = Doubt.NONE, Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.OVER
+DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("faces_w_m2", "elevation_deg", "expected"),
+    [
+        ((100.0, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
+        # A hundredth of the second brightest, which is lit above 30 W/m2.
+        ((2.99, 300.0, 80.0, 400.0), 40.0, (DEAD, OK, OK, OK)),
+        ((3.01, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
+        ((80.0, -5.0, 300.0, 400.0), 40.0, (OK, DEAD, OK, OK)),
+        ((0.0, 31.0, 20.0, 40.0), 40.0, (DEAD, OK, OK, OK)),
+        ((0.0, 29.0, 20.0, 40.0), 40.0, (OK, OK, OK, OK)),
+        ((0.0, 0.0, 20.0, 400.0), 40.0, (OK, OK, OK, OK)),
+        # Less than 1 W/m2 everywhere with the sun above 10 deg.
+        ((0.9, -0.9, 0.5, 0.9), 10.1, (DARK, DARK, DARK, DARK)),
+        ((0.9, -0.9, 0.5, 0.9), 9.9, (OK, OK, OK, OK)),
+        ((0.9, -1.1, 0.5, 0.9), 10.1, (OK, OK, OK, OK)),
+        ((0.9, 0.9, 1.1, 0.9), 10.1, (OK, OK, OK, OK)),
+        # 1.3 solar constants at the sun's angle and 100 W/m2: 1137.3 + 100 for the zenith face.
+        ((100.0, 300.0, 80.0, 1237.0), 40.0, (OK, OK, OK, OK)),
+        ((100.0, 300.0, 80.0, 1238.0), 40.0, (OK, OK, OK, OVER)),
+        # For a vertical one the zenith face and 60 W/m2: 1355.4 + 100 + 60, and 400 + 60 away from the sun.
+        ((80.0, 1515.0, 80.0, 100.0), 40.0, (OK, OK, OK, OK)),
+        ((80.0, 1516.0, 80.0, 100.0), 40.0, (OK, OVER, OK, OK)),
+        ((459.0, 300.0, 80.0, 400.0), 40.0, (OK, OK, OK, OK)),
+        ((461.0, 300.0, 80.0, 400.0), 40.0, (OVER, OK, OK, OK)),
+        ((80.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OVER, OK)),
+        ((461.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OK, OVER)),
+        ((461.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
+        ((80.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
+        ((261.0, 300.0, 0.0, 200.0), 5.1, (OVER, OK, DEAD, OK)),
+        ((261.0, 300.0, 0.0, 200.0), 4.9, (OK, OK, OK, OK)),
+        ((np.nan, 300.0, 0.0, 400.0), 40.0, (OK, OK, DEAD, OK)),
+    ],
+)
+def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
+    assert tuple(doubts(faces_w_m2, DIFFERENT_MV, towards_south(elevation_deg), NORMALS)[0]) == expected
+
+
+@pytest.mark.parametrize(
+    ("voltages_mv", "same"),
+    [
+        # 0.015 mV and two thousandths.
+        ((5.0, 2.0, 2.0, 5.0249), True),
+        ((5.0, 2.0, 2.0, 5.0260), False),
+        ((5.0, 2.0, 2.0180, 5.0), True),
+        ((5.0, 2.0, 2.0200, 5.0), False),
+        ((-5.02, -2.0, -2.0, -5.0), True),
+        ((2.0, 5.0, 2.0, 5.0), True),
+        ((2.0, 2.0, 5.0, 5.0), True),
+        ((5.0, 5.0, 5.0, 2.0), False),
+        ((5.0, 2.0, 5.0, 2.0), True),
+        ((0.09, 0.09, 0.09, 0.09), False),
+        ((0.11, 0.11, 0.11, 0.11), True),
+        ((-0.11, -0.11, -0.11, -0.11), True),
+        ((5.0, 2.0, 2.0, np.nan), False),
+    ],
+)
+def test_two_inputs_that_are_taken_for_one_show_in_pairs_of_voltages(voltages_mv, same):
+    found = doubts((100.0, 300.0, 80.0, 400.0), voltages_mv, towards_south(40.0), NORMALS)
+    assert tuple(found[0]) == (SAME if same else OK,) * 4
+
+
+def test_of_two_reasons_the_graver_one_is_named():
+    dark_and_same = doubts((0.5, 0.5, 0.5, 0.5), (0.2, 0.2, 0.2, 0.2), towards_south(40.0), NORMALS)
+    over_same_and_dead = doubts((461.0, 300.0, 0.0, 400.0), (5.0, 2.0, 2.0, 5.0), towards_south(40.0), NORMALS)
+    assert tuple(dark_and_same[0]) == (DARK,) * 4
+    assert tuple(over_same_and_dead[0]) == (SAME, SAME, DEAD, SAME)
+
+
+@pytest.mark.parametrize(
+    ("faces_w_m2", "elevation_deg", "expected"),
+    [
+        ((0.0, 31.0, 0.0, 40.0), 5.1, True),
+        ((0.0, 29.0, 0.0, 40.0), 5.1, False),
+        ((0.0, 31.0, 0.0, 40.0), 4.9, False),
+        ((np.nan, 31.0, np.nan, 40.0), 5.1, True),
+        ((np.nan, np.nan, np.nan, 40.0), 5.1, False),
+    ],
+)
+def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevation_deg, expected):
+    assert lit(faces_w_m2, towards_south(elevation_deg)).tolist() == [expected]

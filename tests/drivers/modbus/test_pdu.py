@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.modbus.pdu import number, words_for
+from drivers.modbus.pdu import belongs, number, words_for
 
 
 @pytest.mark.parametrize(("kind", "value", "words"), [
@@ -31,3 +31,28 @@ def test_a_number_is_written_or_becomes_the_nearest_that_its_type_has(kind, valu
 @pytest.mark.parametrize("words", [(0x7FC0, 0), (0x7F80, 0), (0xFF80, 0)])
 def test_what_is_no_finite_number_is_none(words):
     assert math.isnan(number(words, "float32"))
+
+
+@pytest.mark.parametrize(("request_", "reply", "its_own"), [
+    ("01 0000 0008", "01 01 FF", True),
+    ("01 0000 0009", "01 02 FF 01", True),
+    ("01 0000 0010", "01 02 FF FF", True),
+    ("01 0000 0009", "01 01 FF", False),
+    ("02 0000 0011", "02 03 FF FF 01", True),
+    ("02 0000 0011", "01 03 FF FF 01", False),
+    ("03 0000 0002", "03 04 0001 0002", True),
+    ("04 0000 0002", "04 04 0001 0002", True),
+    ("03 0000 0002", "03 02 0001", False),
+    ("03 0000 0002", "03 02 0001 0002", False),
+    ("03 0000 0002", "83 02", True),
+    ("03 0000 0002", "84 02", False),
+    ("03 0000 0002", "", False),
+    ("05 0001 FF00", "05 0001 FF00", True),
+    ("06 0003 1234", "06 0003 1235", False),
+    ("0F 0000 000A 02 0502", "0F 0000 000A", True),
+    ("10 0000 0002 04 000A 000B", "10 0000 0002", True),
+    ("10 0000 0002 04 000A 000B", "10 0000 0003", False),
+    ("2B 0E 01 00", "2B 0E 01 00", False),
+])  # fmt: skip
+def test_a_reply_belongs_to_its_question_by_function_length_and_what_it_echoes(request_, reply, its_own):
+    assert belongs(bytes.fromhex(request_), bytes.fromhex(reply)) == its_own

@@ -55,6 +55,13 @@ def test_the_night_offset_is_the_median_of_the_dark():
     assert count == 0
 
 
+def test_night_begins_six_degrees_below_the_horizon():
+    utc_s = MIDNIGHT + np.arange(0.0, 86400.0, 60.0)
+    elevation_deg = sun_position(utc_s, *SIRTA).elevation_deg
+    _, _, count = night_offset(utc_s, np.zeros((utc_s.size, 1)), SIRTA)
+    assert count == np.count_nonzero(elevation_deg < -6.0)
+
+
 def test_readings_of_half_an_hour_at_night_count_as_one():
     utc_s = MIDNIGHT + np.arange(0.0, 3 * 3600.0, 60.0)
     strays = np.where(np.arange(utc_s.size) % 2, 0.01, -0.01)[:, None] * [1.0, 3.0]
