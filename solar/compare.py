@@ -23,7 +23,7 @@ class ChainBias:
     constant_w, linear, quadratic_per_w
         c0, c1 and c2.
     lowest_w, highest_w
-        Range of P that they were fitted in; beyond it they are an extrapolation.
+        Range of P that they were fitted in; outside it they are an extrapolation.
     """
 
     constant_w: float
@@ -39,8 +39,9 @@ class ChainBias:
         return np.where(power > 0.0, np.maximum(found, 0.0), power * 0.0)
 
     def beyond(self, power_w: ArrayLike) -> NDArray[np.bool_]:
-        """Tell where a power lies above the fitted range."""
-        return np.asarray(power_w, dtype=np.float64) > self.highest_w
+        """Tell where a power lies outside the fitted range."""
+        power = np.asarray(power_w, dtype=np.float64)
+        return (power < self.lowest_w) | (power > self.highest_w)
 
 
 def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:

@@ -38,7 +38,7 @@ def test_no_power_stays_none_and_none_becomes_negative():
     bias = ChainBias(-2.0, 1.0, 0.0, 5.0, 100.0)
     assert bias.corrected([0.0, 1.0, 10.0]).tolist() == [0.0, 0.0, 8.0]
     assert np.isnan(bias.corrected([np.nan])).all()
-    assert bias.beyond([99.0, 101.0]).tolist() == [False, True]
+    assert bias.beyond([4.0, 6.0, 99.0, 101.0]).tolist() == [True, False, False, True]
 
 
 @given(

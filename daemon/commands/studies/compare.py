@@ -200,7 +200,7 @@ def report(
     _check_measurements(data, store, cube, chrono)
     spans = [parse_span(text) for text in period or []]
     from daemon.studies.compare.fit import flat_pairs, read
-    from daemon.studies.compare.gains import as_text
+    from daemon.studies.compare.gains import as_text, extrapolation
     from daemon.studies.compare.report import write_report
     from daemon.studies.compare.stored import kept_curve
     from solar.ephemeris import Site
@@ -223,6 +223,9 @@ def report(
     with _readable(store or []) as folders:
         curve = kept_curve(folders, cube)
     rows = write_report(pairs, found, flat, place, spans, curve, out, force=force)
+    far = extrapolation(rows, cube)
+    if far is not None:
+        say(f"heliocube: warning: {far}", err=True)
     if as_json:
         page = {"simulated": pairs.simulated, "trackers": pairs.names, "corrected": found is not None}
         print_json(page | {"gains": rows, "page": out / "report.html"})

@@ -40,7 +40,7 @@ class Gain:
     irradiation_pct
         The same of the irradiance on the modules' planes; NaN where it is not known.
     extrapolated_pct
-        Share of T-Cube's energy above the powers that the correction was fitted to; NaN without one.
+        Share of T-Cube's measured energy at powers outside those that the correction was fitted to; NaN without one.
     simulated
         Whether any of it was simulated.
     """
@@ -89,8 +89,10 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
     cube, chrono = energy_wh(time, power), energy_wh(time, pairs.chrono.pmpp_w)
     irradiation = [energy_wh(time, side.irradiance_w_m2) for side in (pairs.cube, pairs.chrono)]
     beyond = np.nan
-    if bias is not None and cube > 0.0:
-        beyond = 100.0 * energy_wh(time, np.where(bias.beyond(pairs.cube.pmpp_w), power, 0.0)) / cube
+    measured = energy_wh(time, pairs.cube.pmpp_w)
+    if bias is not None and measured > 0.0:
+        outside = np.where(bias.beyond(pairs.cube.pmpp_w), pairs.cube.pmpp_w, 0.0)
+        beyond = 100.0 * energy_wh(time, outside) / measured
     start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
     return Gain(
         date=start[:10],
@@ -101,7 +103,7 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
         cube_wh=cube,
         chrono_wh=chrono,
         gain_pct=gain_pct(cube, chrono),
-        uncorrected_pct=gain_pct(energy_wh(time, pairs.cube.pmpp_w), chrono),
+        uncorrected_pct=gain_pct(measured, chrono),
         irradiation_pct=gain_pct(*irradiation),
         extrapolated_pct=beyond,
         simulated=pairs.simulated,
@@ -117,6 +119,17 @@ def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
         energies = (f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
         lines.append((row.date, row.period[:17], row.start[11:16], row.end[11:16], *energies, *percent))
     return "\n".join(table(lines, keys=4)) + "\n"
+
+
+def extrapolation(rows: Sequence[Gain], name: str) -> str | None:
+    """Return in a sentence which periods are corrected mostly by extrapolation, or None."""
+    found = [f"{row.date} {row.period} ({row.extrapolated_pct:.0f} %)" for row in rows if row.extrapolated_pct > 50.0]
+    if not found:
+        return None
+    return (
+        f"{name}'s energy was measured mostly at powers outside those of the fit, where the correction is extrapolated"
+        f" and may be far off: {', '.join(found)}; without it see 'uncorrected'"
+    )
 
 
 def write_csv(rows: Sequence[Gain], path: Path) -> None:

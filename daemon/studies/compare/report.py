@@ -14,7 +14,7 @@ from daemon.base.errors import UserError
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare import figures
 from daemon.studies.compare.fit import Fit
-from daemon.studies.compare.gains import Gain, gains, spans_by_sky, write_csv
+from daemon.studies.compare.gains import Gain, extrapolation, gains, spans_by_sky, write_csv
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.compare.stored import KeptCurve
@@ -119,7 +119,7 @@ def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
 def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equation (16)") -> Table:
     """Return the gains for the page."""
     columns = ("date", "period", "from", "to", f"{names[0]} Wh", f"{names[1]} Wh", "gain %", "uncorrected %",
-               "irradiation %", "above the fit %")  # fmt: skip
+               "irradiation %", "outside the fit %")  # fmt: skip
     body = []
     for row in rows:
         texts = (row.date, row.period, row.start[11:16], row.end[11:16], f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
@@ -200,6 +200,9 @@ def write_report(
         write_csv(rows, out / "gains.csv")
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from None
+    far = extrapolation(rows, pairs.names[0])
+    if far is not None:
+        notes.append(f"{far}.")
     if pairs.simulated:
         notes.insert(0, "SIMULATED: powers here come from a model or a bench and not from modules on a roof.")
     title = f"{_mark(pairs)}{pairs.names[0]} and {pairs.names[1]}"

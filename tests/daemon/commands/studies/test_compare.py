@@ -104,6 +104,21 @@ def test_fit_finds_the_bias_and_report_takes_it_away(compare, flat, day, tmp_pat
     assert "overcast" in out
 
 
+def test_a_correction_is_not_trusted_at_powers_that_it_was_not_fitted_to(compare, flat, day, tmp_path):
+    _, out, _ = compare("fit", flat, "--out", tmp_path / "bias.json", "--json")
+    fitted = json.loads(out)["bias"] | {"lowest_w": 98.0}
+    whole = json.loads((tmp_path / "bias.json").read_text())
+    (tmp_path / "bias.json").write_text(json.dumps(whole | fitted))
+    code, out, err = compare(
+        "report", day, "--bias", tmp_path / "bias.json", "--site", SITE, "--out", tmp_path / "o", "--json"
+    )
+    assert code == 0
+    # All of the day's 97 W lie below.
+    assert {round(gain["extrapolated_pct"]) for gain in json.loads(out)["gains"]} == {100}
+    assert "2022-10-12 day (100 %)" in err
+    assert "measured mostly at powers outside those of the fit" in (tmp_path / "o" / "report.html").read_text()
+
+
 def test_the_same_report_is_the_same_bytes(compare, day, tmp_path):
     for name in ("one", "two"):
         compare("report", day, "--site", SITE, "--out", tmp_path / name)
