@@ -161,7 +161,8 @@ def _topocentric(utc_s: Array, latitude_deg: float, longitude_deg: float, altitu
 def _geocentric(utc_s: Array) -> Array:
     """Sidereal time, right ascension, declination [deg] and distance [au] of instants (n,): shape (4, n)."""
     hours = np.floor(utc_s / HOUR_S).astype(np.int64)
-    whole, position = np.unique(hours, return_inverse=True)
+    # A law in the field asks for one instant, and asks often.
+    whole, position = (hours, np.zeros(1, np.int64)) if hours.size == 1 else np.unique(hours, return_inverse=True)
     before = _at_hours(whole)
     rise = _at_hours(whole + 1) - before
     # Right ascension wraps once a year; sidereal time advances by 15.04 deg in an hour and wraps once a day.

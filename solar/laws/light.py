@@ -61,8 +61,7 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     3 % of the zenith face; a zenith face that reads less than a fifth of every vertical one.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
-    # Written so that NaN fails.
-    possible = (readings >= _LOWEST_W_M2) & (readings <= _HIGHEST_W_M2)
+    possible = _are_possible(readings)
     seen = np.where(possible, readings, 0.0)
     shares = _beam_shares(sun)
     zenith = seen[..., 3]
@@ -74,9 +73,29 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
                 bound = np.where(shares[other] <= shares[face] + _ALIKE, _DEAD_SHARE * seen[..., other], 0.0)
                 least = np.maximum(least, bound)
         believed.append(~(seen[..., face] < least - _NOISE_W_M2))
-    least = _DEAD_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
-    believed.append(~(np.isfinite(least) & (zenith < least - _NOISE_W_M2)))
+    believed.append(_zenith_believed(readings, possible))
     return possible & np.stack(believed, axis=-1)
+
+
+def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
+    """Tell of the zenith face what :func:`usable_faces` says, shape (...): no sun is needed for that."""
+    readings = np.asarray(faces, dtype=np.float64)
+    possible = _are_possible(readings)
+    result: NDArray[np.bool_] = possible[..., 3] & _zenith_believed(readings, possible)
+    return result
+
+
+def _are_possible(readings: Array) -> NDArray[np.bool_]:
+    # Written so that NaN fails.
+    result: NDArray[np.bool_] = (readings >= _LOWEST_W_M2) & (readings <= _HIGHEST_W_M2)
+    return result
+
+
+def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    least = _DEAD_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
+    zenith = np.where(possible[..., 3], readings[..., 3], 0.0)
+    result: NDArray[np.bool_] = ~(np.isfinite(least) & (zenith < least - _NOISE_W_M2))
+    return result
 
 
 def light_from_faces(

@@ -14,7 +14,7 @@ from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
 from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
-from solar.laws.light import light_from_faces, usable_faces
+from solar.laws.light import light_from_faces, usable_faces, zenith_usable
 from solar.laws.optimal import THRIFT_RANGE, OptimalLaw, OptimalSettings
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.laws.words import weighed
@@ -197,9 +197,9 @@ class LiveOptimal(Law):
         """Take a move that was ordered out of the day's budget."""
         self._law.book(distance_deg)
 
-    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:
+    def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:  # noqa: ARG002
         """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
-        return bool(usable_faces(faces_w_m2, sun_direction(utc_s, *self.site))[3])
+        return bool(zenith_usable(faces_w_m2))
 
     def estimates(self, faces: Array, sun: Array, learned: Learned) -> Estimates:
         """Return the light that each reading shows by itself."""

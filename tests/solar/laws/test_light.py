@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles
-from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces
+from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces, zenith_usable
 
 LIMITS = Limits()
 LATITUDE = 50.0
@@ -28,6 +28,11 @@ def test_hand_worked_morning():
     assert light.beam == pytest.approx(800, rel=2e-3)
     assert light.uniform == pytest.approx(100, abs=1)
     assert light.horizon == pytest.approx(10, abs=0.6)
+
+
+@given(st.lists(st.floats(-50.0, 2100.0) | st.just(np.nan), min_size=4, max_size=4), direction)
+def test_the_zenith_face_is_believed_or_not_wherever_the_sun_is(faces, sun):
+    assert zenith_usable(faces) == usable_faces(faces, sun)[3]
 
 
 def test_hand_worked_aim():
