@@ -38,17 +38,18 @@ class Reached:
     def stages(self, mutant: Mutant) -> list[list[str]]:
         """Return tests and whole test files to be run together, one lot after the other.
 
-        First those of the module, then those that import it, then all others that reach the line, or what takes its
-        value. Files that nobody has looked at are run whole where they lie near.
+        First those of the module, then those that import it, those of its folder, and all others that reach the line,
+        or what takes its value. Files that nobody has looked at are run whole where they lie near.
         """
         near = _nearest(mutant.path)
         reaching = self._reaching(mutant)
         if not reaching:
             return [list(files) for files in near]
         stages = []
-        for files in near[:2]:
+        for files in near:
             known = {test for test in reaching if _file(test) in files}
-            stages.append(self._quickest_first(known) + [file for file in files if _file(file) not in self._files])
+            unknown = [file for file in files if _file(file) not in self._files]
+            stages.append(self._quickest_first(known) + unknown)
             reaching -= known
         return [*stages, *self._by_file(reaching)]
 

@@ -139,6 +139,8 @@ def _is_beside_the_point(node: ast.AST) -> bool:
             return True
         case ast.FunctionDef(name="__repr__" | "__str__"):
             return True
+        case ast.keyword(arg="axis", value=ast.UnaryOp()):
+            return True
         case ast.keyword(arg=name):
             return name in _NOT_LEFT_OUT
         case ast.ClassDef(bases=bases):
@@ -249,3 +251,7 @@ def _calls(node: ast.Call) -> Iterator[ast.AST]:
     for place, keyword in enumerate(() if is_record else node.keywords):
         if keyword.arg is not None and keyword.arg not in _NOT_LEFT_OUT:
             yield _with(node, keywords=node.keywords[:place] + node.keywords[place + 1 :])
+        if keyword.arg == "axis" and isinstance(keyword.value, ast.UnaryOp):
+            # Of a table -1 and 1 are the same axis.
+            first = _with(keyword, value=ast.Constant(0))
+            yield _with(node, keywords=[*node.keywords[:place], first, *node.keywords[place + 1 :]])

@@ -28,6 +28,7 @@ def changes(line):
         ("return 'a' + x", set()),
         ("return min(x, y)", {"min(x, y) -> (max(x, y))"}),
         ("return x(a=y)", {"x(a=y) -> (x())"}),
+        ("return x(axis=-1)", {"x(axis=-1) -> (x())", "x(axis=-1) -> (x(axis=0))"}),
         ("return Record(a=y)", set()),
         ("return zip(x, y, strict=True)", set()),
         ("x.stop()", {"x.stop() -> pass"}),

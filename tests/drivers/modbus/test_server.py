@@ -1,5 +1,7 @@
 """The answering end: right questions, and every wrong one."""
 
+import pytest
+
 from drivers.modbus.pdu import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE
 from drivers.modbus.server import RefusedRequestError, SilentError, answer
 
@@ -62,6 +64,17 @@ def test_what_is_written_is_there():
     answer(table, bytes.fromhex("0F 0000 000A 02 0502"))
     assert table.words[:3] == [10, 11, 2]
     assert answer(table, bytes.fromhex("01 0000 000A")) == bytes.fromhex("01 02 05 02")
+
+
+@pytest.mark.parametrize(("count", "data"), [(1, "01"), (7, "55"), (8, "AA"), (9, "55 01"), (10, "FF 02")])
+def test_coils_are_written_bit_by_bit(count, data):
+    table = Table()
+    sent = bytes.fromhex(data)
+    answer(table, bytes((0x0F, 0, 0, 0, count, len(sent))) + sent)
+    bits = int.from_bytes(sent, "little")
+    assert table.bits == [index < count and bool(bits >> index & 1) for index in range(10)]
+    assert answer(table, bytes((1, 0, 0, 0, count))) == bytes((1, len(sent))) + sent
+    assert answer(table, bytes((0x0F, 0, 0, 0, count, len(sent) + 1)) + sent + b"\0") == bytes((0x8F, ILLEGAL_VALUE))
 
 
 def test_what_is_wrong_gets_its_exception():

@@ -1,0 +1,76 @@
+"""What is counted of refused datagrams, and when it is told."""
+
+import logging
+
+import pytest
+
+from daemon.bridge.refusals import HOUR_S, QUIET_S, SILENCE_S, Refusal, ScanRefusedError, Tally
+
+UTC_S = 1.7e9
+
+
+@pytest.fixture
+def log(caplog):
+    caplog.set_level(logging.INFO, "heliocube.bridge")
+    return caplog
+
+
+def refuse(tally, kind, *times_s):
+    for time_s in times_s:
+        tally.refuse(ScanRefusedError(kind, "is wrong"), ("10.0.0.7", 40000), UTC_S + time_s, time_s)
+
+
+def test_what_was_refused_since_the_last_good_scan_is_listed_by_its_names():
+    tally = Tally()
+    assert tally.since_accepted == ""
+    refuse(tally, Refusal.SECOND_CUBE, 1.0)
+    refuse(tally, Refusal.FORGED, 2.0, 3.0)
+    text = "2 forged, 1 second cube since; the latest is forged: a datagram from 10.0.0.7:40000 is wrong"
+    assert tally.since_accepted == f"the bridge refused {text}"
+    tally.accept(4.0)
+    assert tally.since_accepted == ""
+    refuse(tally, Refusal.LATE, 5.0)
+    assert tally.since_accepted.startswith("the bridge refused 1 late since; ")
+    found = tally.statistics(lost=9)
+    assert (found.accepted, found.lost, found.refused, found.forged, found.second_cube, found.late) == (
+        1,
+        9,
+        4,
+        2,
+        1,
+        1,
+    )
+    assert found.last_refusal_utc_s == UTC_S + 5.0
+
+
+def test_the_first_of_a_kind_is_told_and_the_others_after_1_2_and_4_hours(log):
+    tally = Tally()
+    step_s = HOUR_S / 4
+    refuse(tally, Refusal.FORGED, *(step_s * step for step in range(31)))
+    told = [record.getMessage() for record in log.records]
+    assert told[0] == ("forged: a datagram from 10.0.0.7:40000 is wrong; more of this kind are counted, not logged")
+    counted = [text.split(": ")[1].split(";")[0] for text in told[1:]]
+    # At the 1st, 3rd and 7th hour.
+    assert counted == ["4 forged", "8 forged", "16 forged"]
+
+
+@pytest.mark.parametrize(("quiet_s", "lines"), [(QUIET_S - 1.0, 1), (QUIET_S, 2)])
+def test_six_quiet_hours_end_a_stretch(log, quiet_s, lines):
+    tally = Tally()
+    refuse(tally, Refusal.FORGED, 0.0, quiet_s)
+    assert sum("more of this kind" in record.getMessage() for record in log.records) == lines
+
+
+def test_a_gap_of_a_minute_that_ends_is_told_once_a_stretch(log):
+    tally = Tally()
+    refuse(tally, Refusal.LATE, 0.0)
+    tally.accept(SILENCE_S - 1.0)
+    refuse(tally, Refusal.LATE, 100.0, 110.0, 120.0)
+    tally.accept(100.0 + SILENCE_S)
+    refuse(tally, Refusal.LATE, 200.0)
+    tally.accept(300.0)
+    told = [record.getMessage() for record in log.records if record.levelno == logging.INFO]
+    assert told == ["scans are accepted again, 60 s and 3 refusals later"]
+    refuse(tally, Refusal.LATE, QUIET_S + 300.0)
+    tally.accept(QUIET_S + 400.0)
+    assert log.records[-1].getMessage() == "scans are accepted again, 100 s and 1 refusals later"
