@@ -2,17 +2,21 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from daemon.base.errors import ExitCode, UserError
+from daemon.base.files import read_secret
 
 if TYPE_CHECKING:
     import psycopg
 
 SCHEMES = ("postgresql://", "postgres://")
 _CONNECT_S = 10
+_LONGEST_PASSWORD = 1024
+_WHERE_IT_IS = "archive.password_file, or the file of PGPASSFILE, mode 0600"
 _HOW = "postgresql://USER@HOST/DATABASE"
 
 
@@ -40,10 +44,13 @@ class ArchiveAddress:
         As libpq takes it, without a password.
     installation
         What stands behind ``#``; empty for the only one.
+    password
+        Of its user; empty for that which libpq knows from the file of PGPASSFILE.
     """
 
     url: str
     installation: str = ""
+    password: str = field(default="", repr=False)
 
     def __str__(self) -> str:
         return self.url + (f"#{self.installation}" if self.installation else "")
@@ -74,9 +81,29 @@ def parse_archive(text: str) -> ArchiveAddress:
     if password is not None or "password=" in parts.query:
         shown = text.replace(f":{password}@", ":...@") if password else "the address"
         raise ArchiveError(
-            f"{shown} holds a password: leave it out, and write it into the file of PGPASSFILE, mode 0600"
+            f"{shown} holds a password: leave it out, and write it into archive.password_file or the file of PGPASSFILE"
         )
     return ArchiveAddress(url, unquote(installation))
+
+
+def load_password(path: Path) -> str:
+    """Return the password that a file of one line holds.
+
+    Raises
+    ------
+    ArchiveError
+        The file is missing, has another form, or is open to others than its owner and its group's readers.
+    """
+    called = f"archive.password_file: {path}"
+    missing = f"archive.password_file: there is no file {path}: write the database's password into it, mode 0600"
+    content = read_secret(path, _LONGEST_PASSWORD + 1, called, missing, ArchiveError, group_may_read=True)
+    try:
+        password = content.decode().rstrip("\r\n")
+    except UnicodeDecodeError:
+        password = ""
+    if not password or "\n" in password or len(content) > _LONGEST_PASSWORD:
+        raise ArchiveError(f"{called} is not one line with a password")
+    return password
 
 
 def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection":
@@ -94,7 +121,12 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
     except ImportError:
         raise ArchiveError("an archive needs psycopg: pip install 'heliocube[archive]'") from None
     try:
-        return psycopg.connect(address.url, connect_timeout=_CONNECT_S, application_name=application)
+        return psycopg.connect(
+            address.url,
+            connect_timeout=_CONNECT_S,
+            application_name=application,
+            password=address.password or None,
+        )
     except psycopg.OperationalError as error:
         raise _reason(address, error) from None
     except psycopg.Error as error:
@@ -128,8 +160,8 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
     """Return what a failed connection means: what a person must put right, or what may pass."""
     text = one_line(error)
     remedies = {
-        "password authentication failed": "write its password into the file of PGPASSFILE, mode 0600",
-        "no password supplied": "write its password into the file of PGPASSFILE, mode 0600",
+        "password authentication failed": f"correct {_WHERE_IT_IS}",
+        "no password supplied": f"write it into {_WHERE_IT_IS}",
         "no pg_hba.conf entry": "let it in there, in pg_hba.conf",
         "Peer authentication failed": "let it in there, in pg_hba.conf, or name another user",
         "does not exist": "make it with createdb or createuser, or correct the address",

@@ -45,6 +45,7 @@ _PATHS = (
     ("mqtt", "certificate_file"),
     ("mqtt", "certificate_key_file"),
     ("mqtt", "credentials_file"),
+    ("archive", "password_file"),
     ("simulation", "weather"),
 )
 _SLASHES = "write paths in 'single quotes' or with forward slashes"

@@ -249,7 +249,13 @@ class ArchiveSettings(Section):
     database: ArchiveUrl | None = Field(
         None,
         examples=["postgresql://archive@db.plant/heliocube"],
-        description="Address of the database, without a password: that stands in the file of PGPASSFILE, mode 0600.",
+        description="Address of the database, without a password.",
+    )
+    password_file: FilePath | None = Field(
+        None,
+        examples=["archive.password"],
+        description="File of one line, the user's password at the database, mode 0600 or 0640. Left out: as PGPASSFILE"
+        " has it.",
     )
     topics: tuple[TopicFilter, ...] = Field(
         ("+/+/records",),

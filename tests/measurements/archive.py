@@ -81,12 +81,14 @@ def rate(rounds):
                 rows += writer.take(part).added
                 figures["read"] += read - began
                 figures["write"] += time.perf_counter() - read
+        database_s = server_cpu_s(server)
         writer.close()
         seconds, own_s = sum(figures.values()), time.process_time() - own_s
         print(f"{machine()}; PostgreSQL with fsync on the same cores")
         print(
             f"{rows} rows in {seconds:.1f} s: {rows / seconds:.0f} rows/s; reading JSON {figures['read']:.1f} s of it;",
-            f"CPU of this process {own_s:.1f} s: {rows / own_s:.0f} rows per CPU s",
+            f"CPU of this process {own_s:.1f} s: {rows / own_s:.0f} rows per CPU s;",
+            f"of the database's own for it {database_s:.1f} s: {rows / database_s:.0f} rows per CPU s",
         )
         bytes_a_row = sizes(server)
         with tempfile.TemporaryDirectory() as folder:
@@ -100,6 +102,17 @@ def rate(rounds):
         plants(bytes_a_row, cold, rows / seconds)
     finally:
         server.close()
+
+
+def server_cpu_s(server):
+    """CPU of the database's processes, which serve one writer alone."""
+    ticks = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            # Each of them works in the folder of its data.
+            if (path.parent / "cwd").readlink() == server.folder / "data":
+                ticks += sum(map(int, path.read_text().rpartition(")")[2].split()[11:13]))
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def sizes(server):

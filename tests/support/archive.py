@@ -95,11 +95,11 @@ class Sender:
             self.store.keep(record)
 
     def rows(self):
-        """All records of the store, as sets of run's identifier, kind, number and time."""
+        """All records of the store, as a set of run's identifier, kind and number."""
         found = set()
         with closing(sqlite3.connect(self.folder / FILE_NAME)) as store:
             for kind in KINDS:
-                found |= set(store.execute(f"SELECT id, '{kind}', number, time FROM {kind} JOIN runs USING (run)"))
+                found |= set(store.execute(f"SELECT id, '{kind}', number FROM {kind} JOIN runs USING (run)"))
         return found
 
     @contextlib.asynccontextmanager
@@ -117,8 +117,8 @@ class Sender:
 def archived(postgres, url, installation):
     """All records of an installation in an archive, as `Sender.rows` has them; a list, so that one twice is seen."""
     of_kind = (
-        f"SELECT id, '{kind}', number, extract(epoch FROM time)::float8 FROM heliocube.{kind} JOIN heliocube.runs"
-        f" USING (run) WHERE installation = '{installation}'"
+        f"SELECT id, '{kind}', number FROM heliocube.{kind} JOIN heliocube.runs USING (run)"
+        f" WHERE installation = '{installation}'"
         for kind in KINDS
     )
     return postgres.sql(" UNION ALL ".join(of_kind), url.rpartition("/")[2])

@@ -29,13 +29,16 @@ from tests.system.conftest import ROOT
 DEPLOY = ROOT / "deploy"
 EXAMPLES = DEPLOY / "examples"
 ROLES = ("cube", "tracker")
-CONFIGURED = (*ROLES, "dashboard", "notify")
-UNITS = (*CONFIGURED, "report")
+CONFIGURED = (*ROLES, "dashboard", "notify", "archive")
+UNITS = (*CONFIGURED, "report", "parquet")
+TIMERS = {"report": "03:15:00", "parquet": "01:40:00"}
 STARTS = {
     **{role: f"run --role {role} --config /etc/heliocube/{role}.toml" for role in ROLES},
     "dashboard": "dashboard --config %d/dashboard.toml",
     "report": "report --config /etc/heliocube/tracker.toml --day yesterday --out /var/lib/heliocube/reports --force",
     "notify": "notify --config %d/notify.toml",
+    "archive": "archive --config %d/archive.toml",
+    "parquet": "archive parquet --config %d/archive.toml --out /var/lib/heliocube-parquet",
 }
 pytestmark = pytest.mark.system
 needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
@@ -50,7 +53,9 @@ def run(*command, **options):
 
 def stand_in(tmp_path, role, change=lambda text: text):
     """The unit, with a program that exists here in place of the installed one."""
-    installed = "/opt/heliocube/current/bin/heliocube"
+    # An archive is seldom on the machine of a rig, and has an environment of its own.
+    home = "/opt/heliocube-archive" if role in ("archive", "parquet") else "/opt/heliocube/current"
+    installed = f"{home}/bin/heliocube"
     text = (DEPLOY / f"heliocube-{role}.service").read_text()
     assert f"ExecStart={installed} {STARTS[role]}\n" in text
     unit = tmp_path / f"heliocube-{role}.service"
@@ -66,14 +71,15 @@ def test_systemd_understands_every_line_of_the_units(tmp_path, role):
 
 
 @needs_analyze
-def test_systemd_understands_the_timer_and_when_it_runs(tmp_path):
-    timer = tmp_path / "heliocube-report.timer"
+@pytest.mark.parametrize("name", TIMERS)
+def test_systemd_understands_the_timers_and_when_they_run(tmp_path, name):
+    timer = tmp_path / f"heliocube-{name}.timer"
     shutil.copy(DEPLOY / timer.name, timer)
-    stand_in(tmp_path, "report")
+    stand_in(tmp_path, name)
     done = run("systemd-analyze", "verify", timer)
     assert (done.returncode, done.stderr) == (0, "")
     when = re.search(r"^OnCalendar=(.*)$", timer.read_text(), re.MULTILINE)[1]
-    assert "03:15:00" in run("systemd-analyze", "calendar", when).stdout
+    assert TIMERS[name] in run("systemd-analyze", "calendar", when).stdout
 
 
 @needs_analyze
@@ -153,6 +159,8 @@ def test_the_examples_are_good_configurations(tmp_path, name):
     (tmp_path / "api.token").chmod(0o600)
     (tmp_path / "notify.people").write_text("ntfy://ntfy.lab/roof\n")
     (tmp_path / "notify.people").chmod(0o600)
+    (tmp_path / "mqtt.credentials").write_text("user:password\n")
+    (tmp_path / "mqtt.credentials").chmod(0o600)
     assert check_file(tmp_path / f"{name}.toml").instruments.kind == "simulated"
     assert migrate(tmp_path / f"{name}.toml", keys_only=True).endswith("it is in today's form")
 

@@ -121,11 +121,17 @@ def parquet(
 
 def database(config: Path | None, named: str | None) -> "ArchiveAddress":
     """Return where the archive is, by name or by the file; raises `UserError`."""
-    from daemon.archive.address import parse_archive
-    from daemon.config.links import ArchiveSettings
-    from daemon.config.section import one_section, read_tables
+    from dataclasses import replace
 
-    url = named or one_section(config, read_tables(config), "archive", ArchiveSettings).database
+    from daemon.archive.address import load_password, parse_archive
+    from daemon.config.links import ArchiveSettings
+    from daemon.config.section import beside, one_section, read_tables
+
+    settings = beside(config, one_section(config, read_tables(config), "archive", ArchiveSettings))
+    url = named or settings.database
     if url is None:
         raise UserError("no database is named: set archive.database in the file of --config, or name it on the line")
-    return parse_archive(url)
+    address = parse_archive(url)
+    return (
+        address if settings.password_file is None else replace(address, password=load_password(settings.password_file))
+    )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.archive.address import ArchiveError, is_archive, parse_archive
+from daemon.archive.address import ArchiveAddress, ArchiveError, is_archive, load_password, parse_archive
 
 
 def test_a_database_and_an_installation_behind_it():
@@ -29,3 +29,19 @@ def test_no_archive(text, part):
         parse_archive(text)
     assert part in str(error.value)
     assert "secret" not in str(error.value)
+
+
+def test_a_password_is_one_line_that_no_other_user_reads(tmp_path):
+    file = tmp_path / "archive.password"
+    with pytest.raises(ArchiveError, match="write the database's password into it, mode 0600"):
+        load_password(file)
+    file.write_text("se cret\n")
+    file.chmod(0o644)
+    with pytest.raises(ArchiveError, match="is open to others than its owner"):
+        load_password(file)
+    file.chmod(0o600)
+    assert load_password(file) == "se cret"
+    file.write_text("one\ntwo\n")
+    with pytest.raises(ArchiveError, match="is not one line with a password"):
+        load_password(file)
+    assert "secret" not in repr(ArchiveAddress("postgresql:///x", password="secret"))

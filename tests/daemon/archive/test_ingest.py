@@ -139,7 +139,7 @@ def test_two_services_under_one_name_are_told_and_both_kept_and_what_is_no_page_
 async def until_kept(lab, sender):
     """Wait until the archive has confirmed the newest record of a service."""
     await until(lambda: sender.store.status.waiting == 0, "a store with all records")
-    newest = max(number for _, _, number, _ in sender.rows())
+    newest = max(number for _, _, number in sender.rows())
     await lab.until(
         f"{sender.installation}/records/kept",
         lambda found: found["run"] == sender.origin.id and found.get("through") == newest,
