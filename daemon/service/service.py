@@ -28,6 +28,7 @@ from daemon.service.inheritance import hand_on
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
+from daemon.tracker.readings import Common
 from daemon.tracker.stow import StowSource
 from drivers.errors import DriverHungError
 from solar.ephemeris import SunElevation
@@ -138,7 +139,7 @@ class Service:
     def _build_trackers(
         self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
     ) -> Iterator[Tracker]:
-        wanted = self.settings.trackers
+        wanted, common = self.settings.trackers, Common()
         if self.settings.tracker and self.settings.store.directory is not None:
             hand_on(self.settings.store.directory, [name for name, _ in wanted])
         if len(wanted) != len(self.rig.trackers):
@@ -158,6 +159,7 @@ class Service:
                 stow_sources=stow_sources.get(name, ()),
                 folder=self._kept_in(settings.store.directory),
                 phase=Phase(place, len(wanted)),
+                common=common,
                 refused=self._refused,
                 muted=self._mute_cube,
                 hold_why=self._hold_why,
@@ -188,8 +190,10 @@ class Service:
 
     def _receive(self, scan: Scan) -> None:
         """Hand a scan of the bridge to every tracker, and to the bus."""
+        # One instant for all: what they know alike is worked out once.
+        utc_s = self.clock.utc()
         for tracker in self.trackers:
-            tracker.receive(scan)
+            tracker.receive(scan, utc_s)
         if self.role is Role.TRACKER:
             self._told_faces.note(scan)
         self.bus.publish(scan)

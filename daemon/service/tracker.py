@@ -26,6 +26,7 @@ from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.orders import Orders
 from daemon.tracker.phase import Phase
 from daemon.tracker.pointing import build_pointing
+from daemon.tracker.readings import Common, Readings
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from daemon.tracker.wishes import WishFile
@@ -80,6 +81,8 @@ class Tracker:
     phase
         When its turn is among the trackers of the process. A driver of the only one that hangs for good ends the
         process.
+    common
+        What it knows alike with others by the same cube.
     refused
         Returns what the bridge has refused since the last scan, in words; empty for nothing.
     muted
@@ -103,6 +106,7 @@ class Tracker:
         folder: StateFolder,
         *,
         phase: Phase,
+        common: Common,
         refused: Callable[[], str],
         muted: Callable[[], None],
         hold_why: str | None = None,
@@ -134,19 +138,19 @@ class Tracker:
             polling,
         )
         self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised)
+        pointing = build_pointing(settings, clock.utc(), folder, common)
         self.control = Control(
             settings,
             clock,
             self.motion,
-            build_pointing(settings, clock.utc(), folder),
-            sun_elevation_deg,
+            pointing,
+            Readings(settings, clock, sun_elevation_deg, pointing.law, refused, common),
             self.stow_watch,
             Orders(clock, WishFile(folder), hold_why),
             self.publish,
             self.alarms,
             folder,
             self._clock_watch,
-            refused,
             phase,
         )
         self.received = ReceivedToday(
@@ -173,11 +177,11 @@ class Tracker:
         """What lines of the log call it: nothing where there is no other."""
         return "" if self.alone else self.name
 
-    def receive(self, scan: Scan) -> None:
-        """Take in a fresh, authentic scan; its monotonic times are on our clock."""
-        self.control.receive(scan)
+    def receive(self, scan: Scan, utc_s: float) -> None:
+        """Take in a fresh, authentic scan that has come at this UTC [s]; its monotonic times are on our clock."""
+        self.control.receive(scan, utc_s)
         if self._clock_watch.trusted:
-            self.received.add(scan, self.motion.pose if self.motion.connected else None, self.clock.utc())
+            self.received.add(scan, self.motion.pose if self.motion.connected else None, utc_s)
 
     def _publish_of_motion(self, record: Record) -> None:
         if isinstance(record, Pose):

@@ -182,7 +182,7 @@ class _Feeder:
             if due_s - loop.time() > self._gap_s:
                 await self._pass(due_s)
             await self._live_until(due_s)
-            control.receive(self._scan(number, row))
+            control.receive(self._scan(number, row), self._clock.utc())
             log.angles.extend(self._angles())
             log.modes.append(control.mode)
             learned = control.pointing.law.learned

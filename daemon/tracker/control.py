@@ -80,8 +80,8 @@ class Control(Doors):
         The only way to the axes.
     pointing
         The law, and the one that needs no readings.
-    sun_elevation_deg
-        Of UTC [s], to tell night from day.
+    readings
+        What the cube's scans are good for.
     stow_watch
         Everything besides the operator that may ask for stow.
     orders
@@ -94,8 +94,6 @@ class Control(Doors):
         Where all of it is kept over a restart.
     clock_watch
         Tells whether the time of day may be used.
-    refused
-        Returns what the bridge has refused since the last scan, in words; empty for nothing.
     phase
         When its turn is among the trackers of the process.
     """
@@ -106,14 +104,13 @@ class Control(Doors):
         clock: Clock,
         motion: Motion,
         pointing: Pointing,
-        sun_elevation_deg: Callable[[float], float],
+        readings: Readings,
         stow_watch: StowWatch,
         orders: Orders,
         publish: Callable[[Record], None],
         alarms: Alarms,
         folder: StateFolder,
         clock_watch: ClockWatch | None = None,
-        refused: Callable[[], str] = str,
         phase: Phase = ALONE,
     ) -> None:
         super().__init__(settings, motion, orders, Parking(motion, settings.motion.tolerance_deg, self._order), phase)
@@ -126,7 +123,7 @@ class Control(Doors):
         self._reminders = Reminders(clock, settings.site, alarms, publish)
         self._folder = folder
         self.budget = DayBudget(settings.motion, settings.site.longitude_deg, folder, alarms, clock.utc())
-        self._readings = Readings(settings, clock, sun_elevation_deg, pointing.law, refused)
+        self._readings = readings
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
         self._decision: Decision | None = None
@@ -139,11 +136,11 @@ class Control(Doors):
 
     # Doors for the bridge, for motion and for operators.
 
-    def receive(self, scan: Scan) -> None:
-        """Take in a fresh, authentic scan from the bridge; its monotonic times are on our clock."""
+    def receive(self, scan: Scan, utc_s: float) -> None:
+        """Take in a fresh, authentic scan that has come at this UTC [s]; its monotonic times are on our clock."""
         self._readings.add(scan)
         if self._clock_watch.trusted:
-            self.pointing.receive(scan, self._clock.utc())
+            self.pointing.receive(scan, utc_s)
         if scan.ok and (self.mode in (Mode.STARTING, Mode.FALLBACK) or self._waits_for_data):
             # It may be what was waited for.
             self._decide_in_turn()

@@ -16,6 +16,7 @@ from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_file import LawFile
+from daemon.tracker.readings import Common
 from solar.frames import Angles, Array, normal_from_angles, separation_deg
 from solar.laws.law import Aim, Estimates, Faces, Law, Moment, Reading, TrackerFacts
 
@@ -290,7 +291,7 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
     return law.aim(Moment(utc_s, faces, heading, sun_known))
 
 
-def build_pointing(settings: Settings, utc_s: float, folder: StateFolder) -> Pointing:
+def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> Pointing:
     """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
     file = LawFile(folder)
     tracker = TrackerFacts(
@@ -300,6 +301,7 @@ def build_pointing(settings: Settings, utc_s: float, folder: StateFolder) -> Poi
         decide_every_s=settings.windows.decide_every_s,
         utc_s=utc_s,
         kept=file.load(),
+        common=(common or Common()).laws,
         group=settings.rows.group(settings.site.latitude_deg),
     )
     fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)

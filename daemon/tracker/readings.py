@@ -2,7 +2,9 @@
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from typing import Any
+from weakref import WeakValueDictionary
 
 from daemon.base.clock import Clock
 from daemon.base.records import FACES, Irradiances, Quality, Scan
@@ -13,6 +15,26 @@ from solar.laws.law import Law
 # So much brighter than the end of night a vertical face is lit by the sun, which gives the zenith face its share.
 _SUNLIT = 10.0
 _LEAST_SHARE = 0.5
+
+
+class Common:
+    """What trackers by one cube know alike, so that it is worked out once for all of them.
+
+    Attributes
+    ----------
+    laws
+        Where their laws keep what they know alike.
+    """
+
+    def __init__(self) -> None:
+        self.laws: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
+        self._windows: dict[tuple[float, ...], Window] = {}
+
+    def window(self, settings: Settings) -> "Window":
+        """Return the window of all whose settings ask for the same."""
+        stale_s = settings.safety.scan_stale_s
+        alike = (settings.windows.mean_s, settings.cube.scan_every_s, stale_s, stale_s)
+        return self._windows.setdefault(alike, Window(*alike))
 
 
 class Readings:
@@ -30,6 +52,8 @@ class Readings:
         Says how many faces it needs, and whether the zenith face can be believed.
     refused
         Returns what the bridge has refused since the last scan, in words; empty for nothing.
+    common
+        With trackers that hear the same scans, on the same clock.
 
     Attributes
     ----------
@@ -46,6 +70,7 @@ class Readings:
         sun_elevation_deg: Callable[[float], float],
         law: Law,
         refused: Callable[[], str] = str,
+        common: Common | None = None,
     ) -> None:
         self._safety = settings.safety
         self._minimum_coverage = settings.windows.minimum_coverage
@@ -54,12 +79,7 @@ class Readings:
         self._law = law
         self._refused = refused
         self._faces_needed = law.faces_needed
-        self._window = Window(
-            settings.windows.mean_s,
-            settings.cube.scan_every_s,
-            settings.safety.scan_stale_s,
-            settings.safety.scan_stale_s,
-        )
+        self._window = (common or Common()).window(settings)
         self._started_s = clock.monotonic()
         self._night = False
         self.newest: Scan | None = None
@@ -174,9 +194,13 @@ class Window:
         self._longest_s = longest_s
         self._stale_s = stale_s
         self._faces = tuple(_FaceWindow(mean_s) for _ in range(4))
+        self._newest: Scan | None = None
 
     def add(self, scan: Scan) -> None:
-        """Take in a scan; its monotonic times must not run backwards."""
+        """Take in a scan, once for all who hand it in; its monotonic times must not run backwards."""
+        if scan is self._newest:
+            return
+        self._newest = scan
         for window, face in zip(self._faces, scan.faces, strict=True):
             if face.quality is not Quality.OK:
                 continue
@@ -213,35 +237,38 @@ class Window:
 
 
 class _FaceWindow:
-    """One face: its readings with the time each stands for, and their running totals."""
+    """One face: when each of its readings ended, how long it stands for, and the product of both."""
 
     def __init__(self, mean_s: float) -> None:
         self._mean_s = mean_s
-        self._readings: deque[tuple[float, float, float]] = deque()
-        self._covered_s = 0.0
-        self._total = 0.0
+        self._ends_s: deque[float] = deque()
+        self._lengths_s: deque[float] = deque()
+        self._products: deque[float] = deque()
         self.newest_s = -math.inf
 
     def add(self, end_s: float, length_s: float, irradiance: float) -> None:
-        self._readings.append((end_s, length_s, irradiance))
-        self._covered_s += length_s
-        self._total += length_s * irradiance
+        self._ends_s.append(end_s)
+        self._lengths_s.append(length_s)
+        self._products.append(length_s * irradiance)
         self.newest_s = end_s
 
     def mean(self, now_s: float) -> tuple[float, float]:
-        """Return the mean and how much of the window it stands for [s]; what is older is forgotten."""
-        readings, start_s = self._readings, now_s - self._mean_s
-        while readings and readings[0][0] <= start_s:
-            _, length_s, irradiance = readings.popleft()
-            self._covered_s -= length_s
-            self._total -= length_s * irradiance
-        if not readings:
-            self._covered_s = self._total = 0.0
+        """Return the mean and how much of the window it stands for [s]; what is older is forgotten.
+
+        Sums are exact to the last digit: whoever else has asked before, and when, makes no difference.
+        """
+        ends_s, start_s = self._ends_s, now_s - self._mean_s
+        while ends_s and ends_s[0] <= start_s:
+            ends_s.popleft()
+            self._lengths_s.popleft()
+            self._products.popleft()
+        if not ends_s:
             return math.nan, 0.0
-        end_s, length_s, irradiance = readings[0]
         # Only the oldest reading can reach beyond the window's start.
-        outside_s = length_s - (end_s - start_s)
-        if outside_s <= 0.0:
-            return self._total / self._covered_s, self._covered_s
-        covered_s = self._covered_s - outside_s
-        return (self._total - outside_s * irradiance) / covered_s, covered_s
+        length_s = self._lengths_s[0]
+        outside_s = max(length_s - (ends_s[0] - start_s), 0.0)
+        covered_s, total = math.fsum(self._lengths_s), math.fsum(self._products)
+        if outside_s > 0.0:
+            covered_s -= outside_s
+            total -= self._products[0] * (outside_s / length_s)
+        return total / covered_s, covered_s

@@ -12,9 +12,10 @@ The module may have a third, `steer(settings, weather, faces, limits)`, which ru
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -60,6 +61,8 @@ class TrackerFacts:
         What :meth:`Law.to_dict` of an earlier run gave, or None.
     group
         The tracker and the neighbours that may shade it; None for a tracker that stands alone.
+    common
+        Where laws of trackers by one cube find what they know alike, for as long as one of them holds it.
     """
 
     site: Site
@@ -69,6 +72,7 @@ class TrackerFacts:
     utc_s: float
     kept: Mapping[str, Any] | None = None
     group: TrackerGroup | None = None
+    common: "WeakValueDictionary[Hashable, Any]" = field(default_factory=WeakValueDictionary)
 
 
 class Reading(NamedTuple):

@@ -12,94 +12,21 @@ collects most with their shade in it (:mod:`solar.laws.in_rows`).
 Everything is an array of one shape: () for one tracker, (n,) for n days or sites at once.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within
 from solar.laws.in_rows import best_among, taken_by_neighbours
-from solar.laws.light import Light, aim_vector, light_from_faces, product, usable_faces
+from solar.laws.light import Light, aim_vector, product
+from solar.laws.memory import Expectation, Flags, LightMemory, OptimalSettings
 from solar.laws.site import Learned, SiteLearning
 from solar.rows.group import TrackerGroup
 
-Flags = NDArray[np.bool_]
-
-THRIFT_RANGE = (0.1, 100.0)
-"""Least and greatest weight of wear against harvest."""
-
-_FACES_NEEDED = 3
 _SUNNY_W_M2 = 500.0
 _LEAST_LEFT = 1e-3
 _MOST_PRESSURE = 100.0
-
-
-@dataclass(frozen=True, slots=True)
-class OptimalSettings:
-    """What the law weighs, and what it may not exceed.
-
-    Attributes
-    ----------
-    quick_half_life_s, slow_half_life_s
-        Of the two memories of the light.
-    unrest_weight, slow_share_max
-        The expected light takes from the slow memory `unrest_weight` times the beam's relative deviation between the
-        two memories, averaged over the slow one, up to this share.
-    lead_s
-        How far ahead of the last reading the sun is taken.
-    rest_s
-        How far ahead a pose should still be out of the neighbours' shade.
-    price_per_degree_w_m2, price_per_move_w_m2
-        Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
-    thrift
-        What both prices are multiplied by, 0.1 to 100: the one knob between harvest and wear. A varying sky is
-        also taken at its slower mean, the more so the thriftier.
-    travel_per_day_deg, moves_per_day
-        The day's budget.
-    pacing
-        How steeply prices rise when the budget is used faster than the daylight.
-    forget_after_s
-        A gap in the readings after which the memory starts again.
-    """
-
-    quick_half_life_s: float = 90.0
-    slow_half_life_s: float = 600.0
-    unrest_weight: float = 0.6
-    slow_share_max: float = 0.8
-    lead_s: float = 240.0
-    rest_s: float = 600.0
-    price_per_degree_w_m2: float = 0.02
-    price_per_move_w_m2: float = 0.2
-    thrift: float = 1.0
-    travel_per_day_deg: float = 1300.0
-    moves_per_day: int = 250
-    pacing: float = 6.0
-    forget_after_s: float = 900.0
-
-    def __post_init__(self) -> None:
-        """Raise `ValueError` for a thrift that is no price: at 0 the tracker runs after every flicker of the light."""
-        low, high = THRIFT_RANGE
-        if not (low <= self.thrift <= high):
-            raise ValueError(f"thrift is {self.thrift:g}, not in {low:g}..{high:g}")
-
-
-class Expectation(NamedTuple):
-    """What the law knows of the sky.
-
-    Attributes
-    ----------
-    light
-        Expected over the next minutes.
-    unrest
-        Relative deviation of the beam between quick and slow memory, averaged: 0 for an even sky.
-    known
-        Whether there is anything to go by: at least three good faces not long ago.
-    """
-
-    light: Light
-    unrest: Array
-    known: Flags
 
 
 class Choice(NamedTuple):
@@ -145,10 +72,8 @@ class OptimalLaw:
 
     Attributes
     ----------
-    site
-        What the site has taught.
-    light
-        What the newest readings show; NaN where they show nothing.
+    memory
+        Of the light. Trackers that hear the same readings may have one and the same.
     """
 
     def __init__(
@@ -163,19 +88,28 @@ class OptimalLaw:
         self._group = group
         self._limits = limits
         self._shape = shape
-        self.site = SiteLearning(shape, learned)
-        self._quick = np.zeros((3, *shape))
-        self._slow = np.zeros((3, *shape))
-        self._deviation = np.zeros(shape)
-        self._since_good_s = np.full(shape, np.inf)
-        self.light = Light(*np.full((3, *shape), np.nan))
+        self.memory = LightMemory(settings, shape, learned)
         self.new_day()
 
     def new_day(self) -> None:
         """Take over what the past day taught of the site, and open a new budget."""
         self.site.end_of_day()
+        self.open_budget()
+
+    def open_budget(self) -> None:
+        """Have travelled nothing today."""
         self._travelled_deg = np.zeros(self._shape)
         self._moves = np.zeros(self._shape)
+
+    @property
+    def site(self) -> SiteLearning:
+        """What the site has taught."""
+        return self.memory.site
+
+    @property
+    def light(self) -> Light:
+        """What the newest readings show; NaN where they show nothing."""
+        return self.memory.light
 
     @property
     def travelled_deg(self) -> Array:
@@ -188,41 +122,12 @@ class OptimalLaw:
         return self._moves
 
     def observe(self, faces: ArrayLike, sun: ArrayLike, elapsed_s: ArrayLike) -> None:
-        """Take in the mean faces [W/m2], shape (*shape, 4), of the last `elapsed_s` seconds.
-
-        `sun` (*shape, 3) is the unit vector to the apparent sun in their middle. Any reading may be NaN. All three may
-        have one more axis in front: means that followed each other, the oldest first.
-        """
-        faces, sun, elapsed = (np.asarray(value, dtype=np.float64) for value in (faces, sun, elapsed_s))
-        if faces.ndim == len(self._shape) + 1:
-            faces, sun, elapsed = faces[None], sun[None], elapsed[None]
-        elapsed = np.broadcast_to(elapsed, faces.shape[:-1])
-        faces = self.site.corrected(faces)
-        usable = usable_faces(faces, sun)
-        good = (usable.sum(axis=-1) >= _FACES_NEEDED) & (sun[..., 2] > 0.0)
-        lights = np.stack(light_from_faces(faces, sun, self.site.learned.albedo, usable), axis=1)
-        for light, is_good, seconds in zip(lights, good, elapsed, strict=True):
-            self._remember(light, is_good, seconds)
-        self.light = Light(*np.where(good[-1], lights[-1], np.nan))
-        self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
-
-    def _remember(self, light: Array, good: Flags, elapsed: Array) -> None:
-        fresh = good & ~(self._since_good_s + elapsed <= self._settings.forget_after_s)
-        self._quick = _towards(self._quick, light, good, fresh, elapsed / self._settings.quick_half_life_s)
-        pace = elapsed / self._settings.slow_half_life_s
-        self._slow = _towards(self._slow, light, good, fresh, pace)
-        deviation = np.abs(self._quick[0] - self._slow[0])
-        self._deviation = _towards(self._deviation, deviation, good, fresh, pace)
-        self._since_good_s = np.where(good, 0.0, self._since_good_s + elapsed)
+        """Take in readings, as :meth:`LightMemory.observe`."""
+        self.memory.observe(faces, sun, elapsed_s)
 
     def expect(self, thrift: ArrayLike = 1.0) -> Expectation:
-        """Return what is expected of the sky; with more `thrift` a varying one is taken at its slower mean."""
-        settings = self._settings
-        # The scale keeps the unrest of a sky without beam at zero instead of at the noise of the sensors.
-        unrest = self._deviation / (self._slow[0] + 0.1 * self._slow[1] + 10.0)
-        share = np.minimum(settings.unrest_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
-        light = Light(*((1.0 - share) * self._quick + share * self._slow))
-        return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)
+        """Return what is expected of the sky, as :meth:`LightMemory.expect`."""
+        return self.memory.expect(thrift)
 
     def decide(
         self,
@@ -315,8 +220,3 @@ class OptimalLaw:
             self._moves + 1 <= settings.moves_per_day
         )
         return result
-
-
-def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:
-    share = np.where(fresh, 1.0, np.where(good, 1.0 - 0.5**half_lives, 0.0))
-    return memory + share * (np.where(good, value, memory) - memory)

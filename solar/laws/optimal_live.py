@@ -13,21 +13,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import DAY_S, SunDay, SunPosition, sun_day, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
+from solar.laws.heard import Heard, solar_day
 from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import light_from_faces, usable_faces, zenith_usable
-from solar.laws.optimal import THRIFT_RANGE, OptimalLaw, OptimalSettings
+from solar.laws.memory import THRIFT_RANGE, OptimalSettings
+from solar.laws.optimal import OptimalLaw
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
-
-_MEAN_S = 15.0
-# No reading stands for longer than this; a cube that scans more slowly leaves the rest open.
-_LONGEST_S = 60.0
-# Means that nobody asks for in some mode without decisions are taken in this many at a time.
-_MOST_WAITING = 40
 
 
 class LiveOptimalSettings(LawSettings):
@@ -93,7 +89,6 @@ class LiveOptimal(Law):
     def __init__(self, settings: LiveOptimalSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)
         self.decide_every_s = DECIDE_EVERY_S
-        self._scan_every_s = tracker.scan_every_s
         self._fresh = Learned(min(max(settings.albedo, ALBEDO_RANGE[0]), ALBEDO_RANGE[1]))
         self._settings = settings.of_the_law()
         kept = None if tracker.kept is None else Kept.model_validate(tracker.kept)
@@ -103,9 +98,9 @@ class LiveOptimal(Law):
         if kept is not None and kept.day == self._day:
             self._law.resume(kept.travelled_deg, kept.moves)
         self._sun_day: SunDay | None = None
-        self._newest_s = -math.inf
-        self._waiting: list[tuple[float, float, list[float]]] = []
-        self._begin_mean()
+        first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
+        alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
+        self._heard: Heard = tracker.common.setdefault(alike, first)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was learned, and what the day has used of its budget."""
@@ -119,50 +114,35 @@ class LiveOptimal(Law):
     @property
     def learned(self) -> Learned:
         """What was learned; another object when it has changed."""
-        return self._law.site.learned
+        return self._heard.learned
 
     def relearn(self) -> None:
         """Forget what was learned of the site."""
-        self._waiting.clear()
-        self._begin_mean()
-        self._law.site.reset()
-        self._law.site.learned = self._fresh
+        self._heard = self._heard.relearned(self._fresh)
 
     def turn(self, utc_s: float) -> bool:
         """Begin a new day when the sun has passed its lowest point since the last call."""
         day = self._day_of(utc_s)
         if day == self._day:
             return False
-        self._take_in()
         self._day = day
-        self._law.new_day()
+        self._heard = self._heard.on(day)
+        self._law.open_budget()
         return True
 
     def observe(self, reading: Reading) -> None:
         """Take in a scan that has just arrived."""
-        elapsed_s = reading.monotonic_s - self._newest_s
-        self._newest_s = reading.monotonic_s
-        if not (elapsed_s <= _LONGEST_S):
-            elapsed_s = self._scan_every_s
-        self._elapsed_s += elapsed_s
-        self._middle += elapsed_s * reading.utc_s
-        sums, seconds = self._sums, self._seconds
-        for place, irradiance_w_m2 in enumerate(reading.faces_w_m2):
-            if not math.isnan(irradiance_w_m2):
-                sums[place] += elapsed_s * irradiance_w_m2
-                seconds[place] += elapsed_s
-        if self._elapsed_s >= _MEAN_S - 1e-3:
-            self._end_mean()
+        self._heard = self._heard.after(reading)
 
     def aim(self, now: Moment) -> Aim:
         """Return where the law wants to point, with no target where it wants to stay."""
         utc_s = now.utc_s
         # One call for all instants: it costs little more than one instant.
         ahead = (self._settings.lead_s, self._settings.rest_s)
-        instants = np.array([utc_s, *(utc_s + seconds for seconds in ahead), *(mean[0] for mean in self._waiting)])
+        instants = np.array([utc_s, *(utc_s + seconds for seconds in ahead), *self._heard.waiting_utc_s])
         suns = sun_position(instants, *self.site)
         directions = direction_from_azimuth(suns.azimuth_deg, suns.elevation_deg, self.site[0])
-        self._take_in(directions[3:])
+        self._law.memory = self._heard.memory(directions[3:])
         sun = SunPosition(*(float(values[0]) for values in suns))
         if now.heading is None:
             return Aim(
@@ -215,7 +195,7 @@ class LiveOptimal(Law):
 
     def _kept(self) -> Kept:
         return Kept(
-            **self._law.site.learned.to_dict(),
+            **self.learned.to_dict(),
             day=self._day,
             travelled_deg=float(self._law.travelled_deg),
             moves=round(float(self._law.moves)),
@@ -223,32 +203,7 @@ class LiveOptimal(Law):
 
     def _day_of(self, utc_s: float) -> int:
         """Count the solar days from midnight to midnight."""
-        return int((utc_s + self.site[1] * DAY_S / 360.0) // DAY_S)
-
-    def _begin_mean(self) -> None:
-        self._elapsed_s = self._middle = 0.0
-        self._sums = [0.0] * 4
-        self._seconds = [0.0] * 4
-
-    def _end_mean(self) -> None:
-        faces = [
-            total / seconds if seconds > 0.0 else math.nan
-            for total, seconds in zip(self._sums, self._seconds, strict=True)
-        ]
-        self._waiting.append((self._middle / self._elapsed_s, self._elapsed_s, faces))
-        self._begin_mean()
-        if len(self._waiting) >= _MOST_WAITING:
-            self._take_in()
-
-    def _take_in(self, sun: Array | None = None) -> None:
-        """Tell the law all means that wait, in one call: it costs little more than a single one."""
-        if not self._waiting:
-            return
-        utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
-        self._waiting.clear()
-        if sun is None:
-            sun = sun_direction(np.array(utc_s), *self.site)
-        self._law.observe(np.array(faces), sun, np.array(elapsed_s))
+        return solar_day(utc_s, self.site.longitude_deg)
 
     def _daylight_left(self, utc_s: float) -> float:
         if self._sun_day is None or not (abs(self._sun_day.noon_utc_s - utc_s) < 0.51 * DAY_S):

@@ -100,9 +100,13 @@ class SiteLearning:
         if not clear.any():
             return
         added = _sums_of(np.where(usable, faces, 0.0), sun, beam_w_m2, np.where(clear, elapsed_s, 0.0))
-        # Readings of many instants at once, shape (n, *shape), are summed too.
-        extra = tuple(range(np.ndim(added.albedo) - len(self._shape)))
-        self._sums = DaySums(*(total + part.sum(axis=extra) for total, part in zip(self._sums, added, strict=True)))
+        if np.ndim(added.albedo) == len(self._shape):
+            self._sums = DaySums(*(total + part for total, part in zip(self._sums, added, strict=True)))
+            return
+        # Readings of many instants, shape (n, *shape), one after the other: so that the sum does not depend on how many
+        # are taken in at once.
+        parts = (np.concatenate((total[None], part)) for total, part in zip(self._sums, added, strict=True))
+        self._sums = DaySums(*(np.cumsum(part, axis=0)[-1] for part in parts))
 
     def end_of_day(self) -> None:
         """Take a step towards what the day showed, and begin another."""

@@ -125,3 +125,15 @@ def test_a_single_reading_at_the_windows_very_start_is_no_mean():
     window.add(scan(5, 100))
     assert window.mean(24.9).coverage > 0
     assert window.mean(25) is None
+
+
+def test_a_window_of_many_says_what_each_ones_own_says_whoever_has_asked_before_and_counts_a_scan_once():
+    scans = [scan(5.0 * number, 1000.0 / (number + 3.7), number=number) for number in range(400)]
+    one, common = Window(120, 5, 15, 15), Window(120, 5, 15, 15)
+    for each in scans:
+        one.add(each)
+        for place in range(3):
+            common.add(each)
+            common.mean(each.time_monotonic_s + 0.7 * place)
+    asked_s = scans[-1].time_monotonic_s + 3.3
+    assert one.mean(asked_s) == common.mean(asked_s)

@@ -1,0 +1,148 @@
+"""What a law has heard of the cube, as a chain: trackers that have heard the same hold the same link of it.
+
+A link never changes what it stands for. Whoever hears the next reading asks its link for the link after that; the first
+who asks works it out, and the others find it. So what hundreds of trackers know alike is worked out once, and a tracker
+that has missed a reading, or has been told to forget, goes on along links of its own: sharing can change no result.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.frames import Array
+from solar.laws.law import Reading
+from solar.laws.memory import LightMemory
+from solar.laws.site import Learned
+
+_MEAN_S = 15.0
+# No reading stands for longer than this; a cube that scans more slowly leaves the rest open.
+_LONGEST_S = 60.0
+# Means that nobody asks for in some mode without decisions are taken in this many at a time.
+_MOST_WAITING = 40
+
+FourNumbers = tuple[float, float, float, float]
+_NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
+
+
+def solar_day(utc_s: float, longitude_deg: float) -> int:
+    """Count the solar days from midnight to midnight, from 1970 on."""
+    return int((utc_s + longitude_deg * DAY_S / 360.0) // DAY_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """A mean that is being made: the seconds of each face, sums by seconds of its readings and of their UTC [s]."""
+
+    elapsed_s: float = 0.0
+    middle: float = 0.0
+    sums: FourNumbers = _NONE
+    seconds: FourNumbers = _NONE
+
+    def with_reading(self, reading: Reading, elapsed_s: float) -> "Begun":
+        """Return the mean with one reading more, which stands for so long."""
+        sums, seconds = list(self.sums), list(self.seconds)
+        for place, irradiance_w_m2 in enumerate(reading.faces_w_m2):
+            if not math.isnan(irradiance_w_m2):
+                sums[place] += elapsed_s * irradiance_w_m2
+                seconds[place] += elapsed_s
+        (e, s, w, z), (e_s, s_s, w_s, z_s) = sums, seconds
+        middle = self.middle + elapsed_s * reading.utc_s
+        return Begun(self.elapsed_s + elapsed_s, middle, (e, s, w, z), (e_s, s_s, w_s, z_s))
+
+    def ended(self) -> tuple[float, float, list[float]]:
+        """Return its middle UTC [s], its length [s] and its faces [W/m2], NaN for one without readings."""
+        pairs = zip(self.sums, self.seconds, strict=True)
+        faces = [total / seconds if seconds > 0.0 else math.nan for total, seconds in pairs]
+        return self.middle / self.elapsed_s, self.elapsed_s, faces
+
+
+@dataclass(slots=True, weakref_slot=True, eq=False)
+class Heard:
+    """One link: all readings up to some instant.
+
+    Attributes
+    ----------
+    site, scan_every_s
+        Where the cube stands, and its rhythm.
+    day
+        The solar day of which the end has not been taken over yet.
+    """
+
+    site: Site
+    scan_every_s: float
+    day: int
+    _memory: LightMemory
+    _newest_s: float = -math.inf
+    _begun: Begun = Begun()
+    _waiting: tuple[tuple[float, float, list[float]], ...] = ()
+    _after: "tuple[Reading, Heard] | None" = None
+    _turned: "Heard | None" = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Heard":
+        """Return itself: what it stands for does not change."""
+        return self
+
+    def after(self, reading: Reading) -> "Heard":
+        """Return the link of whoever has heard one reading more."""
+        if self._after is None or self._after[0] != reading:
+            day = solar_day(reading.utc_s, self.site.longitude_deg)
+            self._after = (reading, self.on(day).extended(reading))
+        return self._after[1]
+
+    def on(self, day: int) -> "Heard":
+        """Return the link of whoever has taken over what past days have taught, on this day."""
+        if day == self.day:
+            return self
+        if self._turned is None or self._turned.day != day:
+            memory = self.memory().copied()
+            memory.site.end_of_day()
+            self._turned = self._changed(day=day, _memory=memory, _waiting=())
+        return self._turned
+
+    def relearned(self, learned: Learned) -> "Heard":
+        """Return the link of whoever has forgotten what was learned of the site, and begins with this."""
+        # The light is no knowledge of the site: what waits is still taken in.
+        memory = self.memory().copied()
+        memory.site.reset()
+        memory.site.learned = learned
+        return self._changed(_memory=memory, _waiting=())
+
+    @property
+    def learned(self) -> Learned:
+        """What was learned of the site; another object when it has changed."""
+        return self._memory.site.learned
+
+    @property
+    def waiting_utc_s(self) -> list[float]:
+        """Of what waits to be taken in, in UTC [s]."""
+        return [mean[0] for mean in self._waiting]
+
+    def memory(self, sun: Array | None = None) -> LightMemory:
+        """Return the memory of all means so far, to be read only; `sun` are the directions of those that wait."""
+        if self._waiting:
+            utc_s, elapsed_s, faces = zip(*self._waiting, strict=True)
+            memory = self._memory.copied()
+            # One call for all: it costs little more than a single one.
+            suns = sun_direction(np.array(utc_s), *self.site) if sun is None else sun
+            memory.observe(np.array(faces), suns, np.array(elapsed_s))
+            self._memory, self._waiting = memory, ()
+        return self._memory
+
+    def extended(self, reading: Reading) -> "Heard":
+        """Work out the link after a reading of the same day."""
+        elapsed_s = reading.monotonic_s - self._newest_s
+        if not (elapsed_s <= _LONGEST_S):
+            elapsed_s = self.scan_every_s
+        begun, waiting = self._begun.with_reading(reading, elapsed_s), self._waiting
+        if begun.elapsed_s >= _MEAN_S - 1e-3:
+            begun, waiting = Begun(), (*waiting, begun.ended())
+        made = self._changed(_newest_s=reading.monotonic_s, _begun=begun, _waiting=waiting)
+        if len(waiting) >= _MOST_WAITING:
+            made.memory()
+        return made
+
+    def _changed(self, **changes: Any) -> "Heard":
+        return replace(self, **changes, _after=None, _turned=None)

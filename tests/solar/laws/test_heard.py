@@ -1,0 +1,104 @@
+"""What laws of several trackers know alike is worked out once, and no result shows that it is shared."""
+
+import math
+from weakref import WeakValueDictionary
+
+import numpy as np
+import pytest
+
+from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.frames import Angles, Limits
+from solar.laws.law import Moment, Reading, TrackerFacts
+from solar.laws.memory import LightMemory
+from solar.laws.optimal_live import SETTINGS, LiveOptimal
+from solar.sky import sky
+
+SITE = Site(48.7176, 2.2090, 156.0)
+NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])
+BEGIN_UTC_S = 1665741600.0
+EVERY_S, A_MINUTE, AN_HOUR = 5.0, 12, 720
+PLACES = {0: 0, 1: 5, 2: 7, 3: 11}
+"""At which scan of a minute each tracker decides."""
+
+
+def day_of_scans(begin_utc_s, seed):
+    """Return an hour and a half of scans under a beam that comes and goes; now and then a face is dead."""
+    random = np.random.default_rng(seed)
+    utc_s = begin_utc_s + EVERY_S * np.arange(AN_HOUR + AN_HOUR // 2)
+    lit = np.repeat(random.random(len(utc_s) // 24) < 0.7, 24)
+    faces = sky("isotropic", sun_direction(utc_s, *SITE), np.where(lit, 800.0, 10.0), 90.0, 1360.0)
+    read = np.stack([faces.irradiance_on(normal, 0.3) for normal in NORMALS], axis=-1)
+    read *= 1.0 + 0.01 * random.random(read.shape)
+    read[random.random(read.shape) < 0.01] = math.nan
+    return [
+        Reading(at_s, at_s - BEGIN_UTC_S, tuple(row)) for at_s, row in zip(utc_s.tolist(), read.tolist(), strict=True)
+    ]
+
+
+TWO_DAYS = day_of_scans(BEGIN_UTC_S, 1) + day_of_scans(BEGIN_UTC_S + DAY_S, 2)
+
+
+def drive(numbers, common=None, befalls=None):
+    """Let the laws of some trackers hear all scans; return what each said at its minutes.
+
+    `befalls` is called with each law before a scan, as (number of the law, count of the scan, law); it returns whether
+    the law misses the scan.
+    """
+    common = WeakValueDictionary() if common is None else common
+    facts = TrackerFacts(SITE, Limits(), EVERY_S, 300.0, BEGIN_UTC_S, common=common)
+    laws = {number: LiveOptimal(SETTINGS(driver="optimal"), facts) for number in numbers}
+    said = {number: [] for number in numbers}
+    headings = dict.fromkeys(numbers, Angles(0.0, 90.0))
+    for count, scan in enumerate(TWO_DAYS):
+        for number, law in laws.items():
+            if befalls is None or not befalls(number, count, law):
+                law.observe(scan)
+        for number, law in laws.items():
+            if count % A_MINUTE == PLACES[number]:
+                utc_s = scan.utc_s + 0.25 * number
+                law.turn(utc_s)
+                found = law.aim(Moment(utc_s, None, headings[number]))
+                light = (found.beam_w_m2, found.diffuse_w_m2, found.albedo)
+                # As text, which has every digit and knows NaN for the same.
+                said[number].append(repr((found.target, *light, found.azimuth_deg, found.why, law.to_dict())))
+                headings[number] = found.target or headings[number]
+    return said
+
+
+@pytest.fixture
+def taken_in(monkeypatch):
+    """The lengths of all means that any memory has taken in."""
+    lengths, observe = [], LightMemory.observe
+
+    def counted(memory, faces, sun, elapsed_s):
+        lengths.extend(np.atleast_1d(elapsed_s).tolist())
+        observe(memory, faces, sun, elapsed_s)
+
+    monkeypatch.setattr(LightMemory, "observe", counted)
+    return lengths
+
+
+def test_each_says_to_the_last_digit_what_it_says_alone_and_the_light_is_estimated_once_for_all(taken_in):
+    together = drive(PLACES)
+    means = len(TWO_DAYS) // 3
+    assert means - 4 <= len(taken_in) <= means, "four a minute, however many trackers there are"
+    for number in PLACES:
+        assert together[number] == drive((number,))[number]
+
+
+def test_who_misses_a_scan_or_is_told_to_forget_goes_on_by_itself_and_changes_nothing_for_others():
+    def befalls(number, count, law):
+        if (number, count) == (2, AN_HOUR + 3):
+            law.relearn()
+        return number == 1 and 400 <= count < 410
+
+    together = drive(PLACES, befalls=befalls)
+    for number in PLACES:
+        assert together[number] == drive((number,), befalls=befalls)[number]
+    assert together[1] != drive((1,))[1], "ten scans that are missing show"
+
+
+def test_nothing_is_kept_of_what_nobody_holds_any_more():
+    common = WeakValueDictionary()
+    drive(PLACES, common)
+    assert dict(common) == {}
