@@ -49,7 +49,7 @@ def test_the_probe_moves_nothing_on_a_unit_that_contradicts_the_configuration(st
     wrong = "[instruments.positioner.a_axis]\narm_1_mm = 290.0\n"
     before = firmware.positions_mm()
     done = heliocube(
-        "probe", "positioner", "-c", configure(firmware, tmp_path, wrong), "--seconds", "1", "--move-deg", "2"
+        "probe", "positioner", "-c", configure(firmware, tmp_path, wrong), "--seconds", "4", "--move-deg", "2"
     )
     assert done.returncode == 2
     assert "field 72 of the positioner says 300, but instruments.positioner.a_axis.arm_1_mm is 290" in done.stdout

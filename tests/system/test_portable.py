@@ -85,10 +85,10 @@ def heliocube(hidden, *arguments):
     return without(hidden, (textwrap.dedent(AS_ON_WINDOWS) if hidden is POSIX_ONLY else "import sys\n") + command)
 
 
-def run_cube(folder, hidden, text):
-    """Run the cube's role for a second on a configuration, in a process in which these modules are hidden."""
+def run_cube(folder, hidden, text, for_s=1):
+    """Run the cube's role for some seconds on a configuration, in a process in which these modules are hidden."""
     (folder / "heliocube.toml").write_text(text)
-    return heliocube(hidden, "run", "--role", "cube", "--for", "1", "--config", folder / "heliocube.toml")
+    return heliocube(hidden, "run", "--role", "cube", "--for", for_s, "--config", folder / "heliocube.toml")
 
 
 def arguments_of_the_service(program_data):
@@ -189,7 +189,7 @@ def works(done, folder):
 
 
 def test_the_cubes_role_with_real_instruments_waits_for_them_without_posix(tmp_path):
-    done = run_cube(tmp_path, POSIX_ONLY, BRIDGE + REAL)
+    done = run_cube(tmp_path, POSIX_ONLY, BRIDGE + REAL, for_s=4)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("the cube is down: voltmeter: NI-VISA is not installed on this PC") == 1
     assert "Traceback" not in done.stderr

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 from datetime import UTC, datetime
 
 import pytest
@@ -70,6 +71,7 @@ def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_amo
             rig = broker_rig(broker.port, dated_commands=False)
             async with serving(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
+                began_s = time.monotonic()
                 for number in range(400):
                     name = ("auto", "maintenance", "nonsense", "hold")[number % 4]
                     payload = {"mode": "none"} if name == "nonsense" else {"why": f"flood {number}"}
@@ -83,7 +85,8 @@ def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_amo
                 await until(lambda: not rig.mqtt._commands._running, "the end of the commands")
                 await until(lambda: rig.mqtt.status.waiting == 0, "all replies")
             replies = lab.on(f"{BASE}/reply")
-            assert 20 <= len(replies) < 250
+            # Of each of two kinds 50 are answered at once and ten in a second: a slow machine hears more.
+            assert 20 <= len(replies) <= 110 + 22 * (time.monotonic() - began_s)
             refused = [line for line in log_lines() if "over MQTT" in line.getMessage()]
             assert 1 <= len(refused) <= 8
             assert any("only their number is logged" in line.getMessage() for line in refused)
