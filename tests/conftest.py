@@ -1,5 +1,6 @@
 """Fixtures for every tier; the one that no test may leak is in tests/support/leaks.py."""
 
+import gc
 import os
 import shutil
 import socket
@@ -17,6 +18,8 @@ from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
 
+# Looking for garbage in the middle of tests took a twentieth of their time; each ends with it (tests/support/leaks.py).
+gc.set_threshold(100_000, 20, 20)
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("heliocube")
