@@ -6,7 +6,7 @@ ARGS   ?=
 # One for each of two cores for the tests that compute; those that pass real time mostly wait, and come after them, by
 # themselves: side by side, the instruments that they wait for missed their deadlines.
 WORKERS ?= 2
-WAITING ?= 4
+WAITING ?= 6
 # Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
 test test-quick: export PYTHONDONTWRITEBYTECODE =
 
