@@ -4,6 +4,7 @@ import asyncio
 import json
 import logging
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ CUBE_STATE_NAME = "cube-archived.json"
 _FIRST_ANSWER_S = 10.0
 _LONGEST_ANSWER_S = 60.0
 _TROUBLE_AFTER_S = 600.0
+_ALARM_AFTER_S = 3600.0
 _SAVE_EVERY_S = 60.0
 # Runs before these that had nothing more to send do not come to life again.
 _ALIVE = 8
@@ -106,7 +108,12 @@ class ArchiveFeed:
         self._answered = asyncio.Event()
         self._saved_s = clock.monotonic()
         self._confirmed_s = clock.monotonic()
+        self._alarm: Callable[[str, str | None], None] = lambda _name, _text: None
         link.listen(topics.records_kept, self._take)
+
+    def alarm_by(self, alarm: Callable[[str, str | None], None]) -> None:
+        """Call `alarm` from now on with the name of an alarm and its text, None at its end."""
+        self._alarm = alarm
 
     async def run(self) -> None:
         """Send until cancelled."""
@@ -180,12 +187,17 @@ class ArchiveFeed:
         self._through[run] = through
         self._confirmed_s = now_s = self._clock.monotonic()
         self._link.trouble("archive", None)
+        self._alarm("archive-behind", None)
         if now_s - self._saved_s >= _SAVE_EVERY_S:
             self._save()
 
     def _complain(self) -> None:
         """Say that nothing is confirmed, once that has lasted."""
-        if self._clock.monotonic() - self._confirmed_s >= _TROUBLE_AFTER_S * self._speed and self._link.connected:
+        waited_s = (self._clock.monotonic() - self._confirmed_s) / self._speed
+        if waited_s >= _ALARM_AFTER_S:
+            what = f"no archive has confirmed records of {self._topic} for {waited_s / 3600.0:.0f} h"
+            self._alarm("archive-behind", f"{what}: they wait in the store, which keeps {self._keep_days} days")
+        if waited_s >= _TROUBLE_AFTER_S and self._link.connected:
             self._link.trouble(
                 "archive",
                 f"no archive confirms the records of {self._topic}: they wait in the store, which keeps"

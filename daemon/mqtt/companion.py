@@ -127,6 +127,8 @@ class Mqtt:
             self.link, self._topics, see, mqtt.state_every_s * self._speed, self._tracker, simulated=simulated
         )
         service.bus.subscribe(self._telemetry.note, self._tracker)
+        if self._feed is not None:
+            self._feed.alarm_by(service.cube_alarms.set)
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)

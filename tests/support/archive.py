@@ -79,16 +79,18 @@ class Sender:
     Its loop runs `speed` times as fast as the machine, and so do the waits of the feed; the broker keeps its own time.
     """
 
-    def __init__(self, folder, port, name="roof", prefix="lab", run=None, speed=1.0, every_s=0.1):
+    def __init__(self, folder, port, name="roof", prefix="lab", run=None, speed=1.0, every_s=0.1, clock=None):
         self.folder = folder
-        clock = SystemClock()
+        clock = clock or SystemClock()
         self.installation = f"{prefix}/{name}"
         self.origin = run or origin()
         self.store = Store(folder, 0.05, 400, self.origin, clock, lambda _: None)
         topics = Topics(prefix, name)
         mqtt = MqttSettings(enabled=True, port=port, keepalive_s=2, client_id=f"{name}-{new_run_id()[:6]}")
         self.link = Link(mqtt, topics, clock, Random(1), lambda _: None, speed)
+        self.alarms = {}
         self.feed = ArchiveFeed(self.link, topics, folder, Role.BOTH, every_s, 400, clock, Random(2), 1.0)
+        self.feed.alarm_by(self.alarms.__setitem__)
 
     def keep(self, *records):
         for record in records:

@@ -206,6 +206,14 @@ _ALL = (
         "free the disk, or correct its rights; the alarm ends with the first record that is written",
     ),
     _kind(
+        "archive-behind",
+        Severity.WARNING,
+        "no archive has confirmed records for an hour",
+        "records wait in the store, which forgets its oldest days in the end; the tracker is not concerned",
+        "see the broker and the log of heliocube archive; before the store forgets a day, copy its file and fill that"
+        " in later (docs/archive.md)",
+    ),
+    _kind(
         "day-budget",
         Severity.NOTICE,
         "the laws have used up the moves or the travel of the solar day; ends at solar midnight",

@@ -22,5 +22,5 @@ def test_each_record_has_its_row_with_quality_of_service_and_retain(kind):
 def test_no_topic_is_left_out_and_none_is_named_that_is_not_there():
     kinds = {name.removesuffix("s") for name, _ in COLUMNS.values()}
     assert set(telemetry._MANNERS) == kinds
-    assert set(ROWS) == kinds | {"status", "state", "reply"}
+    assert set(ROWS) == kinds | {"status", "state", "reply", "records"}
     assert set(re.findall(r"\| `command/(\w+)` \|", PAGE)) == set(NAMES)
