@@ -188,6 +188,9 @@ class UdpPort:
         bound = socket.socket(self._listen.family, socket.SOCK_DGRAM)
         try:
             _prepare(bound)
+            if self._group is not None and sys.platform != "win32":
+                # Several processes of a machine hear one group, each with a copy of everything.
+                bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((self._listen.host, self._listen.port))
         except OSError as error:
             bound.close()
