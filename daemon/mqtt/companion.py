@@ -21,7 +21,7 @@ from daemon.mqtt.outbox import Message
 from daemon.mqtt.safety_inputs import SafeStow, WindReadings
 from daemon.mqtt.telemetry import TelemetryPublisher, encoded
 from daemon.mqtt.topics import Topics, unusable
-from daemon.service.operator_commands import NAMES, Operators
+from daemon.service.operator_commands import NAMES, OF_ALL, Operators
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot
@@ -139,8 +139,12 @@ class Mqtt:
             self._commands = Commands(
                 operators, partial(self._reply, simulated=simulated), mqtt, self._clock, self._speed
             )
-            for name in names:
-                self.link.listen(self._topics.command(name), partial(self._commands.take, name), as_published=True)
+            heard = [(self._topics.command(name), name) for name in names]
+            if len(service.trackers) > 1:
+                # Each link hears it for its own tracker, so that none waits for another's connection.
+                heard += [(self._topics.command_of_all(name), name) for name in OF_ALL]
+            for topic, name in heard:
+                self.link.listen(topic, partial(self._commands.take, name), as_published=True)
         if "mqtt.discovery_prefix" not in self._unusable:
             messages = discovery(
                 mqtt.discovery_prefix,

@@ -81,6 +81,10 @@ class Topics:
         """Return the topic on which one command is taken."""
         return self.of(f"command/{name}")
 
+    def command_of_all(self, name: str) -> str:
+        """Return the topic on which a command for all trackers of the installation is taken."""
+        return f"{self.prefix}/command/{name}"
+
     def of(self, kind: str) -> str:
         """Return the topic of one kind of record."""
         return f"{self.base}/{kind}"

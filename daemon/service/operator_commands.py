@@ -39,7 +39,7 @@ LONGEST_BODY = 4096
 # A command over HTTP is under way for as long as its connection lasts.
 _LINES_OF = {"MQTT": ("time",)}
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
-_OF_ALL = ("stop", "stow")
+OF_ALL = ("stop", "stow")
 # How many of the others a way may give: so many at once, and so many a second. A stop is never refused.
 _AT_ONCE = 20
 _PER_S, _URGENT_PER_S = 2.0, 5.0
@@ -154,7 +154,7 @@ class Operators:
             raise CommandError("this is the cube's process and has no tracker: ask that of the tracker")
         names = ", ".join(self._of)
         if command.tracker is None:
-            if len(self._of) == 1 or command.wanted in _OF_ALL:
+            if len(self._of) == 1 or command.wanted in OF_ALL:
                 return self._of
             raise CommandError(f"'{command.wanted}' needs the name of a tracker, one of {names}", wrong=True)
         if command.tracker not in self._of:

@@ -42,3 +42,27 @@ def test_each_tracker_has_its_own_topics_commands_and_device(broker, scaled):
                 await lab.until(f"heliocube/{name}/status", lambda word: word == "offline")
 
     scaled(scenario)
+
+
+def test_one_message_stops_every_tracker_and_each_stays_until_its_own_auto(broker, scaled):
+    settings = settings_for(broker.port, tracker=[{"name": name} for name in ("east", "west", "north")])
+
+    async def scenario():
+        rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
+        modes = {tracker.name: tracker.control for tracker in rig.service.trackers}
+        async with observer(broker.port) as lab, serving(rig):
+            await until(lambda: {each.mode for each in modes.values()} == {Mode.TRACKING}, "tracking of all")
+            await lab.say("heliocube/command/stop", {"why": "fire", "id": "7"})
+            for name in modes:
+                reply = await lab.until(f"heliocube/{name}/reply")
+                assert (reply["id"], reply["command"], reply["accepted"]) == ("7", "stop", True)
+            assert {each.mode for each in modes.values()} == {Mode.HOLD}
+            await lab.say("heliocube/command/stow", {"why": "storm"})
+            refused = await lab.until("heliocube/west/reply", lambda reply: reply["command"] == "stow")
+            assert not refused["accepted"]
+            await lab.say("heliocube/command/auto", {})
+            await lab.say("heliocube/east/command/auto", {})
+            await until(lambda: modes["east"].mode is Mode.TRACKING, "the release of one")
+            assert (modes["west"].mode, modes["north"].mode) == (Mode.HOLD, Mode.HOLD)
+
+    scaled(scenario)
