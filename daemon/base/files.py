@@ -283,7 +283,9 @@ def toml_text(path: Path) -> str:
     with path.open("rb") as file:
         content = file.read(_MOST_TOML_BYTES + 1)
     if len(content) > _MOST_TOML_BYTES:
-        raise ValueError(f"the file is longer than {_MOST_TOML_BYTES} bytes: it is none of heliocube's")
+        raise ValueError(
+            f"the file is longer than {_MOST_TOML_BYTES} bytes, and no configuration of heliocube is that long"
+        )
     try:
         # Some editors of Windows put a byte order mark in front, which TOML does not know.
         text = content.decode("utf-8-sig")
@@ -316,7 +318,9 @@ def _check_bounds(values: dict[str, Any]) -> None:
         if depth > _DEEPEST_TOML:
             raise ValueError(f"{place[:60]}...: tables and lists are nested more than {_DEEPEST_TOML} deep")
         if count > _MOST_TOML_VALUES:
-            raise ValueError(f"it has more than {_MOST_TOML_VALUES} values: it is none of heliocube's")
+            raise ValueError(
+                f"it has more than {_MOST_TOML_VALUES} values, and no configuration of heliocube has so many"
+            )
         reason = _unusable(value)
         if reason is not None:
             raise ValueError(f"{place}: {reason}")

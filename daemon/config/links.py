@@ -55,7 +55,7 @@ def _clock_time(text: str) -> str:
 
 def _web(text: str) -> str:
     if not _WEB.fullmatch(text):
-        raise ValueError("not an address of the web")
+        raise ValueError("not a web address")
     return text
 
 

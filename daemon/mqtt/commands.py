@@ -120,10 +120,10 @@ def _kind(wanted: str) -> str:
 
 def _refuse_retained(message: Incoming) -> None:
     if message.retained:
-        raise CommandError("a retained command is ignored, for nobody knows how old it is: publish without retain")
+        raise CommandError("a retained command is ignored, because nobody knows how old it is: publish without retain")
 
 
 def _refuse_empty(message: Incoming) -> None:
     """Refuse what clears a retained command: it reaches those who listen as an empty message that is not retained."""
     if not message.payload.strip():
-        raise CommandError("an empty message is no command, for that is how a retained one is cleared: publish {}")
+        raise CommandError("an empty message is not a command, because it is how a retained one is cleared: publish {}")

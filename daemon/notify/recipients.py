@@ -61,9 +61,9 @@ class AppriseRecipient:
 def recipients_of(path: Path | None) -> list[AppriseRecipient]:
     """Return whom a file names; raises `UserError` with the line that is wrong, and never with what is secret in it."""
     if path is None:
-        raise UserError(f"notify.people_file is not set: name a file with an address of apprise a line, {_EXAMPLE}")
+        raise UserError(f"notify.people_file is not set: name a file with one apprise address on each line, {_EXAMPLE}")
     called = f"notify.people_file {path}"
-    missing = f"{called} does not exist: write an address of apprise a line, {_EXAMPLE}, and run chmod 600 {path}"
+    missing = f"{called} does not exist: write one apprise address on each line, {_EXAMPLE}, and run chmod 600 {path}"
     content = read_secret(path, _LONGEST_FILE, called, missing, UserError, group_may_read=True)
     found = []
     for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
@@ -75,7 +75,7 @@ def recipients_of(path: Path | None) -> list[AppriseRecipient]:
         except (ValueError, TypeError):
             raise UserError(f"{called}, line {number}: no address that apprise knows; write one {_EXAMPLE}") from None
     if not found:
-        raise UserError(f"{called} names nobody: write an address of apprise a line, {_EXAMPLE}")
+        raise UserError(f"{called} names nobody: write one apprise address on each line, {_EXAMPLE}")
     return found
 
 

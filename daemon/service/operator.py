@@ -192,7 +192,9 @@ class Operator:
             if obstacle := _obstacle(motion):
                 raise CommandError(f"the tracker cannot go anywhere: {obstacle}")
             if motion.homing:
-                raise CommandError("the tracker is homing and goes nowhere before its end; 'heliocube stop' ends it")
+                raise CommandError(
+                    "the tracker is on a reference run and takes no target until it has ended; 'heliocube stop' ends it"
+                )
             control.goto(a_deg, b_deg, why, by)
         self._note(f"goto A {a_deg:g}, B {b_deg:g} deg", why, by)
         control.tick()

@@ -151,7 +151,7 @@ class Operators:
 
     def _meant(self, command: Command) -> dict[str, Operator]:
         if not self._of:
-            raise CommandError("this is the cube's process and has no tracker: ask that of the tracker")
+            raise CommandError("this process reads the cube and has no tracker: ask the tracker's process")
         names = ", ".join(self._of)
         if command.tracker is None:
             if len(self._of) == 1 or command.wanted in OF_ALL:

@@ -177,7 +177,7 @@ class Store:
                     continue
                 self._failed(self._reason(error))
             except Exception as error:
-                log.exception("the store's thread met what it should not")
+                log.exception("the store's thread has failed")
                 self._failed(repr(error))
             else:
                 return

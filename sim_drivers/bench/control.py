@@ -279,7 +279,7 @@ class BenchControl:
         if device == "cube":
             return self._cube()
         if device == "positioner" and self._bench.positioner is None:
-            raise BenchError("the positioner of this bench is somebody else's: --rotctld has named it")
+            raise BenchError("this bench has no positioner of its own: --rotctld names the one in use")
         return getattr(self._bench, _one_of(device, ("positioner", "voltmeter", "load", "multiplexer")))
 
     def _cube(self) -> ModbusHost | ScannerHost:

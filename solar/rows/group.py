@@ -83,7 +83,7 @@ class TrackerGroup:
         if positions.ndim != 2 or positions.shape[1] != 3 or len(positions) < 2 or not np.isfinite(positions).all():
             raise ValueError("a group is the finite positions of two or more trackers")
         if not (0.0 < width_m < np.inf and 0.0 < height_m < np.inf and bypass_groups >= 0):
-            raise ValueError(f"a module of {width_m:g} by {height_m:g} m with {bypass_groups} groups is none")
+            raise ValueError(f"a module of {width_m:g} by {height_m:g} m with {bypass_groups} groups is not possible")
         self.count = len(positions)
         self.size_m = (float(width_m), float(height_m))
         self.bypass_groups = int(bypass_groups)

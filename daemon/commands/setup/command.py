@@ -151,7 +151,9 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
     )
     with stop_keys() as keys:
         if keys is None:
-            raise UserError("nothing is moved without a terminal, whose keys stop it: run this in one")
+            raise UserError(
+                "nothing is moved without a terminal, because a key is what stops the motion: run this in a terminal"
+            )
         try:
             speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed))
         except UserError as error:

@@ -131,11 +131,11 @@ class AxisSetup:
         ends = [self.geometry.position(end_deg) - self.zero_offset for end_deg in (self.minimum_deg, self.maximum_deg)]
         wanted = self.geometry.position(angle_deg) - self.zero_offset
         if not (math.isfinite(wanted) and math.isfinite(sum(ends))):
-            raise ValueError(f"the axis' geometry has no position for {angle_deg:g} deg or for its limits")
+            raise ValueError(f"the axis's geometry has no position for {angle_deg:g} deg or for its limits")
         spare = _RUN_OUT_MM if isinstance(self.geometry, Triangle) else -_HAIR
         lowest, highest = max(math.ceil(min(ends) + spare), 0), math.floor(max(ends) - spare)
         if lowest > highest:
-            raise ValueError("the axis' geometry has no whole position unit between its limits")
+            raise ValueError("the axis's geometry has no whole position unit between its limits")
         return min(max(math.floor(wanted + 0.5), lowest), highest)
 
     def units(self, angle_deg: float) -> float:

@@ -273,7 +273,7 @@ def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_pa
 @pytest.mark.parametrize(
     ("content", "mode", "sentence"),
     [
-        (None, 0o600, "does not exist: write an address of apprise a line, such as ntfy://ntfy.lab/roof, and run"),
+        (None, 0o600, "does not exist: write one apprise address on each line, such as ntfy://ntfy.lab/roof, and run"),
         ("", 0o600, "names nobody"),
         ("tea://secret\n", 0o600, "line 1: no address that apprise knows"),
         ("# x\njson://\n", 0o600, "line 2: no address that apprise knows"),

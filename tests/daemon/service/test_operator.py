@@ -169,7 +169,7 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
         answer = await operator(rig).home("reference")
         assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("homing, now at A ")
-        with pytest.raises(CommandError, match="homing and goes nowhere before its end"):
+        with pytest.raises(CommandError, match="on a reference run and takes no target until it has ended"):
             await operator(rig).goto(0, 60, "x")
         await at_rest(rig)
         assert (await operator(rig).clear("marks")).done
@@ -226,7 +226,7 @@ def test_the_cubes_process_has_no_tracker_to_command():
         rig = ServiceRig(asyncio.get_running_loop(), Settings(), start, HandWeather(), Role.CUBE)
         operators = Operators(rig.service.trackers, 1.0)
         for name, body in (("stow", b""), ("home", b""), ("goto", b'{"a_deg": 0, "b_deg": 60}')):
-            with pytest.raises(CommandError, match="has no tracker: ask that of the tracker"):
+            with pytest.raises(CommandError, match="has no tracker: ask the tracker's process"):
                 await operators.carry_out(parse(name, body, "test"))
 
     asyncio.run(scenario())
