@@ -35,6 +35,8 @@ from solar.laws.steer import by_readings
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
+_OF_TRAVEL = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
+CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct", *_OF_TRAVEL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +112,15 @@ def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None
     """Write the rows, one line each, with whether the weather was simulated."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        names = ("sky", "law", "energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct")
-        writer.writerow((*names, "travel_deg_per_day", "return_deg_per_day", "moves_per_day", "simulated"))
-        for row in rows:
-            numbers = (row.energy_kwh_m2, row.gain_pct, *row.gain_by_type_pct, row.share_pct, row.worst_clear_day_pct)
-            travel = (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)
-            cells = ("" if np.isnan(value) else f"{value:.4f}" for value in (*numbers, *travel))
-            writer.writerow((row.sky, row.law, *cells, "true" if simulated else "false"))
+        writer.writerow(("sky", "law", *CSV_NUMBERS, "simulated"))
+        writer.writerows((row.sky, row.law, *csv_cells(row), "true" if simulated else "false") for row in rows)
+
+
+def csv_cells(row: EnergyRow) -> list[str]:
+    """Return a row's numbers as CSV has them, in the order of CSV_NUMBERS; empty for what is not known."""
+    numbers = (row.energy_kwh_m2, row.gain_pct, *row.gain_by_type_pct, row.share_pct, row.worst_clear_day_pct)
+    travel = (row.travel_deg_per_day, row.return_deg_per_day, row.moves_per_day)
+    return ["" if np.isnan(value) else f"{value:.4f}" for value in (*numbers, *travel)]
 
 
 def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:

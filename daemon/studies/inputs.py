@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
 
 
-def parse_site(text: str) -> tuple[float, float, float]:
+def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
     """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3):
-        raise UserError(f"--site: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
+        raise UserError(f"{where}: '{text}' is not LAT,LON or LAT,LON,ALT, such as 48.7176,2.2090,156")
     latitude, longitude, altitude = (*numbers, 0.0)[:3]
     # Written so that NaN fails.
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -430.0 <= altitude <= 9000.0):
-        raise UserError(f"--site: '{text}' is not on Earth: LAT is in -90..90, LON in -180..180, ALT in -430..9000")
+        raise UserError(f"{where}: '{text}' is not on Earth: LAT is in -90..90, LON in -180..180, ALT in -430..9000")
     return latitude, longitude, altitude
 
 

@@ -8,21 +8,45 @@ from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.commands.answers import JsonOption, print_json, say
-from daemon.commands.options import ForceOption
+from daemon.commands.options import ClusterOption, ForceOption, JobsOption, chosen_workers
 from daemon.commands.studies.simulate import progress_bar
 from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.studies.energy import EnergyRow
+    from daemon.studies.sites.table import AskedSite
+    from daemon.studies.spread.workers import Workers
+
+_ENDINGS = ("txt", "csv", "png")
 
 
 def energy(
-    weather: Annotated[list[Path], typer.Argument(help="Measured weather (CSV, BSRN, SURFRAD, MIDC, TMY3).")],
-    site: Annotated[str, typer.Option(metavar="LAT,LON[,ALT]", help="Site: degrees north, east, metres.")],
     out: Annotated[
         Path, typer.Option(help="Folder for energy.txt, energy.csv and energy.png; made if it is not there.")
     ],
+    weather: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[WEATHER]...", help="Measured weather (CSV, BSRN, SURFRAD, MIDC, TMY3)."),
+    ] = None,
+    site: Annotated[
+        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Site of the weather: degrees north, east, metres.")
+    ] = None,
+    sites: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Instead, many sites: CSV with name, latitude, longitude and if you like altitude, weather (files, or"
+            " a built-in sky) and its year. Writes energy-sites.txt, .csv and a map, .png.",
+        ),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SKY", help="Built-in sky of sites without weather: clear, overcast, variable, broken. SIMULATED."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of the built-in skies.")] = 1,
     laws: Annotated[
         str | None,
         typer.Option(
@@ -41,6 +65,8 @@ def energy(
         float, typer.Option("--axis-speed", min=0.01, max=90, metavar="DEG/S", help="Speed of each axis.")
     ] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
+    jobs: JobsOption = 1,
+    cluster: ClusterOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -50,11 +76,23 @@ def energy(
 
     skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
     check_names(skies, names)
+    speed_deg_per_s, workers = None if ideal else speed, chosen_workers(jobs, cluster)
+    if sites is not None:
+        if weather or site is not None:
+            raise UserError("--sites has the place and the weather of each site: leave out WEATHER and --site")
+        asked = _asked_sites(sites, model)
+        check_outputs([out / f"energy-sites.{ending}" for ending in _ENDINGS], "--out", force=force)
+        _compare_sites(asked, out, skies, names, albedo, speed_deg_per_s, seed, workers, as_json=as_json)
+        return
+    if not workers.here or model is not None:
+        raise UserError("--jobs, --cluster and --model are for many sites: name their table with --sites")
+    if not weather or site is None:
+        raise UserError("energy needs weather files and their --site LAT,LON, or a table of sites, --sites FILE")
     place = parse_site(site)
     for path in weather:
         check_weather_file(path, or_built_in=False)
-    check_outputs([out / f"energy.{ending}" for ending in ("txt", "csv", "png")], "--out", force=force)
-    _compare(weather, place, out, skies, names, albedo, None if ideal else speed, as_json=as_json)
+    check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
+    _compare(weather, place, out, skies, names, albedo, speed_deg_per_s, as_json=as_json)
 
 
 def _compare(
@@ -109,6 +147,66 @@ def _compare(
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if done != "all":
         raise InterruptedEarlyError(f"interrupted: {out} has {done} laws")
+
+
+def _asked_sites(path: Path, model: str | None) -> "list[AskedSite]":
+    from typing import get_args
+
+    from daemon.config.simulation import WeatherName
+    from daemon.studies.sites.table import read_sites
+
+    names: tuple[WeatherName, ...] = get_args(WeatherName)
+    chosen = next((name for name in names if name == model), None)
+    if chosen is None and model is not None:
+        raise UserError(f"--model: there is no '{model}'; choose one of {', '.join(names)}")
+    return read_sites(path, chosen)
+
+
+def _compare_sites(
+    sites: "list[AskedSite]",
+    out: Path,
+    skies: list[str],
+    names: list[str],
+    albedo: float,
+    speed_deg_per_s: float | None,
+    seed: int,
+    workers: "Workers",
+    *,
+    as_json: bool,
+) -> None:
+    from daemon.studies.energy import IDEAL, Terms
+    from daemon.studies.sites.map import draw_map
+    from daemon.studies.sites.output import as_page, as_text, write_csv
+    from daemon.studies.sites.study import Benchmark, run_sites
+    from solar.energy import Drive
+    from solar.frames import Limits
+
+    drive = IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s)
+    benchmark = Benchmark(tuple(skies), tuple(names), Terms(albedo, Limits(), drive), seed)
+    with progress_bar(Console(stderr=True), "comparing") as progress:
+        outcomes, ended = run_sites(sites, benchmark, workers, progress)
+    for outcome in outcomes:
+        for warning in outcome.warnings:
+            say(f"heliocube: warning: {outcome.site.name}: {warning}", err=True)
+    refused = [outcome for outcome in outcomes if outcome.refused is not None]
+    if len(refused) == len(outcomes):
+        raise UserError(f"no site could be used; the first: {refused[0].site.name}: {refused[0].refused}")
+    text = as_text(outcomes, benchmark)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "energy-sites.txt").write_text(text, encoding="utf-8")
+        write_csv(outcomes, out / "energy-sites.csv")
+        draw_map(outcomes, out / "energy-sites.png")
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
+    if as_json:
+        print_json(as_page(outcomes, benchmark) | {"tables": out})
+    else:
+        Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
+    if ended is not None:
+        raise type(ended)(f"{ended}: {out} has {len(outcomes)} of {len(sites)} sites")
+    if refused:
+        raise UserError(f"{len(refused)} of {len(sites)} sites could not be used: {out} says why")
 
 
 def _words(text: str) -> list[str]:

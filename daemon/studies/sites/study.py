@@ -1,0 +1,121 @@
+"""The energy benchmark at each site, whoever carries it out."""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from daemon.base.errors import UserError
+from daemon.config.file import override
+from daemon.config.settings import Settings
+from daemon.rigs.simulated import build_weather
+from daemon.studies.energy import EnergyRow, Minutes, Terms, measured_minutes, run_benchmark
+from daemon.studies.sites.table import AskedSite
+from daemon.studies.spread.workers import Workers, gather
+from solar.energy import lay_out
+from solar.ephemeris import Site, sun_direction
+
+_MINUTE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """What is compared at every site.
+
+    Attributes
+    ----------
+    skies, laws
+        By name.
+    terms
+        Ground and tracker.
+    seed
+        Of built-in weather; each site has its own clouds by it.
+    """
+
+    skies: tuple[str, ...]
+    laws: tuple[str, ...]
+    terms: Terms
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class SiteOutcome:
+    """What a site showed.
+
+    Attributes
+    ----------
+    site
+        Which.
+    days
+        With daylight.
+    rows
+        One for each sky and law.
+    simulated
+        Whether the weather is a model's, or its file says so.
+    warnings
+        What a person should know of the weather, a sentence each.
+    refused
+        Why there are no rows.
+    """
+
+    site: AskedSite
+    days: int
+    rows: tuple[EnergyRow, ...]
+    simulated: bool
+    warnings: tuple[str, ...]
+    refused: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    site: AskedSite
+    benchmark: Benchmark
+
+
+def run_sites(
+    sites: Sequence[AskedSite], benchmark: Benchmark, workers: Workers, progress: Callable[[float], None]
+) -> tuple[list[SiteOutcome], UserError | None]:
+    """Return what the sites show, in their order, and what has ended it before all of them were done.
+
+    A site whose weather cannot be used is among them, with the reason; it does not keep the others from theirs.
+    """
+    return gather(_run_site, [_Task(site, benchmark) for site in sites], workers, progress)
+
+
+def _run_site(task: _Task) -> SiteOutcome:
+    asked, benchmark = task.site, task.benchmark
+    site = Site(*asked.place)
+    try:
+        minutes = _minutes(asked, site, benchmark.seed)
+        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
+    except (UserError, ValueError) as error:
+        return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
+    return SiteOutcome(
+        site=asked,
+        days=int(np.count_nonzero(days.day_types() >= 0)),
+        rows=tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None)),
+        simulated=minutes.simulated,
+        warnings=tuple(minutes.warnings),
+    )
+
+
+def _minutes(asked: AskedSite, site: Site, seed: int) -> Minutes:
+    if isinstance(asked.weather, str):
+        return _model_year(asked, site, seed)
+    return measured_minutes(asked.weather, site)
+
+
+def _model_year(asked: AskedSite, site: Site, seed: int) -> Minutes:
+    """Return the daylight of a calendar year (UTC) of built-in weather, with clouds that are this site's own."""
+    year = asked.year or 0
+    begin_s, end_s = (datetime(each, 1, 1, tzinfo=UTC).timestamp() for each in (year, year + 1))
+    utc_s = np.arange(begin_s, end_s, _MINUTE_S)
+    utc_s = utc_s[sun_direction(utc_s, *site)[:, 2] > 0.0]
+    own_seed = int(np.random.SeedSequence([seed, zlib.crc32(asked.name.encode())]).generate_state(1)[0])
+    place = {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg, "altitude_m": site.altitude_m}
+    settings = override(Settings(), {"site": place, "simulation": {"weather": asked.weather, "seed": own_seed}})
+    weather, _ = build_weather(settings, begin_s, end_s)
+    conditions = weather.at(utc_s)
+    return Minutes(utc_s=utc_s, dni_w_m2=conditions.dni_w_m2, dhi_w_m2=conditions.dhi_w_m2, warnings=[], simulated=True)

@@ -1,0 +1,154 @@
+"""A table of sites as a person writes it, read and checked before any of them is worked at."""
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from daemon.base.errors import UserError
+from daemon.config.simulation import WeatherName
+from daemon.studies.inputs import parse_site
+
+REQUIRED = ("name", "latitude", "longitude")
+OPTIONAL = ("altitude", "weather", "year")
+YEAR_OF_A_MODEL = 2023
+_YEARS = range(1950, 2101)
+
+
+@dataclass(frozen=True, slots=True)
+class AskedSite:
+    """One line of the table.
+
+    Attributes
+    ----------
+    name
+        As the table has it; the same in several lines means several years of one site.
+    latitude_deg, longitude_deg, altitude_m
+        Where.
+    weather
+        Measured files, or the name of a built-in weather.
+    year
+        Of the built-in weather; None for files, which know their time.
+    """
+
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    weather: tuple[Path, ...] | WeatherName
+    year: int | None
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Latitude [deg], longitude [deg] and altitude [m]."""
+        return self.latitude_deg, self.longitude_deg, self.altitude_m
+
+    @property
+    def weather_text(self) -> str:
+        """The weather in a word: the model, or the files' names."""
+        return self.weather if isinstance(self.weather, str) else ";".join(path.name for path in self.weather)
+
+
+def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
+    """Return the sites of a CSV; where a line has no weather it is that of the `model`.
+
+    Raises
+    ------
+    UserError
+        With the line and what to write there.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            _check_columns(path, [name.strip() for name in reader.fieldnames or []])
+            reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
+            sites = [_site(path, reader.line_num, row, model) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"--sites: {path} cannot be read as CSV: {error}") from None
+    if not sites:
+        raise UserError(f"--sites: {path} has no line with a site below its heads")
+    _check_names(path, sites)
+    return sites
+
+
+def _check_columns(path: Path, names: list[str]) -> None:
+    missing = [name for name in REQUIRED if name not in names]
+    unknown = [name or "''" for name in names if name not in (*REQUIRED, *OPTIONAL)]
+    known = f"{', '.join(REQUIRED)}, and if you like {', '.join(OPTIONAL)}"
+    if missing:
+        raise UserError(f"--sites: {path} has no column {missing[0]}; its columns are {known}")
+    if unknown:
+        raise UserError(f"--sites: {path} has a column {unknown[0]}, which means nothing; its columns are {known}")
+
+
+def _site(path: Path, line: int, row: Mapping[str | None, str | None], model: WeatherName | None) -> AskedSite:
+    where = f"{path} line {line}"
+    cells = {name: (row.get(name) or "").strip() for name in (*REQUIRED, *OPTIONAL)}
+    if None in row:
+        raise UserError(f"--sites: {where} has more cells than there are columns")
+    if not cells["name"]:
+        raise UserError(f"--sites: {where} has no name")
+    text = ",".join((cells["latitude"], cells["longitude"], cells["altitude"] or "0"))
+    latitude_deg, longitude_deg, altitude_m = parse_site(text, f"--sites: {where}")
+    weather = _weather(path, where, cells["weather"], model)
+    return AskedSite(
+        name=cells["name"],
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_m=altitude_m,
+        weather=weather,
+        year=_year(where, cells["year"], weather),
+    )
+
+
+def _weather(path: Path, where: str, text: str, model: WeatherName | None) -> tuple[Path, ...] | WeatherName:
+    if not text:
+        if model is None:
+            raise UserError(
+                f"--sites: {where} has no weather: name its files there, or with --model a built-in sky for all such"
+                " lines"
+            )
+        return model
+    for name in get_args(WeatherName):
+        if text == name:
+            found: WeatherName = name
+            return found
+    return tuple(file for pattern in text.split(";") for file in _files(path.parent, where, pattern.strip()))
+
+
+def _files(folder: Path, where: str, pattern: str) -> Iterator[Path]:
+    named = (folder / pattern).absolute()
+    if named.is_file():
+        yield named
+        return
+    try:
+        found = sorted(named.parent.glob(named.name)) if pattern else []
+    except (OSError, ValueError):
+        found = []
+    if not found:
+        known = ", ".join(get_args(WeatherName))
+        raise UserError(f"--sites: {where}: there is no weather file '{pattern}', and it is none of {known}")
+    yield from found
+
+
+def _year(where: str, text: str, weather: tuple[Path, ...] | WeatherName) -> int | None:
+    if not isinstance(weather, str):
+        if text:
+            raise UserError(f"--sites: {where} has a year; weather files have their own: leave it empty")
+        return None
+    if not text:
+        return YEAR_OF_A_MODEL
+    if not (text.isascii() and text.isdigit() and int(text) in _YEARS):
+        raise UserError(f"--sites: {where}: '{text}' is no year in {_YEARS.start}..{_YEARS.stop - 1}")
+    return int(text)
+
+
+def _check_names(path: Path, sites: list[AskedSite]) -> None:
+    known: dict[str, AskedSite] = {}
+    for site in sites:
+        if known.setdefault(site.name, site).place != site.place:
+            raise UserError(f"--sites: {path} has '{site.name}' at two places: give each a name of its own")
+    if len(set(sites)) < len(sites):
+        twice = next(site for at, site in enumerate(sites) if site in sites[:at])
+        raise UserError(f"--sites: {path} has '{twice.name}' twice with the same weather: leave one out")

@@ -1,0 +1,108 @@
+"""A real scheduler with two workers on loopback: the same bytes as one process, although a worker is killed."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from daemon.base.errors import ExitCode, UserError
+from daemon.studies.spread.workers import Workers, gather
+from tests.support import ROOT
+
+psutil = pytest.importorskip("psutil", reason="the extra 'cluster' is not installed")
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.live,
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="the extra 'cluster' is not installed"),
+]
+
+SITES = 6
+STARTS_WITHIN_S = 60.0
+ENDS_WITHIN_S = 120.0
+PROGRAM = Path(sys.executable).with_name("heliocube")
+
+
+def begin(module, *words, log):
+    command = [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words), "--no-dashboard"]
+    return subprocess.Popen(command, cwd=ROOT, stdout=log.open("w"), stderr=subprocess.STDOUT)
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    told = tmp_path / "scheduler.json"
+    words = ("--host", "127.0.0.1", "--port", 0, "--scheduler-file", told)
+    running = [begin("dask_scheduler", *words, log=tmp_path / "scheduler.log")]
+    words = ("--nworkers", 2, "--nthreads", 1, "--scheduler-file", told, "--local-directory", tmp_path)
+    running.append(begin("dask_worker", "--host", "127.0.0.1", *words, log=tmp_path / "workers.log"))
+    address = json.loads(wait_for(lambda: told.exists() and told.read_text()))["address"]
+    yield address, running
+    for process in reversed(running):
+        process.terminate()
+    for process in reversed(running):
+        process.communicate(timeout=ENDS_WITHIN_S)
+
+
+def workers(nannies):
+    """Return the processes of the workers, not that which helps their nannies to start them."""
+    children = psutil.Process(nannies.pid).children()
+    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+
+
+def wait_for(found, within_s=STARTS_WITHIN_S):
+    until = time.monotonic() + within_s
+    while not (answer := found()):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return answer
+
+
+def energy(table, out, *words):
+    command = [PROGRAM, "energy", "--sites", table, "--out", out, "--laws", "flat,mu-prime"]
+    return subprocess.Popen([*command, *words], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+@pytest.fixture
+def table(tmp_path):
+    weather = ["time,ghi,dni,dhi"]
+    for at in range(1440):
+        dni = at % 700 if 360 < at < 960 else 0
+        weather.append(f"2016-06-05T{at // 60:02d}:{at % 60:02d}:00Z,{150 + dni / 2},{dni},150")
+    (tmp_path / "day.csv").write_text("\n".join(weather))
+    lines = [f"site {number},{number},12,day.csv" for number in range(SITES)]
+    path = tmp_path / "sites.csv"
+    path.write_text("\n".join(["name,latitude,longitude,weather", *lines]))
+    return path
+
+
+def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, table, tmp_path):
+    address, running = cluster
+    nannies = running[1]
+    wait_for(lambda: len(workers(nannies)) == 2)
+    both = workers(nannies)
+    before = [worker.cpu_times().user for worker in both]
+    study = energy(table, tmp_path / "far", "--cluster", address)
+    running.append(study)
+    # One that has loaded the science for so long has a task in its hands.
+    wait_for(lambda: any(one.cpu_times().user > 0.7 + then for one, then in zip(both, before, strict=True)))
+    assert study.poll() is None
+    both[0].kill()
+    output, errors = study.communicate(timeout=ENDS_WITHIN_S)
+    assert study.returncode == 0
+    here = energy(table, tmp_path / "here")
+    assert here.communicate(timeout=ENDS_WITHIN_S) == (output, errors)
+    for ending in ("txt", "csv", "png"):
+        name = f"energy-sites.{ending}"
+        assert (tmp_path / "far" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+    assert (tmp_path / "far" / "energy-sites.csv").read_text().count("mu-prime") == SITES
+
+
+def test_what_is_no_address_is_refused_before_anybody_is_asked():
+    with pytest.raises(UserError, match=r"'nonsense' is no address, such as 192\.168\.1\.5:8786") as raised:
+        gather(abs, [1], Workers(cluster="nonsense"), lambda _share: None)
+    assert raised.value.exit_code is ExitCode.MISTYPED
