@@ -1,13 +1,13 @@
 """What rows of trackers take from each other in a year, and what turning back gives: on measured weather, by a model.
 
-Usage: python tests/measurements/rows.py FOLDER [--columns 5] [--rows 2] [--pitch 2.5] [--every 4]
+Usage: python tests/measurements/rows.py FOLDER [--columns 5] [--rows 2] [--pitch 2.5] [--every 4] [--laws optimal ...]
 
 FOLDER holds the months of weather at Lyngby; of their days every so many-th is driven, in steps of five minutes.
 """
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +29,9 @@ ALBEDO = 0.2
 EDGE_M = 2.0
 LIMITS = Limits()
 AT_ONCE = 1000
+LAWS = {"chronometric": chronometric, "mu-prime": mu_prime, "optimal": optimal_live}
+COSTS = {"area": 0, "thirds": 3, "all": 1}
+"""Groups of cells that shade costs whole, its area alone for none."""
 EVENING_UTC_S = 1474646400.0
 """2016-09-23 16:00, the sun 9 deg above the west."""
 DECISIONS = 60
@@ -50,6 +53,8 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=2)
     parser.add_argument("--pitch", type=float, default=2.5, help="of the trackers, in widths of the module")
     parser.add_argument("--every", type=int, default=4, help="of the days, which are driven")
+    parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
+    parser.add_argument("--shade-costs", nargs="+", choices=COSTS, default=list(COSTS))
     asked = parser.parse_args()
     weather = five_minutes(sorted(asked.folder.glob("*.csv*")), asked.every)
     light = build_sky(weather, "perez1990")
@@ -60,13 +65,14 @@ def main() -> None:
     )
     print("| shade costs | law | alone | in rows, as if alone | always back | if it pays | gain | deg/day |")
     print("|---|---|---|---|---|---|---|---|")
-    for groups in (0, 3, 1):
+    for cost in asked.shade_costs:
+        groups = COSTS[cost]
         field = field_of(weather, asked.rows, asked.columns, asked.pitch * EDGE_M, groups)
-        for line in lines(weather, light, faces, field):
-            print(f"| {('its area', 'all', '', 'thirds')[groups]} | {line} |", flush=True)
-    for law in (chronometric, mu_prime, optimal_live):
-        alone_ms, in_rows_ms = (cost_ms(law, group) for group in (None, field.group))
-        print(f"{law.__name__}: a decision takes {alone_ms:.1f} ms alone and {in_rows_ms:.1f} ms with shade")
+        for line in lines(weather, light, faces, field, asked.laws):
+            print(f"| {cost} | {line} |", flush=True)
+    for name in asked.laws:
+        alone_ms, in_rows_ms = (cost_ms(LAWS[name], group) for group in (None, field.group))
+        print(f"{name}: a decision takes {alone_ms:.1f} ms alone and {in_rows_ms:.1f} ms with shade")
 
 
 def five_minutes(files: list[Path], every: int) -> DaylightWeather:
@@ -101,7 +107,7 @@ def field_of(weather: DaylightWeather, rows: int, columns: int, pitch_m: float, 
     return Field(always, group, taken)
 
 
-def lines(weather: DaylightWeather, light: Shining, faces: Array, field: Field) -> Iterator[str]:
+def lines(weather: DaylightWeather, light: Shining, faces: Array, field: Field, names: Sequence[str]) -> Iterator[str]:
     """Yield a line of the table for each law."""
 
     def driven(steer: Steer, *, shaded: bool) -> Harvest:
@@ -110,8 +116,8 @@ def lines(weather: DaylightWeather, light: Shining, faces: Array, field: Field) 
     lit = weather.day_types() >= 0
     level = driven(flat.steer(flat.SETTINGS(), weather, faces, LIMITS), shaded=True).energy_kwh_m2.sum()
     yield f"flat | {level:.1f} | {level:.1f} | | | |"
-    for name, law in (("chronometric", chronometric), ("mu-prime", mu_prime), ("optimal", optimal_live)):
-        steer = partial(law.steer, law.SETTINGS(), weather, faces, LIMITS)
+    for name in names:
+        steer = partial(LAWS[name].steer, LAWS[name].SETTINGS(), weather, faces, LIMITS)
         alone, as_alone = (driven(steer(), shaded=shaded) for shaded in (False, True))
         always, if_it_pays = (driven(steer(group=group), shaded=True) for group in (field.always, field.group))
         energies = [each.energy_kwh_m2.sum() for each in (alone, as_alone, always, if_it_pays)]

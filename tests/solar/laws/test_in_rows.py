@@ -6,21 +6,24 @@ import numpy as np
 import pytest
 
 from solar.energy import build_sky, faces_under, lay_out
-from solar.ephemeris import Site, sun_position
+from solar.ephemeris import Site, sun_direction, sun_position
 from solar.frames import Angles, Limits, angles_within, direction_from_azimuth
 from solar.laws import chronometric, mu_prime, optimal_live
 from solar.laws.in_rows import best_among, taken_by_neighbours
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.light import Light, aim_vector, product
+from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.laws.steer import by_readings
 from solar.rows.backtrack import out_of_shade
 from solar.rows.group import TrackerGroup
 
 LIMITS = Limits()
+NORMALS = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 EAST_M, NORTH_M = [0, 5, 10, 0, 5, 10], [0, 0, 0, 5, 5, 5]
 FIELD = TrackerGroup.on_map(EAST_M, NORTH_M, (), (2.0, 2.0), LYNGBY[0], only_if_it_pays=False)
 FAR_APART = TrackerGroup.on_map([0, 1e5], [0, 0], (), (2.0, 2.0), LYNGBY[0])
+EVENING = 1474644900.0  # 2016-09-23 15:35 UTC
 MORNING = 1458712800.0  # 2016-03-23 06:00 UTC, the sun 7 deg up
 
 
@@ -122,10 +125,34 @@ def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back
     assert all(LIMITS.contain(*pose) for pose in zip(*best, strict=True))
 
 
+def test_the_shade_of_a_rest_is_the_mean_of_its_suns():
+    suns = [direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (12.0, 6.0)]
+    pose, beam = (45.0, 40.0), np.array(700.0)
+    both, each = (
+        taken_by_neighbours(FIELD, beam, suns, *pose),
+        [taken_by_neighbours(FIELD, beam, [s], *pose) for s in suns],
+    )
+    assert both == pytest.approx(sum(each) / 2.0)
+    assert 0.0 < each[0] != each[1] > 0.0
+
+
+def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
+    evening, lower = (sun_direction(EVENING + seconds, *LYNGBY) for seconds in (240.0, 600.0))
+    law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
+    law.observe(700.0 * np.maximum(NORMALS @ evening, 0.0) + [40.0, 40.0, 40.0, 70.0], evening, 60.0)
+    at_once, lasting = (law.choose(0.0, 90.0, evening, 0.1, later) for later in (None, lower))
+
+    def collected(choice):
+        taken = taken_by_neighbours(FIELD, np.array(700.0), [evening, lower], choice.a_deg, choice.b_deg)
+        return product(choice.vector, choice.a_deg, choice.b_deg) - taken
+
+    assert collected(lasting) > collected(at_once) + 5.0
+
+
 def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
     """In a pose that has become shaded a move is worth more than its way alone would be."""
     to_sun = direction_from_azimuth(*sun_position(MORNING, *LYNGBY)[:2], LYNGBY[0])
-    faces = 700.0 * np.maximum(np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]]) @ to_sun, 0.0)
+    faces = 700.0 * np.maximum(NORMALS @ to_sun, 0.0)
     faces += np.array([40.0, 40.0, 40.0, 70.0])
     laws = [optimal_live.build(optimal_live.SETTINGS(), facts(group)) for group in (None, FIELD)]
     for law in laws:

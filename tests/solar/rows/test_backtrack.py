@@ -104,6 +104,14 @@ def test_the_evening_s_last_pose_lasts_when_the_sun_has_set():
     assert separation_deg(normals, normals[0]).max() < 0.5
 
 
+def test_a_pose_for_a_rest_has_no_shade_at_its_beginning_nor_at_its_end():
+    evening = [direction_from_azimuth(azimuth, up, LYNGBY[0]) for azimuth, up in ((262.0, 9.0), (265.0, 7.0))]
+    wanted = angles_within(evening[0], LIMITS)
+    at_once, lasting = (out_of_shade(FIELD, suns, *wanted, LIMITS) for suns in (evening[:1], evening))
+    assert FIELD.worst_share(evening[0], *at_once) <= 1e-6 < 0.05 < FIELD.worst_share(evening[1], *at_once)
+    assert max(FIELD.worst_share(sun, *lasting) for sun in evening) <= 1e-6
+
+
 def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
     sun = direction_from_azimuth(180.0, 3.0, LYNGBY[0])
     south_is_higher = TrackerGroup.on_map([0, 0], [0, 4.0], [0.8, 0.0], (50.0, 2.0), LYNGBY[0])
