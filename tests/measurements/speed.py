@@ -1,9 +1,10 @@
-"""Wall time of replay, of a simulated day and of a year of the energy benchmark, each as a user would run it.
+"""Time of replay, of a simulated day, of a campaign's day and of a year of energies, each as a user would run it.
 
 Usage: python tests/measurements/speed.py [repetitions [LAT,LON,ALT WEATHER...]]
 
 The replay reads 48 days of made-up readings every 5 s at SIRTA, half of the minutes with sun and half without; the
-energy benchmark runs where a year of one-minute weather is given.
+energy benchmark runs where a year of one-minute weather is given. What the processors were busy with it is told beside
+the wall time: the two are one on a machine with nothing else to do.
 """
 
 import csv
@@ -50,7 +51,7 @@ def write_faces(path: Path) -> int:
 
 
 def main() -> None:
-    """Run each command some times and print the median and the spread of its wall time."""
+    """Run each command some times and print the median and the spread of its times."""
     repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     heliocube = str(Path(sys.executable).with_name("heliocube"))
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
@@ -65,18 +66,23 @@ def main() -> None:
             "replay, optimal": [*replay, "--law", "optimal"],
             "a simulated day, mu-prime": [*day, "--law", "mu-prime"],
             "a simulated day, optimal": [*day, "--law", "optimal"],
+            "a campaign's day": [heliocube, "campaign", "--seeds", "1", "--hours", "24"],
         }
         if len(sys.argv) > 3:
             year = [heliocube, "energy", *sys.argv[3:], "--site", sys.argv[2]]
             commands["a year of weather, all laws"] = year
         for name, command in commands.items():
-            seconds = []
+            walls, busy = [], []
             for _ in range(repetitions):
                 number += 1
-                started = time.perf_counter()
-                subprocess.run([*command, "--out", f"{folder}/{number}"], check=True, capture_output=True)
-                seconds.append(time.perf_counter() - started)
-            print(f"{name}: median {statistics.median(seconds):.1f} s, {min(seconds):.1f}..{max(seconds):.1f} s")
+                into = "--keep" if "campaign" in command else "--out"
+                started, before = time.perf_counter(), os.times()
+                subprocess.run([*command, into, f"{folder}/{number}"], check=True, capture_output=True)
+                after = os.times()
+                walls.append(time.perf_counter() - started)
+                busy.append(after.children_user + after.children_system - before.children_user - before.children_system)
+            print(f"{name}: median {statistics.median(walls):.1f} s, {min(walls):.1f}..{max(walls):.1f} s;"
+                  f" busy {statistics.median(busy):.1f} s, {min(busy):.1f}..{max(busy):.1f} s")  # fmt: skip
 
 
 if __name__ == "__main__":
