@@ -120,7 +120,7 @@ class Guard:
     def must_halt(self) -> bool:
         """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
         faults = self.telemetry.faults if self.telemetry else ()
-        return self.halt_wanted or bool(set(faults) - set(self._halted_for))
+        return self.halt_wanted or (faults != self._halted_for and bool(set(faults) - set(self._halted_for)))
 
     @property
     def stands_since_s(self) -> float | None:
@@ -143,7 +143,8 @@ class Guard:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self.telemetry = telemetry
-        self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
+        if self._halted_for:
+            self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
         self._note_own_moves(telemetry)
         if telemetry.button_pressed:
             self._pressed_s = telemetry.status_monotonic_s

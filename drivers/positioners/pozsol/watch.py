@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 from drivers.errors import LinkLostError, ProtocolError
@@ -159,9 +160,7 @@ class PositionerWatch:
             homing=homing,
             aims_home=any(abs(way - _HOMES_AHEAD) <= _HOMES_WITHIN for way in (a_at - a_to, b_at - b_to)),
             autonomous=status.autonomous,
-            own_moves=own_moves(
-                {code: known[code].text.decode("latin-1").strip() for code in known.keys() & OWN_MOVES}
-            ),
+            own_moves=_own_moves(tuple(known[code].text if code in known else None for code in OWN_MOVES)),
             reference_doubt=self.reference.text,
             status_monotonic_s=status_s,
             supply_v=known[Field.SUPPLY].number,
@@ -207,6 +206,13 @@ class PositionerWatch:
             misfit = check.update(look.position, look.status, look.status_s)
             if misfit and not homing:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
+
+
+@lru_cache(maxsize=64)
+def _own_moves(texts: tuple[bytes | None, ...]) -> tuple[str, ...]:
+    """Name the settings that are on, by what came of the fields `OWN_MOVES`; they are the same at every look."""
+    shown = zip(OWN_MOVES, texts, strict=True)
+    return own_moves({code: text.decode("latin-1").strip() for code, text in shown if text is not None})
 
 
 def _details(mode: Value, end_switches: tuple[str, ...], a_left: float, b_left: float) -> dict[str, str | float]:

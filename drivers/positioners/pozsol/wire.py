@@ -324,7 +324,7 @@ _SETTINGS = {
     "a reference run every few days": ((117, 118), _NO_DAYS),
     "a snow position": ((126, 127), _NO_POSITION),
 }
-OWN_MOVES = frozenset(code for codes, _ in _SETTINGS.values() for code in codes)
+OWN_MOVES = tuple(code for codes, _ in _SETTINGS.values() for code in codes)
 """The fields that tell of them."""
 
 
