@@ -13,7 +13,7 @@ from tests.firmware.peer import missing
 from tests.support import SHARED
 from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
-from tests.support.dealing import dealt
+from tests.support.dealing import dealt, long_first
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
@@ -86,6 +86,8 @@ def pytest_collection_modifyitems(config, items):
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
     if config.getoption("--live") == "only" and workers > 1:
         items[:] = dealt(items, workers)
+    elif workers > 1:
+        items[:] = long_first(items)
 
 
 def _is_asked_for(config, item):

@@ -12,6 +12,11 @@ def lasts_s(item):
     return LONG_S if "long" in marks else DEAR_S if marks & _DEAR else SHORT_S
 
 
+def long_first(items):
+    """Return the items in their order, but for those marked `long`: what begins last is waited for by all workers."""
+    return sorted(items, key=lambda item: item.get_closest_marker("long") is None)
+
+
 def dealt(items, workers, length_s=lasts_s):
     """Return the items in the order in which `--dist worksteal` deals them well: to each worker as many, in one piece.
 

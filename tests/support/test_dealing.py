@@ -1,6 +1,6 @@
 import pytest
 
-from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt
+from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt, long_first
 
 
 def pieces_of(order, workers):
@@ -26,3 +26,15 @@ def test_one_worker_of_three_has_short_ones_alone_as_long_as_there_are_enough():
     lengths = [SHORT_S] * 20 + [DEAR_S] * 10
     order = dealt(range(30), 3, lengths.__getitem__)
     assert {lengths[number] for number in order[20:]} == {SHORT_S}
+
+
+def test_of_those_that_compute_the_long_ones_begin_and_the_others_keep_their_order():
+    class Item:
+        def __init__(self, name, *marks):
+            self.name, self.marks = name, marks
+
+        def get_closest_marker(self, name):
+            return name if name in self.marks else None
+
+    items = [Item("a"), Item("b", "long"), Item("c", "slow"), Item("d", "long")]
+    assert "".join(item.name for item in long_first(items)) == "bdac"

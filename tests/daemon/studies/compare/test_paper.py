@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 SIRTA = Site(48.717607, 2.209002, 156.0)
 
 
+@pytest.mark.long
 def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(
         sys,
