@@ -56,7 +56,9 @@ def serve_bench(settings: Settings, directory: Path) -> None:
         anchor = datetime.fromtimestamp(SystemClock().utc(), UTC)
         start = settings.simulation.start_utc or DEFAULT_START
         clock = LoopClock(loop.time, start.timestamp())
-        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S)
+        # A voltmeter has a sign for "no value"; the sensors of the other cubes would need one each.
+        with_gaps = settings.instruments.cube.driver == MULTIPLEXED
+        weather, warning = build_weather(settings, clock.utc(), clock.utc() + DAY_S, with_gaps=with_gaps)
         if warning:
             log.warning(warning)
 

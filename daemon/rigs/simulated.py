@@ -338,7 +338,8 @@ async def run_bench(
         raise UserError(f"the bench needs the pseudo-terminals of Linux, which are not here ({error})") from error
 
     scene = _build_scene(settings, weather)
-    switch, meter = build_cube_cores(settings, clock, scene)
+    gaps = weather if isinstance(weather, MeasuredWeather) else None
+    switch, meter = build_cube_cores(settings, clock, scene, gaps)
     own = settings.instruments.positioner
     unit: PositionerCore | RotatorHost | None = None
     if not isinstance(own, RotctldSettings):

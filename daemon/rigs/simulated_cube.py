@@ -1,5 +1,6 @@
 """The simulated cube, built as the configuration says that the real one is."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import cast
 
@@ -21,6 +22,7 @@ from sim_drivers.scene import Scene
 from sim_drivers.transports import InMemoryLine, InMemoryPort
 from sim_drivers.voltmeter.core import VoltmeterCore
 from sim_drivers.weather import WeatherError
+from sim_drivers.weather_files import MeasuredWeather
 
 
 def build_simulated_cube(settings: Settings, clock: Clock, scene: Scene) -> Cube:
@@ -85,11 +87,13 @@ def build_bench_sensors(settings: Settings, clock: Clock, scene: Scene) -> Seque
     )
 
 
-def build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[MultiplexerCore, VoltmeterCore]:
-    """Return simulated multiplexer and voltmeter, the sensors of the scene wired as configured."""
+def build_cube_cores(
+    settings: Settings, clock: Clock, scene: Scene, gaps: MeasuredWeather | None = None
+) -> tuple[MultiplexerCore, VoltmeterCore]:
+    """Return simulated multiplexer and voltmeter, wired to the scene as configured; `gaps` as of `_sensors`."""
     face_of_channel = {getattr(settings.cube, name).channel: index for index, name in enumerate(FACES)}
     shorted = (settings.cube.self_test_channel, settings.cube.second_self_test_channel)
-    sensor_v = _sensors(clock, scene)
+    sensor_v = _sensors(clock, scene, gaps)
 
     def on_input(channel: int, now_s: float) -> float | None:
         if channel in shorted:
@@ -108,13 +112,19 @@ def build_cube_cores(settings: Settings, clock: Clock, scene: Scene) -> tuple[Mu
     return switch, core
 
 
-def _sensors(clock: Clock, scene: Scene) -> Callable[[int, float], float]:
-    """Return what tells the voltage [V] of a face's sensor at a monotonic time."""
+def _sensors(clock: Clock, scene: Scene, gaps: MeasuredWeather | None = None) -> Callable[[int, float], float]:
+    """Return what tells the voltage [V] of a face's sensor at a monotonic time; `UserError` without weather.
+
+    Within the file `gaps` it is NaN then, which a voltmeter shows as an overflow.
+    """
 
     def sensor_v(face: int, now_s: float) -> float:
+        utc_s = clock.utc() + now_s - clock.monotonic()
         try:
-            return scene.sensor_voltage(face, clock.utc() + now_s - clock.monotonic())
+            return scene.sensor_voltage(face, utc_s)
         except WeatherError as error:
+            if gaps is not None and gaps.start_utc_s <= utc_s <= gaps.end_utc_s:
+                return math.nan
             raise UserError(str(error)) from error
 
     return sensor_v

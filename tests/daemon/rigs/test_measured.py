@@ -6,12 +6,15 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
 from daemon.rigs.measured import gap_note, missing_by_day, weather_notes
 from daemon.rigs.simulated import build_simulated_pair, build_weather
+from daemon.rigs.simulated_cube import build_cube_cores
 from daemon.studies.compare.side_by_side import MODULES, side_by_side, two_trackers
 from daemon.studies.simulate import simulate
+from sim_drivers.scene import Scene
 from sim_drivers.weather_files import load_weather
 from solar.ephemeris import DAY_S, Site
 
@@ -88,6 +91,17 @@ def test_a_comparison_measures_nothing_while_the_weather_is_missing(gaps):
     (longest,) = np.flatnonzero(np.diff(hours) > 0.1)
     assert (hours[longest], hours[longest + 1]) == pytest.approx((11.0, 12.3), abs=0.05)
     assert hours[-1] > 12.45
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+def test_a_voltmeter_on_the_bench_overflows_while_the_weather_is_missing(gaps, bridged):
+    at_s = MIDNIGHT + (7.5 if bridged else 11.5) * 3600
+    weather = load_weather(gaps)
+    clock = LoopClock(lambda: 0.0, at_s)
+    switch, _ = build_cube_cores(settings_under(gaps), clock, Scene(SITE, weather), weather)
+    for face in range(4):
+        switch.write(0b1000 | face, 0.0)
+        assert np.isfinite(switch.output_voltage(1.0)) == bridged, face
 
 
 def test_what_lies_outside_the_file_by_day_is_refused(gaps):
