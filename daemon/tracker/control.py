@@ -130,7 +130,7 @@ class Control(Doors):
         self._data = Data.WAITING
         self._last_why = ""
         self._foreseen: tuple[object, Foresight | None] | None = None
-        self._foreseen_s = -math.inf
+        self._foresee_from_s = clock.monotonic() + phase.delay_s(_FORESEE_EVERY_S)
         self._changes: dict[frozenset[Mode], Recurrence] = {}
         self.last_tick_s = clock.monotonic()
 
@@ -175,9 +175,9 @@ class Control(Doors):
         if self.mode not in (Mode.TRACKING, Mode.FALLBACK):
             return None
         now_s, known = self._clock.monotonic(), (self.mode, self._decision, self._motion.target)
-        if self._foreseen is None or self._foreseen[0] != known or now_s - self._foreseen_s >= _FORESEE_EVERY_S:
+        if now_s >= self._foresee_from_s or (self._foreseen is not None and self._foreseen[0] != known):
             in_s = max(self._due_s - now_s, 0.0)
-            self._foreseen_s = now_s
+            self._foresee_from_s = self._phase.next_s(now_s, _FORESEE_EVERY_S)
             self._foreseen = (
                 known,
                 foresee(
@@ -189,7 +189,7 @@ class Control(Doors):
                     sun_known=self._clock_watch.trusted,
                 ),
             )
-        return self._foreseen[1]
+        return None if self._foreseen is None else self._foreseen[1]
 
     @property
     def _deciding(self) -> NamedLaw:

@@ -43,4 +43,6 @@ def test_all_decide_soon_after_the_first_scan_and_from_then_on_one_after_the_oth
             for decision in own[1:4]:
                 assert decision.time_monotonic_s % 300.0 == pytest.approx(75.0 * place, abs=0.1)
 
+        assert all(one.control.foresee() is not None for one in trackers)
+
     run_rig(scenario, tracker=FOUR, law={"driver": "mu-prime"}, rest_look_s=5.0)
