@@ -310,6 +310,8 @@ class Store:
         with contextlib.suppress(OSError):
             if shutil.disk_usage(self._path.parent).free < _ROOM_BYTES:
                 return f"the disk of {self._path.parent} is full"
+        if isinstance(error, OSError) and error.strerror:
+            return f"{error.filename or self._path.parent}: {error.strerror}"
         return str(error)
 
     def _failed(self, reason: str) -> None:
