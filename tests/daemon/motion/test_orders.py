@@ -130,6 +130,21 @@ def test_a_stop_ends_the_move_at_once_and_not_with_its_time_limit(run_rig):
     run_rig(scenario)
 
 
+def test_a_stop_that_is_given_to_motion_itself_forgets_the_target(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.hold("so that control orders nothing")
+        await at_rest(rig)
+        rig.motion.order(Target(-20, 70, "test"))
+        # Taken back before anything has taken it up.
+        await rig.motion.stop()
+        assert await moves_for(rig, 10) == 0
+        assert rig.motion.target is None
+
+    run_rig(scenario)
+
+
 def test_what_was_ordered_before_a_loss_is_forgotten(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)

@@ -337,3 +337,8 @@ def test_answers_as_others_have_published_them_are_understood(meter, answers):
     assert [face.flaw for face in reading.faces] == [None, None, None, "over-range"]
     # One trigger, one reply.
     assert line.sent[-1] == DIALECTS[meter].scan
+
+
+@pytest.mark.parametrize(("channels", "found"), [(None, 0), ((1, 2, 3, 4), 0), ((1, 2, 3, 1), 1)])
+def test_channels_that_are_left_out_are_no_conflict(channels, found):
+    assert len(list(ScanningMeterSettings(driver="scanning-meter", channels=channels).conflicts())) == found
