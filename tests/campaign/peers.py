@@ -13,6 +13,7 @@ from pathlib import Path
 
 from sim_drivers.bench.client import request
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
+from tests.support import forks
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 TOKEN = "t" * 43
@@ -157,9 +158,7 @@ class Tracker:
 
     def start(self):
         with self._log.open("a") as log:
-            self._process = subprocess.Popen(
-                [HELIOCUBE, "run", "--role", "tracker", "--config", self._config], stdout=log, stderr=log
-            )
+            self._process = forks.start(["run", "--role", "tracker", "--config", self._config], stdout=log, stderr=log)
 
     def kill(self):
         self._process.kill()
