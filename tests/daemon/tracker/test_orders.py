@@ -1,5 +1,7 @@
 """What is refused while somebody keeps the tracker still."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from daemon.base.clock import SystemClock
@@ -44,3 +46,41 @@ def test_a_person_at_the_buttons_forbids_everything_but_to_say_so():
 @pytest.mark.parametrize("wish", ["stow", "snow", "hold"])
 def test_other_wishes_forbid_nothing_here(wish):
     assert refused(wish) == ()
+
+
+class Hand:
+    """A clock in hand."""
+
+    now_s = 100.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def utc(self):
+        return 1.7e9 + self.now_s
+
+
+def seen(pressed, at_s):
+    return SimpleNamespace(button_pressed=pressed, status_monotonic_s=at_s)
+
+
+def test_a_button_holds_once_and_what_was_seen_before_auto_does_not():
+    orders = Orders(Hand(), WishFile(StateFolder(None)))
+    assert not orders.note_buttons(None)
+    assert not orders.note_buttons(seen(False, 100.0))
+    assert orders.wishes.buttons is None
+    assert orders.note_buttons(seen(True, 100.0))
+    assert orders.wishes.buttons is not None
+    assert not orders.note_buttons(seen(True, 101.0)), "known already"
+    orders.release()
+    assert not orders.note_buttons(seen(True, 100.0)), "seen before"
+    assert not orders.note_buttons(seen(True, float("nan")))
+    assert orders.wishes.buttons is None
+    assert orders.note_buttons(seen(True, 100.1))
+
+
+def test_in_maintenance_a_button_is_no_news():
+    orders = Orders(Hand(), WishFile(StateFolder(None)))
+    orders.latch("maintenance", "mirrors", "Ann")
+    assert not orders.note_buttons(seen(True, 100.0))
+    assert orders.wishes.buttons is None
