@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the database's client.
     from daemon.archive.address import ArchiveAddress
 
-app = typer.Typer(help="Keep the records of many services in one PostgreSQL.")
+app = typer.Typer(
+    help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the broker,"
+    " until Ctrl-C or SIGTERM."
+)
 
 ConfigOption = Annotated[
     Path | None,
