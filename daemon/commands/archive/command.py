@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from daemon.archive.address import ArchiveAddress
 
 app = typer.Typer(
-    help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the broker,"
-    " until Ctrl-C or SIGTERM."
+    help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the"
+    " broker, until Ctrl-C or SIGTERM."
 )
 
 ConfigOption = Annotated[
