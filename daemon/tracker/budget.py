@@ -13,6 +13,8 @@ log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "day.json"
 _ALARM = "day-budget"
+_FOR_THE_SUN = 0.25
+"""Of both limits: the sun's own day takes some 250 degrees and 100 moves, its afternoon half of that."""
 
 
 class Used(BaseModel):
@@ -62,6 +64,15 @@ class DayBudget:
         """How much further the laws may go today, A and B added."""
         return max(self._settings.travel_per_day_deg - self.used.travelled_deg, 0.0)
 
+    @property
+    def is_for_the_sun(self) -> bool:
+        """Whether what is left is kept for following the sun by the clock, which beats standing until the evening."""
+        settings = self._settings
+        return (
+            self.moves_left < _FOR_THE_SUN * settings.moves_per_day
+            or self.travel_left_deg < _FOR_THE_SUN * settings.travel_per_day_deg
+        )
+
     def turn(self, utc_s: float) -> None:
         """Begin a new day when the sun has passed its lowest point since the last call."""
         today = self._day_of(utc_s)
@@ -74,11 +85,7 @@ class DayBudget:
         """Return why one more move of this length [deg] is too much, and tell it once a day; None if it is not."""
         if self.moves_left >= 1 and distance_deg <= self.travel_left_deg:
             return None
-        text = (
-            f"the laws have used up what they may move in a day: {self.used.moves} moves of"
-            f" {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
-            f" {self._settings.travel_per_day_deg:g}; see motion.moves_per_day and motion.travel_per_day_deg"
-        )
+        text = f"the laws have used up what they may move in a day: {self._account}"
         self._alarms.set(_ALARM, text)
         return text
 
@@ -87,6 +94,15 @@ class DayBudget:
         used = self.used
         self.used = Used(day=used.day, travelled_deg=used.travelled_deg + distance_deg, moves=used.moves + 1)
         self._file.save(self.used)
+        if self.is_for_the_sun:
+            self._alarms.set(_ALARM, f"the sun is followed by the clock for the rest of the day: {self._account}")
+
+    @property
+    def _account(self) -> str:
+        return (
+            f"{self.used.moves} moves of {self._settings.moves_per_day}, {self.used.travelled_deg:.0f} deg of"
+            f" {self._settings.travel_per_day_deg:g}; see motion.moves_per_day and motion.travel_per_day_deg"
+        )
 
     def _day_of(self, utc_s: float) -> int:
         return int((utc_s + self._longitude_deg * DAY_S / 360.0) // DAY_S)

@@ -193,7 +193,8 @@ class Control(Doors):
 
     @property
     def _deciding(self) -> NamedLaw:
-        return self.pointing.chosen if self.mode is Mode.TRACKING else self.pointing.fallback
+        by_readings = self.mode is Mode.TRACKING and not self.budget.is_for_the_sun
+        return self.pointing.chosen if by_readings else self.pointing.fallback
 
     @property
     def _whereabouts(self) -> Whereabouts:

@@ -216,8 +216,8 @@ _ALL = (
     _kind(
         "day-budget",
         Severity.NOTICE,
-        "the laws have used up the moves or the travel of the solar day; ends at solar midnight",
-        "the tracker stands until then, but for stow, night and persons",
+        "the laws have used three quarters of the moves or the travel of the solar day, or all; ends at solar midnight",
+        "until then it follows the sun by the clock; with nothing left it stands, but for stow, night and persons",
         "a sky that varies much; if it is usual, raise motion.deadband_deg, or the day's limits",
     ),
 )

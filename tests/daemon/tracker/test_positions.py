@@ -144,6 +144,19 @@ def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_r
     assert not rig.of(Decision)[-1].moved
 
 
+def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(5 * 3600)
+        assert alarms(rig)["day-budget"].startswith("the sun is followed by the clock for the rest of the day")
+        assert rig.mode is Mode.TRACKING
+
+    rig = run_rig(scenario, law={"name": "sun-vector"}, motion={"travel_per_day_deg": 160.0})
+    laws = [decision.law for decision in rig.of(Decision)]
+    assert laws == sorted(laws, reverse=True)
+    assert {*laws} == {"sun-vector", "chronometric"}
+    assert any(decision.moved for decision in rig.of(Decision) if decision.law == "chronometric")
+
+
 def test_no_law_travels_further_than_the_day_allows_in_fallback_either(run_rig):
     async def scenario(rig):
         await tracking(rig)
