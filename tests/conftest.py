@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 import socket
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from tests.support.rotctld import ROTCTLD
 
 # Looking for garbage in the middle of tests took a twentieth of their time; each ends with it (tests/support/leaks.py).
 gc.set_threshold(100_000, 20, 20)
+# Whoever begins this in the background of a script gives it a Ctrl-C that is ignored, and so would its children.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # Machines are shared and slow now and then; CI draws the same examples every time.
 settings.register_profile("heliocube", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("heliocube")

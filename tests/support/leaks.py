@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import gc
+import logging
 import os
 import signal
 import threading
@@ -39,9 +40,16 @@ def nothing_leaks():
     # What was there before, libraries above all, is no test's garbage: to look through it cost a tenth of a second.
     gc.freeze()
     threads, descriptors, children = set(threading.enumerate()), _descriptors(), _children()
+    root = logging.getLogger()
+    handlers, level = [*root.handlers], root.level
     with pytest.MonkeyPatch.context() as patch:
         tasks = _Tasks(patch)
         yield
+    # Commands that run until they are ended direct the log to a stream that ends with their test.
+    for handler in [handler for handler in root.handlers if handler not in handlers]:
+        root.removeHandler(handler)
+    root.setLevel(level)
+    logging.captureWarnings(capture=False)
     gc.collect()
     left = [thread for thread in threading.enumerate() if thread not in threads and thread.is_alive()]
     for thread in left:
