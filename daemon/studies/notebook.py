@@ -175,8 +175,8 @@ def _in_a_loop_of_its_own(work: Callable[[Callable[[float], None]], object]) -> 
     with ThreadPoolExecutor(1) as thread:
         try:
             thread.submit(work, advance).result()
-        except KeyboardInterrupt:
-            # It may have come before the submission was over, and the work goes on all the same.
+        except BaseException:
+            # An interrupt may have come before the submission was over, and the work goes on all the same.
             interrupted.set()
             raise
 
