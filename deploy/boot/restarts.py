@@ -75,15 +75,18 @@ class Restarts:
         return f'held with "{reason}", tracks since a person said auto'
 
     def _holds_or_waits(self) -> bool:
-        # Whatever had been asked for before goes before the wait for the wind.
-        return self._rig.mode()[0] == "hold" or self._waits_for_wind()
+        # Whatever had been asked for before goes before the wait for the wind. One look: the next may see another mode.
+        mode, reason = self._rig.mode()
+        return mode == "hold" or self._waits(mode, reason)
 
     def _mode_at_work(self) -> str:
         mode, _ = self._rig.mode()
         return mode if mode in {"hold", "tracking"} else ""
 
     def _waits_for_wind(self) -> bool:
-        mode, reason = self._rig.mode()
+        return self._waits(*self._rig.mode())
+
+    def _waits(self, mode: str, reason: str) -> bool:
         if mode not in {"", "starting"}:
             raise NotSeen(f"before the wind was heard the mode is {mode}: {reason}")
         return "wind" in reason and self._has_readings()
