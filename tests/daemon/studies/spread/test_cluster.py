@@ -30,7 +30,8 @@ PROGRAM = Path(sys.executable).with_name("heliocube")
 
 def begin(module, *words, log):
     command = [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words), "--no-dashboard"]
-    return subprocess.Popen(command, cwd=ROOT, stdout=log.open("w"), stderr=subprocess.STDOUT)
+    with log.open("w") as output:
+        return subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
 
 
 @pytest.fixture
@@ -40,12 +41,14 @@ def cluster(tmp_path):
     running = [begin("dask_scheduler", *words, log=tmp_path / "scheduler.log")]
     words = ("--nworkers", 2, "--nthreads", 1, "--scheduler-file", told, "--local-directory", tmp_path)
     running.append(begin("dask_worker", "--host", "127.0.0.1", *words, log=tmp_path / "workers.log"))
-    address = json.loads(wait_for(lambda: told.exists() and told.read_text()))["address"]
-    yield address, running
-    for process in reversed(running):
-        process.terminate()
-    for process in reversed(running):
-        process.communicate(timeout=ENDS_WITHIN_S)
+    try:
+        address = json.loads(wait_for(lambda: told.exists() and told.read_text()))["address"]
+        yield address, running
+    finally:
+        for process in reversed(running):
+            process.terminate()
+        for process in reversed(running):
+            process.communicate(timeout=ENDS_WITHIN_S)
 
 
 def workers(nannies):
