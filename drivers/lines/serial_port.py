@@ -19,7 +19,8 @@ from drivers.transcript import Tap, no_tap
 SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
-_WRITE_S = 0.5
+# Written or not, pyserial raises after this time: half a second without a processor was taken for a port without a taker.
+_WRITE_S = 0.9
 _LARGEST_READ = 4096
 
 
