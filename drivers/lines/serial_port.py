@@ -19,7 +19,7 @@ from drivers.transcript import Tap, no_tap
 SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
-# Written or not, pyserial raises after this time: half a second without a processor was taken for a port without a taker.
+# Written or not, pyserial raises after this time: half a second without a processor looked like a port without a taker.
 _WRITE_S = 0.9
 _LARGEST_READ = 4096
 
