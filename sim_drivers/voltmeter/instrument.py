@@ -60,6 +60,10 @@ class VoltmeterInstrument:
         """The range in use [V]."""
         return self._converter.range_v
 
+    def freeze(self, *, is_frozen: bool = True) -> None:
+        """Let every reading be the last one, or measure again."""
+        self._converter.stands_still = is_frozen
+
     def press_range(self, range_v: float, now: float) -> None:
         """Choose a range at the front panel, which does nothing while the panel is locked out."""
         if range_v not in RANGES_V:

@@ -28,7 +28,10 @@ def campaign(
     ] = None,
     show: Annotated[bool, typer.Option("--show", help="Print each schedule and the service's log.")] = False,
     reliability: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Throw every fault alone instead, and write this page of it.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Throw every fault alone and every two together instead, and write this page."
+        ),
     ] = None,
     keep: Annotated[
         Path, typer.Option(metavar="DIR", help="Where each failure is written, reduced, as seed-N.json.")

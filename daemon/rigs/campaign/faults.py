@@ -9,7 +9,7 @@ from functools import partial
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.sender import pack
-from daemon.rigs.campaign.plant import Plant
+from daemon.rigs.campaign.plant import Plant, nothing
 from daemon.rigs.campaign.rig import CALM_M_S, KEY
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
@@ -20,7 +20,6 @@ FORGED_W_M2 = 1234.5
 """What every face of a forged scan says."""
 _STRANGER = ("127.0.0.1", 9)
 _FORGED_EVERY_S = 1.0
-_READING_S = 0.04
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,16 +90,6 @@ def _calm(plant: Plant, _value: Value) -> None:
     plant.wind_m_s = CALM_M_S
 
 
-def _freeze_meter(plant: Plant, _value: Value) -> None:
-    # What it shows at this moment is what it shows from now on.
-    shown_v = plant.switch.output_voltage(plant.clock.monotonic())
-    vars(plant.voltmeter)["read_voltage"] = lambda: asyncio.sleep(_READING_S, shown_v)
-
-
-def _thaw_meter(plant: Plant, _value: Value) -> None:
-    vars(plant.voltmeter).pop("read_voltage", None)
-
-
 def _delay_meter(plant: Plant, value: Value) -> None:
     plant.meter.reply_delay_s = value[0]
 
@@ -123,6 +112,9 @@ def _step_clock(plant: Plant, value: Value) -> None:
 
 def _set_clock_right(plant: Plant, _value: Value) -> None:
     plant.clock.step_s = 0.0
+
+
+_OPENS_WITHIN_S = 0.05
 
 
 class _Bridge:
@@ -156,13 +148,23 @@ class _Bridge:
             self.kept.send(scan)
 
 
+def _again(plant: Plant) -> None:
+    plant.when_renewed()
+
+
 def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
+    # The network stays as it is when the process ends and another one begins.
+    plant.when_renewed = partial(_disturb_bridge, plant, value, kind=kind)
     sender: object = plant.service.sender
-    if sender is not None and not isinstance(sender, _Bridge):
+    if sender is None:
+        # It opens a moment after the service has begun; by then the network may be right.
+        asyncio.get_running_loop().call_later(_OPENS_WITHIN_S, _again, plant)
+    elif not isinstance(sender, _Bridge):
         plant.service.sender = _Bridge(plant, kind, *value)  # type: ignore[assignment] # it passes for the sender
 
 
 def _set_bridge_right(plant: Plant, _value: Value) -> None:
+    plant.when_renewed = nothing
     sender: object = plant.service.sender
     if isinstance(sender, _Bridge):
         plant.service.sender = sender.kept
@@ -264,7 +266,9 @@ FAULTS: dict[str, PlantFault] = {
         lambda plant, value: plant.scene.shade(int(value[0]), 1.0),
     ),
     "face_noise": PlantFault(_disturb_sensors, _calm_sensors),
-    "meter_frozen": PlantFault(_freeze_meter, _thaw_meter),
+    "meter_frozen": PlantFault(
+        lambda plant, _value: plant.meter.freeze(), lambda plant, _value: plant.meter.freeze(is_frozen=False)
+    ),
     "meter_garbled": PlantFault(lambda plant, value: plant.meter.corrupt_next(int(value[0]))),
     "meter_cut": PlantFault(lambda plant, value: plant.meter.cut_next(int(value[0]))),
     "meter_mute": PlantFault(lambda plant, value: plant.meter.drop_next(int(value[0]))),

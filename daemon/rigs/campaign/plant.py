@@ -113,6 +113,10 @@ class DriverTap:
         await self._driver.home(axis)
 
 
+def nothing() -> None:
+    """Do nothing."""
+
+
 class Plant(HandledRig):
     """The instruments, and the service that runs on them at present.
 
@@ -137,6 +141,8 @@ class Plant(HandledRig):
         What the service writes to.
     commands
         Tasks of persons whose command is under way; they die with the service.
+    when_renewed
+        Called with each new service before it runs: for what lasts outside of the process.
     """
 
     def __init__(
@@ -154,6 +160,7 @@ class Plant(HandledRig):
         self.served = asyncio.Event()
         self.served_since_s = math.inf
         self.commands: set[asyncio.Task[None]] = set()
+        self.when_renewed = nothing
         self._serving: asyncio.Task[None] | None = None
         self._stop = asyncio.Event()
         self.disk = Disk()
@@ -270,6 +277,7 @@ class Plant(HandledRig):
         self.bus = Bus()
         self.bus.subscribe(self.note)
         self.service = self.serve(self.settings, Role.BOTH)
+        self.when_renewed()
         self.start()
 
     async def _finish(self, serving: "asyncio.Task[None] | None", *, cancel: bool) -> None:

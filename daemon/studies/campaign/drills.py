@@ -26,7 +26,8 @@ _BEGINS_S: dict[Phase, tuple[float, ...]] = {
 }
 _PERSON_COMES_AFTER_S = 20.0
 _NEXT_COMMAND_S, _HOMES_WITHIN_S = 10.0, 250.0
-_WATCHED_S = 120.0
+WATCHED_S = 120.0
+"""How long a run goes on after the tracker should work again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +64,12 @@ class Drill:
         for seed, begin_s in enumerate(_BEGINS_S[self.phase]):
             events = [
                 Happening(at_s=begin_s, what="fault", name=self.fault, value=self.value, lasts_s=self.lasts_s),
-                *(Happening(at_s, "command", name) for at_s, name in self._said(begin_s)),
+                *(
+                    Happening(at_s, "command", name)
+                    for at_s, name in person_says(self.commands, begin_s + self.lasts_s)
+                ),
             ]
-            yield Schedule(
-                seed=seed,
-                hours=(events[-1].at_s + self.lasts_s + self.back_s + _WATCHED_S) / 3600,
-                start="2022-10-12T10:00",
-                law="mu-prime",
-                rehome="operator",
-                synchronous=False,
-                sky=(700.0, 90.0),
-                events=tuple(events),
-            )
-
-    def _said(self, begin_s: float) -> Iterator[tuple[float, str]]:
-        at_s = begin_s + self.lasts_s + _PERSON_COMES_AFTER_S
-        for name in self.commands:
-            yield at_s, name
-            at_s += _HOMES_WITHIN_S if name == "home" else _NEXT_COMMAND_S
+            yield drill_schedule(events, events[-1].at_s + self.lasts_s + self.back_s + WATCHED_S, seed)
 
     def measure(self, schedules: Sequence[Schedule], outcomes: Sequence[CampaignOutcome]) -> "WorstSeen":
         """Return the worst of its runs."""
@@ -89,7 +78,7 @@ class Drill:
             begin_s = schedule.events[0].at_s
             over_s = schedule.events[-1].at_s if self.commands else begin_s + self.lasts_s
             reached.append(_first_s(outcome, self.mode, begin_s) if self.mode else 0.0)
-            back.append(_works_from_s(outcome, over_s))
+            back.append(works_from_s(outcome, over_s))
             broken += [violation.promise for violation in outcome.violations]
         return WorstSeen(max(reached), max(back), tuple(sorted(set(broken))), len(outcomes))
 
@@ -114,12 +103,34 @@ class WorstSeen:
     runs: int
 
 
+def drill_schedule(events: Sequence[Happening], ends_s: float, seed: int = 0) -> Schedule:
+    """Return a clear morning with these events, over at `ends_s`."""
+    return Schedule(
+        seed=seed,
+        hours=ends_s / 3600,
+        start="2022-10-12T10:00",
+        law="mu-prime",
+        rehome="operator",
+        synchronous=False,
+        sky=(700.0, 90.0),
+        events=tuple(events),
+    )
+
+
+def person_says(commands: Sequence[str], over_s: float) -> Iterator[tuple[float, str]]:
+    """Yield when [s] a person says what, who comes after all faults are over at `over_s`."""
+    at_s = over_s + _PERSON_COMES_AFTER_S
+    for name in commands:
+        yield at_s, name
+        at_s += _HOMES_WITHIN_S if name == "home" else _NEXT_COMMAND_S
+
+
 def _first_s(outcome: CampaignOutcome, modes: tuple[Mode, ...], begin_s: float) -> float:
     """Return how long after `begin_s` one of the modes was entered, infinite for never."""
     return next((at_s - begin_s for at_s, mode in outcome.entered if at_s >= begin_s and mode in modes), float("inf"))
 
 
-def _works_from_s(outcome: CampaignOutcome, over_s: float) -> float:
+def works_from_s(outcome: CampaignOutcome, over_s: float) -> float:
     """Return how long after `over_s` the tracker began to work for good, infinite for never."""
     works_s = float("inf")
     for at_s, mode in outcome.entered:

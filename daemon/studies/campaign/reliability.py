@@ -8,15 +8,16 @@ from daemon.studies.campaign.declared import UNSEEN, declared
 from daemon.studies.campaign.drills import Drill, WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import COMPONENTS, FAULT_KINDS, cell
+from daemon.studies.campaign.pairs import LEFT_OUT, Pair, PairSeen, declared_pairs, measure_pairs, pair_rows
 from daemon.studies.spread.workers import Workers
 
 _HEAD = """# Reliability: every fault, what is declared for it, and the worst seen
 
 Written by `heliocube campaign --reliability docs/reliability.md`. The figures are those of the simulated rig under
 virtual time, with the real drivers and the service itself: the same on every machine, and a model's, not a rig's.
-[The campaign](campaign.md) tells how faults fall together; here each one falls alone, {runs} times, at rest or in
-mid-move, at other moments of the unit's screens and of the service's decisions each time, with every promise of the
-campaign watched.
+Here each fault falls alone, {runs} times, at rest or in mid-move, at other moments of the unit's screens and of the
+service's decisions each time; then every two of them fall together, once. Every promise of the campaign is watched
+meanwhile. In [the campaign](campaign.md) they fall at random.
 
 ## One fault at a time
 
@@ -26,6 +27,20 @@ met without a change of mode. {broken}
 
 | Fault | For | When | Mode | Bound | Worst | Back by | Bound | Worst |
 |---|---|---|---|---|---|---|---|---|
+"""
+_PAIRS = """
+## Two faults at once
+
+Every two of the faults above, at rest with the second 7 s after the first began, or in mid-move with 0.2 s between.
+The tracker has to be in the stronger of the two declared modes within the longer of the two bounds, and must work
+again within the sum of the two after a person has come to it, when both are over.
+
+{left_out}
+
+{broken}
+
+| Mode | Pairs | Bound, at most | Worst | Back: bound, at most | Worst |
+|---|---|---|---|---|---|
 """
 _UNSEEN = """
 Faults without a row, which the campaign throws all the same:
@@ -50,13 +65,17 @@ def write_reliability(path: Path, workers: Workers, progress: Callable[[float], 
     Raises `UserError` where the page cannot be written.
     """
     drills = declared()
-    results = measure_drills(drills, workers, progress)
+    pairs = declared_pairs(drills)
+    alone = sum(1 for drill in drills for _ in drill.schedules())
+    share = alone / (alone + len(pairs))
+    results = measure_drills(drills, workers, lambda done: progress(done * share))
+    seen = measure_pairs(pairs, workers, lambda done: progress(share + done * (1 - share)))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page(drills, results), encoding="utf-8")
+        path.write_text(page(drills, results, pairs, seen), encoding="utf-8")
     except OSError as error:
         raise UserError(f"--reliability: {path} cannot be written: {error}") from error
-    return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
+    return [*_beyond_all(drills, results), *_pairs_beyond(pairs, seen)]
 
 
 def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable[[float], None]) -> list[WorstSeen]:
@@ -77,14 +96,27 @@ def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
         yield f"{name}: breaks {promise}"
 
 
-def page(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> str:
+def _beyond_all(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> list[str]:
+    return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
+
+
+def _pairs_beyond(pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> list[str]:
+    return [text for pair, found in zip(pairs, seen, strict=True) for text in pair.beyond(found)]
+
+
+def _kept(broken: Sequence[str]) -> str:
+    return f"Not kept: {'; '.join(broken)}." if broken else "Every bound is kept, and no promise was broken."
+
+
+def page(drills: Sequence[Drill], results: Sequence[WorstSeen], pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> str:
     """Return the page."""
-    broken = [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
-    kept = f"Not kept: {'; '.join(broken)}." if broken else "Every bound is kept, and no promise was broken."
+    kept = _kept(_beyond_all(drills, results))
     runs = sum(measured.runs for measured in results)
     text = _HEAD.format(runs=f"{results[0].runs if results else 0}", broken=f"{kept} {runs} runs in all.")
     for drill, measured in zip(drills, results, strict=True):
         text += f"| {_row(drill, measured)} |\n"
+    text += _PAIRS.format(left_out=LEFT_OUT, broken=f"{_kept(_pairs_beyond(pairs, seen))} {len(pairs)} runs in all.")
+    text += "".join(f"| {row} |\n" for row in pair_rows(pairs, seen))
     text += _UNSEEN + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
     text += _MATRIX
     for component in COMPONENTS:

@@ -48,6 +48,15 @@ def test_a_reading_has_the_documented_form_and_the_voltage_within_the_noise():
     assert due == pytest.approx(1.04)
 
 
+def test_a_frozen_meter_gives_its_last_reading_to_the_digit_until_it_thaws():
+    core = idle(meter(lambda now: 0.001 * now))
+    first = ask(core, ":READ?", 1.0)
+    core.freeze()
+    assert ask(core, ":READ?", 5.0) == ask(core, ":READ?", 9.0) == first
+    core.freeze(is_frozen=False)
+    assert float(ask(core, ":READ?", 20.0)) == pytest.approx(0.02, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("settings", "line_frequency_hz", "expected_s"),
     [

@@ -12,10 +12,12 @@ from daemon.studies.campaign.declared import UNSEEN, declared, without_row
 from daemon.studies.campaign.drills import WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import CELLS, COMPONENTS, FAULT_KINDS, cell, chosen_faults
+from daemon.studies.campaign.pairs import Pair, PairSeen, declared_pairs, measure_pairs
 from daemon.studies.campaign.reliability import beyond, page
 from daemon.studies.spread.workers import HERE
 from tests.support import ROOT
 
+MEASURED = {6: (3, 5), 9: (5, 8)}
 UNPLUGGED = next(drill for drill in declared() if drill.fault == "unplug_positioner")
 
 
@@ -65,14 +67,62 @@ def test_what_is_not_kept_is_said():
 
 def test_the_page_has_what_is_declared_now():
     written = (ROOT / "docs" / "reliability.md").read_text()
-    fresh = page(declared(), [WorstSeen(0.0, 0.0, (), 3)] * len(declared()))
-    rows = [line for line in fresh.splitlines() if line.startswith("| ")]
-    # What was measured is left out of the comparison.
-    declared_only = [[part for at, part in enumerate(row.split(" | ")) if at not in (5, 8)] for row in rows]
-    found = [
-        [part for at, part in enumerate(line.split(" | ")) if at not in (5, 8)]
-        for line in written.splitlines()
-        if line.startswith("| ")
+    pairs = declared_pairs(declared())
+    fresh = page(
+        declared(), [WorstSeen(0.0, 0.0, (), 3)] * len(declared()), pairs, [PairSeen(0.0, 0.0, ())] * len(pairs)
+    )
+    assert _declared_rows(written) == _declared_rows(fresh)
+    assert written.count("Every bound is kept, and no promise was broken.") == 2
+
+
+def _declared_rows(text: str) -> list[list[str]]:
+    """Return the tables' cells but for those that were measured."""
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    return [[cell for at, cell in enumerate(row) if at not in MEASURED.get(len(row), ())] for row in rows]
+
+
+def _pair(first: str, second: str, phase: str = "at rest") -> Pair:
+    return next(
+        pair
+        for pair in declared_pairs(declared())
+        if (pair.first.fault, pair.second.fault, pair.first.phase) == (first, second, phase)
+    )
+
+
+def test_of_two_faults_the_stronger_mode_is_asked_for():
+    assert _pair("unplug_voltmeter", "face_stuck").modes == {Mode.FALLBACK}
+    assert _pair("unplug_positioner", "unplug_voltmeter").modes == {Mode.FAULT}
+    assert _pair("wind", "unplug_voltmeter").modes == {Mode.STOW, Mode.FAULT}
+    assert _pair("button", "wind").modes == {Mode.HOLD, Mode.FAULT}
+    assert Mode.TRACKING in _pair("meter_restart", "bridge_replayed").modes
+    assert Mode.FAULT not in _pair("meter_restart", "bridge_replayed").modes
+
+
+def test_a_person_says_what_both_faults_ask_for():
+    assert _pair("button", "a_overcurrent").commands == ("auto", "clear")
+    assert _pair("unplug_positioner", "button_in").commands == ("auto", "clear")
+    assert _pair("a_overcurrent", "b_pulse_loss").commands == ("clear", "home", "home", "home")
+    assert _pair("wind_silent", "unplug_voltmeter").commands == ()
+
+
+def test_what_contradicts_or_hides_each_other_is_no_pair():
+    names = {(pair.first.fault, pair.second.fault) for pair in declared_pairs(declared())}
+    assert not names & {("kill", "end"), ("a_switch_closed", "a_switch_open"), ("a_slip", "kill")}
+    assert ("a_switch_closed", "b_switch_open") in names
+
+
+@pytest.mark.parametrize(("first", "second"), [("unplug_voltmeter", "face_stuck"), ("bridge_lost", "end")])
+def test_what_a_pair_measures_is_what_happens(first, second):
+    pair = _pair(first, second)
+    (seen,) = measure_pairs([pair], HERE, lambda _: None)
+    assert list(pair.beyond(seen)) == []
+    assert seen.reached_s > 0
+
+
+def test_what_a_pair_does_not_keep_is_said():
+    seen = PairSeen(math.inf, math.nan, ("limits",))
+    assert [*_pair("unplug_voltmeter", "bridge_lost").beyond(seen)] == [
+        "unplug_voltmeter and bridge_lost at rest: fallback after inf s, 70 s are declared",
+        "unplug_voltmeter and bridge_lost at rest: back after nan s, 120 s are declared",
+        "unplug_voltmeter and bridge_lost at rest: breaks limits",
     ]
-    assert found == declared_only
-    assert "Every bound is kept, and no promise was broken." in written

@@ -1,0 +1,199 @@
+"""Two faults at once: what is declared for each alone has to hold for both together, the stronger mode first."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from daemon.base.records import Mode
+from daemon.rigs.campaign.faults import PROCESS
+from daemon.studies.campaign.drills import (
+    FALLBACK,
+    FAULT,
+    HOLD,
+    STOW,
+    WATCHED_S,
+    Drill,
+    Phase,
+    drill_schedule,
+    person_says,
+    works_from_s,
+)
+from daemon.studies.campaign.many import run_all
+from daemon.studies.campaign.person import WORKS
+from daemon.studies.campaign.run import CampaignOutcome
+from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.spread.workers import Workers
+
+# At rest the second comes while the first is dealt with; in mid-move before the first has ended the move.
+_BEGINS_S: dict[Phase, float] = {"at rest": 300.0, "in mid-move": 45.0}
+_SECOND_AFTER_S: dict[Phase, float] = {"at rest": 7.0, "in mid-move": 0.2}
+# A fault of one axis may be seen or not while a person's hold or a stow goes before the move that would show it.
+_STRONGER = (({*HOLD}, {*HOLD, *FAULT}), ({*STOW}, {*STOW, *FAULT}), ({*FAULT}, {*FAULT}), ({*FALLBACK}, {*FALLBACK}))
+# Without readings nothing may be ordered that would show them.
+_SHOWN_BY_A_MOVE = frozenset(("deaf", "undervoltage", "a_ignores_targets", "a_hall_loss", "b_hall_loss"))
+_OF_THE_PROCESS = frozenset((*PROCESS, "suspended"))
+_UNSEEN_MEANWHILE = _OF_THE_PROCESS | {"unplug_positioner", "positioner_silent"}
+_HOMES_MOST = 3
+_LEAVE_NO_MARK = ("a_slip", "b_slip", "a_switch_closed", "b_switch_closed")
+_NO_PAIRS = (
+    _OF_THE_PROCESS,
+    {"a_switch_open", "a_switch_closed"},
+    {"b_switch_open", "b_switch_closed"},
+    *({missed, process} for missed in _LEAVE_NO_MARK for process in _OF_THE_PROCESS),
+)
+
+LEFT_OUT = (
+    "Left out: two faults of the one process, the same switch open and closed, and what leaves no mark in the unit\n"
+    "(a count that slips, a switch closed for 10 s) while no process is there to see it. A fault that only a move can\n"
+    "show may wait for one."
+)
+"""What is not asked of pairs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two drills of the same phase, the second begun while the first lasts.
+
+    Attributes
+    ----------
+    first, second
+        What is declared for each alone.
+    """
+
+    first: Drill
+    second: Drill
+
+    @property
+    def modes(self) -> frozenset[Mode]:
+        """The modes of which the tracker has to be in one; a mode that lets it work only where both faults do."""
+        declared = {*self.first.mode, *self.second.mode}
+        if declared == {*FAULT, *FALLBACK} and any(one.fault in _SHOWN_BY_A_MOVE for one in (self.first, self.second)):
+            return frozenset(declared)
+        return frozenset(next((allowed for asked, allowed in _STRONGER if asked & declared), WORKS))
+
+    @property
+    def within_s(self) -> float:
+        """How soon after the second fault began [s]: a service that is being restarted sees nothing meanwhile."""
+        bounds = self.first.within_s, self.second.within_s
+        return sum(bounds) if self._are & _OF_THE_PROCESS else max(bounds)
+
+    @property
+    def back_s(self) -> float:
+        """How soon it works again after all is over and said [s]: one fault may be found after the other is gone."""
+        return self.first.back_s + self.second.back_s
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """What a person has to say: what either fault asks for.
+
+        A homing that finds a count wrong tells of one axis, so that with a count in doubt it is repeated.
+        """
+        asked = {*self.first.commands, *self.second.commands}
+        hidden = (asked and self._are & _UNSEEN_MEANWHILE) or {"auto", "home"} <= asked
+        if hidden or "deaf" in self._are:
+            asked.add("clear")
+        said: list[str] = [name for name in ("auto", "clear") if name in asked]
+        if "home" in asked:
+            said += ["home"] * (_HOMES_MOST if "clear" in asked else 1)
+        return tuple(said)
+
+    @property
+    def _are(self) -> set[str]:
+        return {self.first.fault, self.second.fault}
+
+    @property
+    def _begins_s(self) -> tuple[float, float]:
+        begin_s = _BEGINS_S[self.first.phase]
+        return begin_s, begin_s + _SECOND_AFTER_S[self.first.phase]
+
+    @property
+    def _over_s(self) -> float:
+        """When both are over and seen, and a storm has passed: a person comes then."""
+        return max(
+            begin_s + max(one.lasts_s, one.within_s) + (one.back_s if one.mode == STOW and self.commands else 0.0)
+            for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
+        )
+
+    def schedule(self) -> Schedule:
+        """Return the run of it."""
+        events = [
+            Happening(at_s=begin_s, what="fault", name=one.fault, value=one.value, lasts_s=one.lasts_s)
+            for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
+        ]
+        said = [Happening(at_s, "command", name) for at_s, name in person_says(self.commands, self._over_s)]
+        ends_s = (said[-1].at_s if said else self._over_s) + self.back_s + WATCHED_S
+        return drill_schedule([*events, *said], ends_s)
+
+    def measure(self, schedule: Schedule, outcome: CampaignOutcome) -> "PairSeen":
+        """Return what its run showed."""
+        begun_s = self._begins_s[1]
+        over_s = schedule.events[-1].at_s if self.commands else self._over_s
+        reached_s = _in_one_of_s(outcome, self.modes, begun_s)
+        broken = tuple(sorted({violation.promise for violation in outcome.violations}))
+        return PairSeen(reached_s, works_from_s(outcome, over_s), broken)
+
+    def beyond(self, seen: "PairSeen") -> Iterator[str]:
+        """Yield what was not declared, a sentence each."""
+        name = f"{self.first.fault} and {self.second.fault} {self.first.phase}"
+        if not seen.reached_s <= self.within_s:
+            yield f"{name}: {self.name_modes()} after {seen.reached_s:.1f} s, {self.within_s:g} s are declared"
+        if not seen.back_s <= self.back_s:
+            yield f"{name}: back after {seen.back_s:.1f} s, {self.back_s:g} s are declared"
+        for promise in seen.broken:
+            yield f"{name}: breaks {promise}"
+
+    def name_modes(self) -> str:
+        """Return the modes for people."""
+        return "works on" if self.modes == frozenset(WORKS) else " or ".join(sorted(self.modes))
+
+
+@dataclass(frozen=True, slots=True)
+class PairSeen:
+    """What the run of a pair showed [s]; infinite where it did not happen.
+
+    Attributes
+    ----------
+    reached_s, back_s
+        From the second fault to one of the declared modes; from the end of both, or the last command, to work.
+    broken
+        Promises that were broken.
+    """
+
+    reached_s: float
+    back_s: float
+    broken: tuple[str, ...]
+
+
+def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
+    """Return each two drills of the same phase, but for those that are no question."""
+    return [
+        Pair(first, second)
+        for first, second in combinations(drills, 2)
+        if first.phase == second.phase
+        and first.fault != second.fault
+        and not any({first.fault, second.fault} <= left_out for left_out in _NO_PAIRS)
+    ]
+
+
+def measure_pairs(pairs: Sequence[Pair], workers: Workers, progress: Callable[[float], None]) -> list[PairSeen]:
+    """Return what each pair's run showed."""
+    schedules = [pair.schedule() for pair in pairs]
+    outcomes = run_all(schedules, workers, progress)
+    return [pair.measure(one, seen) for pair, one, seen in zip(pairs, schedules, outcomes, strict=True)]
+
+
+def pair_rows(pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> Iterator[str]:
+    """Yield a row of a table for each set of modes: how many pairs, the largest bounds, the worst that was seen."""
+    for modes in dict.fromkeys(pair.name_modes() for pair in pairs):
+        some = [(pair, found) for pair, found in zip(pairs, seen, strict=True) if pair.name_modes() == modes]
+        within_s, reached_s = max(pair.within_s for pair, _ in some), max(found.reached_s for _, found in some)
+        back_s, worst_back_s = max(pair.back_s for pair, _ in some), max(found.back_s for _, found in some)
+        yield f"{modes} | {len(some)} | {within_s:g} s | {reached_s:.1f} s | {back_s:g} s | {worst_back_s:.1f} s"
+
+
+def _in_one_of_s(outcome: CampaignOutcome, modes: frozenset[Mode], begun_s: float) -> float:
+    """Return how long after `begun_s` the tracker was in one of the modes first, infinite for never."""
+    before = [mode for at_s, mode in outcome.entered if at_s <= begun_s]
+    if before and before[-1] in modes:
+        return 0.0
+    return next((at_s - begun_s for at_s, mode in outcome.entered if at_s > begun_s and mode in modes), float("inf"))
