@@ -101,7 +101,7 @@ class SerialPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send one command; no longer than half a second. `ValueError` for bytes that are none that may be sent."""
+        """Send one command; no longer than a second. `ValueError` for bytes that are none that may be sent."""
         self._require_allowed(data)
         try:
             self._port.write(data)
