@@ -122,6 +122,7 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             # In a journal the log says it all; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
+            process.keep_start()
             runner.run(_run(service, for_s, speed, releases, companions))
     moving = [each.name for each in service.trackers if not each.left_standing]
     stands = f"; motion is NOT known to be stopped: {', '.join(moving)}" if moving else "; motion is stopped"

@@ -17,6 +17,7 @@ import asyncio
 import cProfile
 import gc
 import json
+import logging
 import math
 import os
 import platform
@@ -33,7 +34,7 @@ import numpy as np
 
 from daemon.api.app import Api
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import Notifier, keep_start
 from daemon.base.records import Bus, Decision, Move
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
@@ -228,6 +229,8 @@ def child(trackers, law, given):
     if given.virtual:
         # What is late there is what is computed in one go.
         globals()["watch"] = time.process_time
+    # Each of five hundred would tell that a stop holds it in the storm.
+    logging.disable()
     meter, wires = Lateness(), Wires()
     settings = settings_of(trackers, law)
     decisions = []
@@ -256,6 +259,7 @@ def child(trackers, law, given):
                 stop.set()
                 await serving
 
+        keep_start()
         if given.profile:
             profile = cProfile.Profile()
             profile.enable()

@@ -1,3 +1,4 @@
+import gc
 import io
 import logging
 import re
@@ -95,3 +96,13 @@ def test_warnings_of_the_interpreter_are_logged_in_one_line(written):
         warnings.warn("old habit", UserWarning, stacklevel=1)
     assert len(stream.getvalue().splitlines()) == 1
     assert "UserWarning: old habit" in stream.getvalue()
+
+
+def test_what_the_start_made_is_not_looked_through_for_garbage_again():
+    made = [[] for _ in range(1000)]
+    before = gc.get_freeze_count()
+    logs.keep_start()
+    try:
+        assert gc.get_freeze_count() >= before + len(made)
+    finally:
+        gc.unfreeze()
