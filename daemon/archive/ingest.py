@@ -18,7 +18,7 @@ from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
 from daemon.base.reconnect import Backoff, Outage
 from daemon.config.links import ArchiveSettings, MqttSettings
-from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, at_once
 from daemon.mqtt.outbox import Message
 from daemon.store.batches import BatchError, decoded
 
@@ -138,18 +138,7 @@ class Ingester:
     async def _take_in(self, connection: Connection, writer: ArchiveWriter) -> None:
         """Hear and write at once; the first of the two that ends tells what is lost."""
         heard: asyncio.Queue[Incoming] = asyncio.Queue(_MOST_PAGES)
-        tasks = [
-            asyncio.create_task(self._hear(connection, heard)),
-            asyncio.create_task(self._write(connection, writer, heard)),
-        ]
-        try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        await at_once(self._hear(connection, heard), self._write(connection, writer, heard))
 
     async def _hear(self, connection: Connection, heard: "asyncio.Queue[Incoming]") -> None:
         async for message in connection.incoming():

@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
 from daemon.config.links import MqttSettings
-from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError, at_once
 from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.mqtt.topics import Topics
 from daemon.service.status import LinkStatus
@@ -176,7 +176,7 @@ class Link:
                 rights = f"does it let this user read and write {self._topics.base}/#?"
                 raise ConnectionLostError(f"{error} as soon as it was used: {rights}") from None
             timers = self._watch()
-            await self._serve(connection)
+            await at_once(self._send_all(connection), self._receive_all(connection))
         except asyncio.CancelledError:
             with contextlib.suppress(ConnectionLostError, TimeoutError):
                 async with asyncio.timeout(_LEAVE_WITHIN_S * self._speed):
@@ -189,18 +189,6 @@ class Link:
                 self._connected, self._since_utc_s = False, self._clock.utc()
             self._outbox.forget_urgent()
             await connection.close()
-
-    async def _serve(self, connection: Connection) -> None:
-        """Send and hear at once; the first of the two that ends tells why the connection is lost."""
-        tasks = [asyncio.create_task(self._send_all(connection)), asyncio.create_task(self._receive_all(connection))]
-        try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _be_born(self, connection: Connection) -> None:
         for topic in self._handlers:
