@@ -85,12 +85,12 @@ class Drill:
 
 @dataclass(frozen=True, slots=True)
 class WorstSeen:
-    """The worst of a drill's runs [s]; infinite where it did not happen.
+    """The worst of the runs of a drill or of a pair [s]; infinite where it did not happen.
 
     Attributes
     ----------
     reached_s, back_s
-        From the fault to the declared mode; from its end, or the last command, to work.
+        From the fault, or the second one, to the declared mode; from the end, or the last command, to work.
     broken
         Promises that were broken.
     runs
@@ -101,6 +101,16 @@ class WorstSeen:
     back_s: float
     broken: tuple[str, ...]
     runs: int
+
+
+def not_kept(name: str, modes: str, within_s: float, back_s: float, seen: WorstSeen) -> Iterator[str]:
+    """Yield what was seen beyond what is declared, a sentence each."""
+    if not seen.reached_s <= within_s:
+        yield f"{name}: {modes} after {seen.reached_s:.1f} s, {within_s:g} s are declared"
+    if not seen.back_s <= back_s:
+        yield f"{name}: back after {seen.back_s:.1f} s, {back_s:g} s are declared"
+    for promise in seen.broken:
+        yield f"{name}: breaks {promise}"
 
 
 def drill_schedule(events: Sequence[Happening], ends_s: float, seed: int = 0) -> Schedule:

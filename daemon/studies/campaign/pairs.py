@@ -14,7 +14,9 @@ from daemon.studies.campaign.drills import (
     WATCHED_S,
     Drill,
     Phase,
+    WorstSeen,
     drill_schedule,
+    not_kept,
     person_says,
     works_from_s,
 )
@@ -124,44 +126,22 @@ class Pair:
         ends_s = (said[-1].at_s if said else self._over_s) + self.back_s + WATCHED_S
         return drill_schedule([*events, *said], ends_s)
 
-    def measure(self, schedule: Schedule, outcome: CampaignOutcome) -> "PairSeen":
+    def measure(self, schedule: Schedule, outcome: CampaignOutcome) -> WorstSeen:
         """Return what its run showed."""
         begun_s = self._begins_s[1]
         over_s = schedule.events[-1].at_s if self.commands else self._over_s
         reached_s = _in_one_of_s(outcome, self.modes, begun_s)
         broken = tuple(sorted({violation.promise for violation in outcome.violations}))
-        return PairSeen(reached_s, works_from_s(outcome, over_s), broken)
+        return WorstSeen(reached_s, works_from_s(outcome, over_s), broken, 1)
 
-    def beyond(self, seen: "PairSeen") -> Iterator[str]:
+    def beyond(self, seen: WorstSeen) -> Iterator[str]:
         """Yield what was not declared, a sentence each."""
         name = f"{self.first.fault} and {self.second.fault} {self.first.phase}"
-        if not seen.reached_s <= self.within_s:
-            yield f"{name}: {self.name_modes()} after {seen.reached_s:.1f} s, {self.within_s:g} s are declared"
-        if not seen.back_s <= self.back_s:
-            yield f"{name}: back after {seen.back_s:.1f} s, {self.back_s:g} s are declared"
-        for promise in seen.broken:
-            yield f"{name}: breaks {promise}"
+        yield from not_kept(name, self.name_modes(), self.within_s, self.back_s, seen)
 
     def name_modes(self) -> str:
         """Return the modes for people."""
         return "works on" if self.modes == frozenset(WORKS) else " or ".join(sorted(self.modes))
-
-
-@dataclass(frozen=True, slots=True)
-class PairSeen:
-    """What the run of a pair showed [s]; infinite where it did not happen.
-
-    Attributes
-    ----------
-    reached_s, back_s
-        From the second fault to one of the declared modes; from the end of both, or the last command, to work.
-    broken
-        Promises that were broken.
-    """
-
-    reached_s: float
-    back_s: float
-    broken: tuple[str, ...]
 
 
 def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
@@ -175,14 +155,14 @@ def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
     ]
 
 
-def measure_pairs(pairs: Sequence[Pair], workers: Workers, progress: Callable[[float], None]) -> list[PairSeen]:
+def measure_pairs(pairs: Sequence[Pair], workers: Workers, progress: Callable[[float], None]) -> list[WorstSeen]:
     """Return what each pair's run showed."""
     schedules = [pair.schedule() for pair in pairs]
     outcomes = run_all(schedules, workers, progress)
     return [pair.measure(one, seen) for pair, one, seen in zip(pairs, schedules, outcomes, strict=True)]
 
 
-def pair_rows(pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> Iterator[str]:
+def pair_rows(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> Iterator[str]:
     """Yield a row of a table for each set of modes: how many pairs, the largest bounds, the worst that was seen."""
     for modes in dict.fromkeys(pair.name_modes() for pair in pairs):
         some = [(pair, found) for pair, found in zip(pairs, seen, strict=True) if pair.name_modes() == modes]

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 from daemon.studies.campaign.declared import UNSEEN, declared
-from daemon.studies.campaign.drills import Drill, WorstSeen
+from daemon.studies.campaign.drills import Drill, WorstSeen, not_kept
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import COMPONENTS, FAULT_KINDS, cell
-from daemon.studies.campaign.pairs import LEFT_OUT, Pair, PairSeen, declared_pairs, measure_pairs, pair_rows
+from daemon.studies.campaign.pairs import LEFT_OUT, Pair, declared_pairs, measure_pairs, pair_rows
 from daemon.studies.spread.workers import Workers
 
 _HEAD = """# Reliability: every fault, what is declared for it, and the worst seen
@@ -87,20 +87,14 @@ def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable
 
 def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
     """Yield what a drill has shown that was not declared, a sentence each."""
-    name = f"{drill.fault} {drill.phase}"
-    if not measured.reached_s <= drill.within_s:
-        yield f"{name}: {_modes(drill)} after {measured.reached_s:.1f} s, {drill.within_s:g} s are declared"
-    if not measured.back_s <= drill.back_s:
-        yield f"{name}: back after {measured.back_s:.1f} s, {drill.back_s:g} s are declared"
-    for promise in measured.broken:
-        yield f"{name}: breaks {promise}"
+    yield from not_kept(f"{drill.fault} {drill.phase}", _modes(drill), drill.within_s, drill.back_s, measured)
 
 
 def _beyond_all(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> list[str]:
     return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
 
 
-def _pairs_beyond(pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> list[str]:
+def _pairs_beyond(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> list[str]:
     return [text for pair, found in zip(pairs, seen, strict=True) for text in pair.beyond(found)]
 
 
@@ -108,7 +102,9 @@ def _kept(broken: Sequence[str]) -> str:
     return f"Not kept: {'; '.join(broken)}." if broken else "Every bound is kept, and no promise was broken."
 
 
-def page(drills: Sequence[Drill], results: Sequence[WorstSeen], pairs: Sequence[Pair], seen: Sequence[PairSeen]) -> str:
+def page(
+    drills: Sequence[Drill], results: Sequence[WorstSeen], pairs: Sequence[Pair], seen: Sequence[WorstSeen]
+) -> str:
     """Return the page."""
     kept = _kept(_beyond_all(drills, results))
     runs = sum(measured.runs for measured in results)

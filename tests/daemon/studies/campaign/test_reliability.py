@@ -12,7 +12,7 @@ from daemon.studies.campaign.declared import UNSEEN, declared, without_row
 from daemon.studies.campaign.drills import WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import CELLS, COMPONENTS, FAULT_KINDS, cell, chosen_faults
-from daemon.studies.campaign.pairs import Pair, PairSeen, declared_pairs, measure_pairs
+from daemon.studies.campaign.pairs import Pair, declared_pairs, measure_pairs
 from daemon.studies.campaign.reliability import beyond, page
 from daemon.studies.spread.workers import HERE
 from tests.support import ROOT
@@ -69,7 +69,7 @@ def test_the_page_has_what_is_declared_now():
     written = (ROOT / "docs" / "reliability.md").read_text()
     pairs = declared_pairs(declared())
     fresh = page(
-        declared(), [WorstSeen(0.0, 0.0, (), 3)] * len(declared()), pairs, [PairSeen(0.0, 0.0, ())] * len(pairs)
+        declared(), [WorstSeen(0.0, 0.0, (), 3)] * len(declared()), pairs, [WorstSeen(0.0, 0.0, (), 1)] * len(pairs)
     )
     assert _declared_rows(written) == _declared_rows(fresh)
     assert written.count("Every bound is kept, and no promise was broken.") == 2
@@ -120,7 +120,7 @@ def test_what_a_pair_measures_is_what_happens(first, second):
 
 
 def test_what_a_pair_does_not_keep_is_said():
-    seen = PairSeen(math.inf, math.nan, ("limits",))
+    seen = WorstSeen(math.inf, math.nan, ("limits",), 1)
     assert [*_pair("unplug_voltmeter", "bridge_lost").beyond(seen)] == [
         "unplug_voltmeter and bridge_lost at rest: fallback after inf s, 70 s are declared",
         "unplug_voltmeter and bridge_lost at rest: back after nan s, 120 s are declared",
