@@ -1,13 +1,11 @@
 import csv
 import json
-import sys
 from contextlib import closing
 
 import numpy as np
 import pytest
 
 from daemon.base.records import FACES, FaceReading, Quality, Scan
-from daemon.commands.main import main
 from daemon.cube.calibration import read_calibration
 from daemon.store.schema import FILE_NAME, Rows, open_for_writing
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel
@@ -24,20 +22,6 @@ BEGIN = 1_646_956_800.0  # 2022-03-11
 MAY = 1_462_060_800.0  # 2016-05-01
 GAINS = np.array([1.03, 0.97, 1.02, 0.98])
 OFFSETS_MV = np.array([0.05, -0.03, 0.02, 0.0])
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code or 0, written.out, written.err
-
-    return run
 
 
 def iso(utc_s):

@@ -1,32 +1,16 @@
 import csv
 import io
-import sys
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 
-from daemon.commands.main import main
 from solar import gain
 from solar.gain import printed
 
 pytestmark = pytest.mark.slow
 
 POINTS = "phi_deg,beta_deg,n,lambda_deg\n45,35,172,5\n-33.87,-30,10,15\n82,60,1,0\n10,60,172,90\n"
-
-
-@pytest.fixture
-def heliocube(monkeypatch, capsys):
-    """Runs the command line; returns its exit code and what it wrote to either stream."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["heliocube", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        written = capsys.readouterr()
-        return ended.value.code or 0, written.out, written.err
-
-    return run
 
 
 def rows(text):
