@@ -343,13 +343,15 @@ class Control(Doors):
         whereabouts, deadband_deg = self._whereabouts, self._settings.motion.deadband_deg
         said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said
+        # A law that fails gives way while it is asked; a move may use up the law's share of the day.
+        law = self._deciding.name
         moved = said.worth_moving(whereabouts.heading, deadband_deg) and self._order_within_budget(target)
-        log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(chosen.name, target)})
+        log.info("%s", "moving" if moved else "staying", extra={"fields": _log_fields(law, target)})
         self._decision = Decision(
             time_utc_s=utc_s,
             time_monotonic_s=now_s,
             mode=self.mode,
-            law=self._deciding.name,
+            law=law,
             irradiances=mean,
             direction_azimuth_deg=answer.azimuth_deg,
             direction_elevation_deg=answer.elevation_deg,

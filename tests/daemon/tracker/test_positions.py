@@ -126,6 +126,10 @@ def test_a_hold_of_this_morning_is_not_forgotten_this_evening(run_rig):
 # What the laws may move in a day
 
 
+def _distance_deg(move):
+    return abs(move.end_a_deg - move.from_a_deg) + abs(move.end_b_deg - move.from_b_deg)
+
+
 def test_no_law_moves_more_often_than_the_day_allows_and_that_is_told_once(run_rig):
     async def scenario(rig):
         await asyncio.sleep(3600)
@@ -155,6 +159,9 @@ def test_the_last_quarter_of_the_day_s_travel_follows_the_sun_by_the_clock(run_r
     assert laws == sorted(laws, reverse=True)
     assert {*laws} == {"sun-vector", "chronometric"}
     assert any(decision.moved for decision in rig.of(Decision) if decision.law == "chronometric")
+    *_, last = (decision for decision in rig.of(Decision) if decision.law == "sun-vector" and decision.moved)
+    used_deg = sum(_distance_deg(move) for move in rig.of(Move) if move.time_utc_s <= last.time_utc_s + 60.0)
+    assert used_deg > 0.75 * 160.0, "the move that begins the last quarter is the law's own"
 
 
 def test_no_law_travels_further_than_the_day_allows_in_fallback_either(run_rig):
