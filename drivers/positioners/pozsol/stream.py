@@ -24,6 +24,16 @@ _GATHER_S = 0.1
 _AT_REST_AFTER_S = 5.0
 _TRAVEL = frozenset((Field.A_POSITION, Field.A_DESTINATION, Field.B_POSITION, Field.B_DESTINATION))
 _ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
+# What one screen says of an axis holds together, by the code of the angle that it begins with.
+_SCREENS: dict[int, int] = {
+    Field.A_ANGLE: Field.A_ANGLE,
+    Field.A_POSITION: Field.A_ANGLE,
+    Field.A_DESTINATION: Field.A_ANGLE,
+    Field.B_ANGLE: Field.B_ANGLE,
+    Field.B_POSITION: Field.B_ANGLE,
+    Field.B_DESTINATION: Field.B_ANGLE,
+}
+_WHOLE = 3
 
 
 class Port(Protocol):
@@ -56,6 +66,9 @@ class Value(NamedTuple):
 class FieldTable:
     """The newest value of each field that can be believed; filled by one thread, read by any.
 
+    An axis's angle, position and destination are always those of one screen: the position of a new count beside the
+    angle of the old one would be taken for motion.
+
     Parameters
     ----------
     jumps
@@ -73,6 +86,9 @@ class FieldTable:
         self._jumps = jumps
         self._values: dict[int, Value] = {}
         self._suspect: dict[int, float] = {}
+        # The axis's screen that is being read, which nobody sees before it is whole; whose angle was not believed.
+        self._screen: dict[int, Value] = {}
+        self._held: set[int] = set()
         self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
         self.travelled_s = -math.inf
@@ -87,7 +103,7 @@ class FieldTable:
 
     def forget(self) -> None:
         """Start anew."""
-        self._values = {}
+        self._values, self._screen, self._suspect, self._held = {}, {}, {}, set()
 
     def take(self, tokens: Iterable[tuple[int, bytes]], now_s: float) -> None:
         """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again."""
@@ -95,24 +111,55 @@ class FieldTable:
             self._paused_s, self._caught_up_s = self._taken_s, now_s + _BACKLOG_S
         self._taken_s = now_s
         for code, text in tokens:
-            known = self._values.get(code)
-            if known is not None and known.text == text:
-                # Believed before, and no jump from there.
-                self._suspect.pop(code, None)
-                self._values[code] = Value(text, now_s, known.number)
+            axis = _SCREENS.get(code)
+            if self._screen and (axis not in self._screen or axis == code):
+                self._end_screen()
+            # Where the angle that began a screen cannot be believed yet, nothing of the axis can.
+            if axis != code and axis in self._held:
                 continue
-            number = math.nan
-            try:
-                if code in DECIMALS:
-                    number = parse_number(code, text)
-                elif code == Field.STATUS:
-                    parse_status(text.decode("latin-1"))
-            except ValueError:
-                continue
-            if code not in self._jumps or self._plausible(code, number, now_s):
-                self._values[code] = Value(text, now_s, number)
-                if code in _TRAVEL:
-                    self.travelled_s = now_s
+            value = self._believed(code, text, now_s)
+            if axis is not None:
+                self._take_of_axis(axis, code, value)
+            elif value is not None:
+                self._values[code] = value
+
+    def _take_of_axis(self, axis: int, code: int, value: Value | None) -> None:
+        if axis == code:
+            (self._held.add if value is None else self._held.discard)(axis)
+        if value is None:
+            return
+        if axis != code and not self._screen:
+            # The unit prints it before the angle, or the angle was lost.
+            self._values[code] = value
+            return
+        self._screen[code] = value
+        if len(self._screen) == _WHOLE:
+            self._end_screen()
+
+    def _end_screen(self) -> None:
+        self._values.update(self._screen)
+        self._screen = {}
+
+    def _believed(self, code: int, text: bytes, now_s: float) -> Value | None:
+        """Return what a field says now, or None if it cannot be."""
+        known = self._values.get(code)
+        if known is not None and known.text == text:
+            # Believed before, and no jump from there.
+            self._suspect.pop(code, None)
+            return Value(text, now_s, known.number)
+        number = math.nan
+        try:
+            if code in DECIMALS:
+                number = parse_number(code, text)
+            elif code == Field.STATUS:
+                parse_status(text.decode("latin-1"))
+        except ValueError:
+            return None
+        if code in self._jumps and not self._plausible(code, number, now_s):
+            return None
+        if code in _TRAVEL:
+            self.travelled_s = now_s
+        return Value(text, now_s, number)
 
     def _plausible(self, code: int, number: float, now_s: float) -> bool:
         """Tell whether a value can be; a jump is one once the next value confirms it."""

@@ -63,7 +63,11 @@ def reader(wire):
 
 
 def angle(text):
-    return b"$%c%s$" % (Field.A_ANGLE, text)
+    """Return a screen of axis A."""
+    return b"$%c%s" % (Field.A_ANGLE, text) + REST
+
+
+REST = b"$%c1.0000$%c1.0000$" % (Field.A_POSITION, Field.A_DESTINATION)
 
 
 def test_the_newest_value_counts_with_the_time_at_which_it_came(wire, reader):
@@ -83,6 +87,25 @@ def test_what_is_no_number_that_can_be_is_dropped(wire, reader, text):
     wire.say(angle(b"2.0"))
     wire.say(angle(text))
     assert reader.table.get(Field.A_ANGLE).text == b"2.0"
+
+
+@pytest.mark.parametrize("text", [b"1x0", b"70.0"])
+def test_what_stands_beside_an_angle_that_is_not_believed_is_not_believed_either(wire, reader, text):
+    wire.say(angle(b"2.0"))
+    wire.say(angle(text).replace(b"1.0000", b"9.0000"))
+    assert reader.table.get(Field.A_POSITION).text == b"1.0000"
+    wire.say(angle(b"2.0").replace(b"1.0000", b"1.5000"))
+    assert reader.table.get(Field.A_POSITION).text == b"1.5000"
+
+
+def test_an_axis_is_shown_once_its_screen_is_whole(wire, reader):
+    wire.say(angle(b"2.0"))
+    new = angle(b"2.5").replace(b"1.0000", b"1.5000")
+    for byte in new[:-1]:
+        wire.say(bytes((byte,)), after_s=0.001)
+        assert reader.table.get(Field.A_ANGLE).text == b"2.0"
+    wire.say(new[-1:], after_s=0.001)
+    assert [value.text for value in reader.table.snapshot().values()] == [b"2.5", b"1.5000", b"1.5000"]
 
 
 def test_one_impossible_angle_is_dropped_and_a_confirmed_one_is_a_jump(wire, reader):
@@ -127,7 +150,7 @@ class Resting:
             raise LinkLostError("positioner", "read all the time")
         if self.now_s > 8.0:
             self.woken.set()
-        return b"$%c1.0000$%c1.0000$" % (Field.A_POSITION, Field.A_DESTINATION)
+        return REST
 
     def echoes(self):
         return False
@@ -198,5 +221,5 @@ def test_a_banner_in_any_pieces_ends_what_was_known(wire, booting, length):
         wire.say(text[start : start + length])
     assert booting.restarted_s is not None
     assert booting.table.snapshot() == {}
-    wire.say(b"3.0$")
+    wire.say(b"3.0" + REST)
     assert booting.table.get(Field.A_ANGLE).text == b"3.0"
