@@ -5,14 +5,15 @@ umask 022
 
 usage() {
   cat <<'TEXT'
-usage: install.sh [--role cube|tracker|both] [--from WHEEL|CHECKOUT] [--python PROGRAM] [--notify]
+usage: install.sh [--role cube|tracker|both|archive] [--from WHEEL|CHECKOUT] [--python PROGRAM] [--notify]
                   [--root DIR]
        install.sh --remove [--root DIR]
 
 Puts the program into a Python environment under /opt/heliocube, its units and device rules under /etc, and, where there
 is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves before you say so.
 
-  --role ROLE       what this machine does (default: both, as two units)
+  --role ROLE       what this machine does (default: both, as two units); archive keeps the records of many services in
+                    PostgreSQL, alone or beside what an earlier run has installed
   --from PATH       a heliocube wheel, or a checkout (default: the checkout that this script is in)
   --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
   --notify          with what sends alarms to people; kept at an upgrade where /etc/heliocube/notify.people is
@@ -26,12 +27,12 @@ fail() {
   exit 2
 }
 
-role=both from='' python=python3 root='' remove=no lock=runtime
+role=both from='' python=python3 root='' remove=no notify=no archive=no
 while [ $# -gt 0 ]; do
   case $1 in
     -h | --help) usage; exit 0 ;;
     --remove) remove=yes; shift; continue ;;
-    --notify) lock=notify; shift; continue ;;
+    --notify) notify=yes; shift; continue ;;
     --role | --from | --python | --root) [ $# -ge 2 ] || fail "$1 needs a value; see --help" ;;
     *) fail "'$1' is no option; see --help" ;;
   esac
@@ -45,9 +46,9 @@ while [ $# -gt 0 ]; do
 done
 
 case $role in
-  cube | tracker) roles=$role ;;
+  cube | tracker | archive) roles=$role ;;
   both) roles='cube tracker' ;;
-  *) fail "--role $role: must be cube, tracker or both" ;;
+  *) fail "--role $role: must be cube, tracker, both or archive" ;;
 esac
 [ "$(id -u)" -eq 0 ] || fail 'this needs root: run it with sudo'
 if [ -n "$root" ]; then
@@ -59,7 +60,14 @@ fi
 here=$(cd "$(dirname "$0")" && pwd)
 # shellcheck source=deploy/steps.sh
 . "$here/steps.sh"
-[ ! -e "$etc/notify.people" ] || lock=notify
+[ ! -e "$etc/notify.people" ] || notify=yes
+[ "$role" != archive ] && [ ! -e "$etc/archive.toml" ] || archive=yes
+# The locks name the same release of what more than one of them names.
+locks='runtime'
+[ $notify = no ] || locks="$locks notify"
+[ $archive = no ] || locks="$locks archive"
+requirements=''
+for lock in $locks; do requirements="$requirements -r lock/$lock.txt"; done
 
 [ ! -e "$opt/package" ] || fail 'heliocube is here as a Debian package: install a newer one of those, or apt-get remove heliocube first'
 
@@ -99,7 +107,7 @@ done
 fingerprint() {
   {
     "$python" --version
-    cat "$here/lock/$lock.txt" "$here/lock/build.txt"
+    for lock in $locks build; do cat "$here/lock/$lock.txt"; done
     if [ -f "$from" ]; then
       cat "$from"
     else
@@ -121,7 +129,8 @@ if [ ! -e "$release/.complete" ]; then
   mkdir -p "$opt/releases"
   "$python" -m venv "$release"
   pip="$release/bin/python -m pip --disable-pip-version-check --quiet install"
-  $pip --only-binary :all: --require-hashes -r "$here/lock/$lock.txt" ||
+  # shellcheck disable=SC2086 # words
+  (cd "$here" && $pip --only-binary :all: --require-hashes $requirements) ||
     fail 'pip could not install what heliocube needs, see above; nothing has been changed'
   wheel=$from
   if [ -d "$from" ]; then
@@ -145,13 +154,18 @@ use_release "$id"
 
 put() { install -D -m 0644 "$here/$1" "$root$2"; }
 
-for other in cube tracker; do
+for other in cube tracker archive; do
   unit=heliocube-$other.service
   case " $roles " in
     *" $other "*) put $unit /etc/systemd/system/$unit ;;
     *) [ ! -e "$root/etc/systemd/system/$unit" ] || say "note: $unit is here from before and stays" ;;
   esac
 done
+case " $roles " in
+  *' archive '*)
+    for unit in parquet.service parquet.timer; do put heliocube-$unit /etc/systemd/system/heliocube-$unit; done
+    ;;
+esac
 # These two are for whoever wants them, on a machine of either role.
 put heliocube-dashboard.service /etc/systemd/system/heliocube-dashboard.service
 put heliocube-notify.service /etc/systemd/system/heliocube-notify.service
@@ -175,15 +189,20 @@ reload
 
 say "heliocube $id is installed in $opt"
 for role in $roles; do
+  [ "$role" != archive ] || continue
   say "next: sudo heliocube setup /etc/heliocube/$role.toml --role $role, or edit that file and check it:"
   say "      sudo -u heliocube heliocube config check /etc/heliocube/$role.toml"
 done
-[ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
+[ "$role" = archive ] || [ -e "$etc/bridge.key" ] || say "      copy /etc/heliocube/bridge.key from the cube's machine, then run install.sh again"
+if [ "$role" = archive ]; then
+  say "next: edit /etc/heliocube/archive.toml, write archive.password and archive.credentials beside it, mode 0600 (docs/archive.md)"
+fi
 for role in $roles; do say "      systemctl enable --now heliocube-$role    (after an upgrade: systemctl restart)"; done
 say "      systemctl enable --now heliocube-dashboard    (if you want the page for browsers; see $etc/dashboard.toml)"
 case " $roles " in
+  *' archive '*) say "      systemctl enable --now heliocube-parquet.timer    (if you want each day as Parquet files)" ;;
   *' tracker '*) say "      systemctl enable --now heliocube-report.timer    (if you want yesterday's report every night)" ;;
 esac
-[ $lock = runtime ] ||
+[ $notify = no ] ||
   say "      write $etc/notify.people, mode 0600, then systemctl enable --now heliocube-notify    (docs/alarms.md)"
-say 'Before the first move: docs/install.md'
+[ "$role" = archive ] || say 'Before the first move: docs/install.md'

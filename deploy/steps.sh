@@ -13,6 +13,9 @@ checkout_files="
 /etc/systemd/system/heliocube-report.service
 /etc/systemd/system/heliocube-report.timer
 /etc/systemd/system/heliocube-notify.service
+/etc/systemd/system/heliocube-archive.service
+/etc/systemd/system/heliocube-parquet.service
+/etc/systemd/system/heliocube-parquet.timer
 /etc/systemd/system/heliocube-tracker.service
 /etc/udev/rules.d/70-heliocube.rules
 /etc/modules-load.d/heliocube.conf
@@ -88,7 +91,7 @@ reload() {
 }
 
 end_units() {
-  for unit in cube.service tracker.service dashboard.service notify.service report.timer; do
+  for unit in cube.service tracker.service dashboard.service notify.service archive.service report.timer parquet.timer; do
     unit=heliocube-$unit
     [ $live = no ] || ! systemctl cat "$unit" >/dev/null 2>&1 || systemctl disable --quiet --now "$unit"
     rm -f "$root/etc/systemd/system/multi-user.target.wants/$unit" "$root/etc/systemd/system/timers.target.wants/$unit"

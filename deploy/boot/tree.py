@@ -12,8 +12,8 @@ from boot.host import ROOT, LeftOut, NotSeen, own_cgroups, run
 
 DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
 CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
-# The lock with the alarms holds all that the lock without them does.
-LOCKS = ("notify", "build")
+# What the package is made of; either of the first two holds all that `runtime` does.
+LOCKS = ("notify", "archive", "build")
 
 
 class Tree:

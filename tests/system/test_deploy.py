@@ -53,9 +53,7 @@ def run(*command, **options):
 
 def stand_in(tmp_path, role, change=lambda text: text):
     """The unit, with a program that exists here in place of the installed one."""
-    # An archive is seldom on the machine of a rig, and has an environment of its own.
-    home = "/opt/heliocube-archive" if role in ("archive", "parquet") else "/opt/heliocube/current"
-    installed = f"{home}/bin/heliocube"
+    installed = "/opt/heliocube/current/bin/heliocube"
     text = (DEPLOY / f"heliocube-{role}.service").read_text()
     assert f"ExecStart={installed} {STARTS[role]}\n" in text
     unit = tmp_path / f"heliocube-{role}.service"
@@ -159,8 +157,8 @@ def test_the_examples_are_good_configurations(tmp_path, name):
     (tmp_path / "api.token").chmod(0o600)
     (tmp_path / "notify.people").write_text("ntfy://ntfy.lab/roof\n")
     (tmp_path / "notify.people").chmod(0o600)
-    (tmp_path / "mqtt.credentials").write_text("user:password\n")
-    (tmp_path / "mqtt.credentials").chmod(0o600)
+    (tmp_path / "archive.credentials").write_text("user:password\n")
+    (tmp_path / "archive.credentials").chmod(0o600)
     assert check_file(tmp_path / f"{name}.toml").instruments.kind == "simulated"
     assert migrate(tmp_path / f"{name}.toml", keys_only=True).endswith("it is in today's form")
 
@@ -270,11 +268,22 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     tree.mkdir()
     install = ("sh", checkout / "deploy" / "install.sh", "--root", tree)
 
+    alone = run(*install, "--role", "archive")
+    assert alone.returncode == 0, alone.stderr
+    assert "systemctl enable --now heliocube-archive" in alone.stdout
+    units = tree / "etc/systemd/system"
+    archive_units = {f"heliocube-{name}" for name in ("archive.service", "parquet.service", "parquet.timer")}
+    assert archive_units <= {path.name for path in units.iterdir()}
+    assert not (units / "heliocube-tracker.service").exists()
+    assert not list(units.glob("*.wants")), "nothing is enabled"
+
     first = run(*install)
     assert first.returncode == 0, first.stderr
+    assert "building" not in first.stdout, "who has been an archive stays one"
     assert "systemctl enable --now heliocube-tracker" in first.stdout
     program = tree / "opt/heliocube/current/bin/heliocube"
     assert run(program, "--version").stdout.startswith("heliocube ")
+    assert run(program.parent / "python", "-c", "import psycopg").returncode == 0
     # That of the alarms is good only with people to tell.
     for role in (*ROLES, "dashboard"):
         checked = run(program, "config", "check", tree / f"etc/heliocube/{role}.toml")
@@ -302,6 +311,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert removed.returncode == 0, removed.stderr
     assert files_in(tree, but=("etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock")) == {
         "etc/heliocube/api.token",
+        "etc/heliocube/archive.toml",
         "etc/heliocube/bridge.key",
         "etc/heliocube/cube.toml",
         "etc/heliocube/dashboard.toml",
@@ -321,7 +331,7 @@ def test_nothing_is_fetched_that_the_locks_do_not_name_by_hash():
     for line in calls:
         assert ("--require-hashes" in line and "--only-binary :all:" in line) != ("--no-index" in line), line
         assert (" wheel " in line) == ("--no-build-isolation" in line), line
-    for name in ("runtime", "notify", "build"):
+    for name in ("runtime", "notify", "archive", "build"):
         lock = (DEPLOY / "lock" / f"{name}.txt").read_text()
         pinned = re.split(r"\n(?=\S)", lock.strip())
         assert all(re.match(r"[\w.-]+(\[\w,]+\])?==\S+", one) and "--hash=sha256:" in one for one in pinned)
@@ -341,7 +351,7 @@ def test_a_machine_that_cannot_boot_a_container_says_so_and_is_no_failure(tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--role", "sun"], "--role sun: must be cube, tracker or both"),
+        (["--role", "sun"], "--role sun: must be cube, tracker, both or archive"),
         (["--role"], "--role needs a value"),
         (["--frm", "x"], "'--frm' is no option"),
         (["--root", "/nowhere/at/all"], "--root /nowhere/at/all: there is no such folder"),

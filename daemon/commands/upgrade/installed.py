@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 
-_UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify"))
+_UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
