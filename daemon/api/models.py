@@ -199,6 +199,19 @@ class ReceivedPart(Page):
     gain: float | None = Field(description="Share that the first is more than the second.")
 
 
+class ShadowPart(Page):
+    """The law of `law.shadow` today: what it would have received, and how far both laws have travelled."""
+
+    law: str
+    failed_why: str | None = Field(description="What has befallen it; it is left out until a restart.")
+    received: ReceivedPart | None = Field(description="By the plane that it would have pointed.")
+    gain: float | None = Field(description="Share more than the tracker; null until both have counted the same time.")
+    travelled_deg: float = Field(ge=0)
+    moves: Whole
+    active_travelled_deg: float = Field(description="Of the laws that point, over the same time.", ge=0)
+    active_moves: Whole
+
+
 class TrackerPart(Page):
     """A tracker, or, at the top, the only one; all null where there are several or none."""
 
@@ -206,6 +219,7 @@ class TrackerPart(Page):
     wishes: dict[str, Any] | None = Field(description="What persons asked for: `why`, `by`, `since`, or null.")
     today: dict[str, Any] | None
     received: ReceivedPart | None = Field(description="Null before the first minute of the day that counts.")
+    shadow: ShadowPart | None = Field(description="Null without `law.shadow`.")
     irradiances: dict[str, Any] | None
     decision: dict[str, Any] | None
     law: dict[str, Any] | None

@@ -9,7 +9,7 @@ import numpy as np
 
 from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
-from daemon.config.plugged import MULTIPLEXED
+from daemon.config.plugged import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
 from solar.frames import equator_azimuth_deg
 
@@ -327,6 +327,13 @@ def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("load.driver", reason, ("instruments.kind",))
 
 
+def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:
+    """`law.shadow`, where it is not empty, is an installed law, and not `law.driver`."""
+    law, names = settings.law, [name for name in LAW.names() if name != settings.law.driver]
+    if law.shadow and law.shadow not in names:
+        yield Conflict("law.shadow", f"is not a law to run beside {law.driver}; those are {', '.join(names)}")
+
+
 _OF_MULTIPLEXED = (
     each_face_has_its_channel,
     each_channel_has_an_address,
@@ -338,6 +345,7 @@ RULES = (
     *_OF_MULTIPLEXED,
     the_faces_can_be_told_apart,
     windows_hold_scans,
+    the_law_in_the_shadow_is_another,
     a_group_is_whole,
     trackers_of_a_group_stand_apart,
     limits_are_ordered,

@@ -12,12 +12,12 @@ from pathlib import Path
 from daemon.base.alarms import kept
 from daemon.base.errors import UserError
 from daemon.motion import reference
-from daemon.service import received
+from daemon.received import today
 from daemon.tracker import budget, law_file, stow_watch, wishes
 
 log = logging.getLogger("heliocube.service")
 
-_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, received))
+_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:

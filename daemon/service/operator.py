@@ -244,13 +244,15 @@ class Operator:
 
     async def relearn(self, why: str, by: str = "") -> Answer:
         """Forget what the law has learned of the site."""
-        control = self._control
+        control, shadow = self._control, self._tracker.shadow
         with _refusals():
             control.refuse_while_still("relearn")
-        if control.pointing.law.learned is None:
+        if control.pointing.law.learned is None and (shadow is None or shadow.albedo is None):
             raise CommandError(f"there is nothing to forget: the law {control.pointing.chosen.name} learns nothing")
         self._note("relearn", why, by)
         control.pointing.relearn()
+        if shadow is not None:
+            shadow.relearn()
         return Answer(Seen.DONE, "what was learned of the site is learned anew")
 
     def _note(self, command: str, why: str, by: str) -> None:

@@ -13,9 +13,10 @@ from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
 from daemon.motion.motion import Motion
+from daemon.received.shadow import ShadowState
+from daemon.received.today import Insolation
 from daemon.service.health import LoopState
 from daemon.service.mode_times import ModesOfDay
-from daemon.service.received import Insolation
 from daemon.service.recent import News, Recent
 from daemon.service.service import Service
 from daemon.service.status import LinkStatus
@@ -98,6 +99,8 @@ class TrackerState:
     received
         What its plane has received today, beside a chronometric tracker's, by the light on the cube's faces; at a
         glance without the latest quarter of an hour.
+    shadow
+        The law in its shadow; None where there is none, and at a glance.
     modes
         How long it has been in each today.
     wind
@@ -119,6 +122,7 @@ class TrackerState:
     wishes: Wishes
     today: DayUse
     received: Insolation
+    shadow: ShadowState | None
     modes: ModesOfDay
     limits: Limits
     positioner: PositionerState
@@ -287,6 +291,7 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
         received=tracker.received.counted if glance else tracker.received.today,
+        shadow=None if tracker.shadow is None or glance else tracker.shadow.state,
         modes=tracker.mode_times.today(),
         limits=tracker.settings.limits.limits(),
         positioner=_positioner(tracker.motion, now_s),

@@ -10,7 +10,8 @@ from daemon.base.alarms.alarm import Alarm
 from daemon.base.clock import iso_utc
 from daemon.base.records import FACES, Mode, Record
 from daemon.cube.calibration import CubeCalibration
-from daemon.service.received import Insolation
+from daemon.received.shadow import ShadowState
+from daemon.received.today import Insolation
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
@@ -34,6 +35,7 @@ _OF_A_TRACKER = (
     "wishes",
     "today",
     "received",
+    "shadow",
     "irradiances",
     "decision",
     "law",
@@ -143,6 +145,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
             "modes_since": iso_utc(tracker.modes.since_utc_s),
         },
         "received": _received(tracker.received),
+        "shadow": None if tracker.shadow is None else _shadow(tracker.shadow, tracker.received),
         "irradiances": _irradiances(control),
         "decision": None
         if control.decision is None
@@ -179,6 +182,19 @@ def _received(today: Insolation) -> dict[str, Any] | None:
         "chronometric_kwh_m2": round(today.chronometric_kwh_m2, 5),
         "best_kwh_m2": round(today.best_kwh_m2, 5),
         "gain": number(round(today.gain, 5)),
+    }
+
+
+def _shadow(shadow: ShadowState, own: Insolation) -> dict[str, Any]:
+    return {
+        "law": shadow.law,
+        "failed_why": shadow.failed_why,
+        "received": _received(shadow.received),
+        "gain": number(round(shadow.gain_over(own), 5)),
+        "travelled_deg": shadow.travel.travelled_deg,
+        "moves": shadow.travel.moves,
+        "active_travelled_deg": shadow.travel.active_deg,
+        "active_moves": shadow.travel.active_moves,
     }
 
 

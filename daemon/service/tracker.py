@@ -18,14 +18,15 @@ from daemon.base.records import Event, ModeChange, Pose, Record, Scan, stamped
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
 from daemon.motion.motion import Motion, Polling
+from daemon.received.shadow import Active, Shadow
+from daemon.received.today import FILE_NAME, ReceivedToday
 from daemon.service.mode_times import ModeTimes
-from daemon.service.received import ReceivedToday
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.orders import Orders
 from daemon.tracker.phase import Phase
-from daemon.tracker.pointing import build_pointing
+from daemon.tracker.pointing import build_pointing, build_shadow
 from daemon.tracker.readings import Common, Readings
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
@@ -153,9 +154,8 @@ class Tracker:
             self._clock_watch,
             phase,
         )
-        self.received = ReceivedToday(
-            settings.site.place(), settings.limits.limits(), self._albedo, folder, clock.utc(), phase
-        )
+        self.received = self._count(FILE_NAME)
+        self.shadow = self._build_shadow(common) if settings.law.shadow else None
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
         self._moving: asyncio.Future[None] | None = None
@@ -181,15 +181,44 @@ class Tracker:
         """Take in a fresh, authentic scan that has come at this UTC [s]; its monotonic times are on our clock."""
         self.control.receive(scan, utc_s)
         if self._clock_watch.trusted:
-            self.received.add(scan, self.motion.pose if self.motion.connected else None, utc_s)
+            pose = self.motion.pose if self.motion.connected else None
+            if self.shadow is not None:
+                self.shadow.add(scan, self._active(pose), utc_s)
+            self.received.add(scan, pose, utc_s)
+
+    def _active(self, pose: Pose | None) -> Active:
+        control = self.control
+        return Active(
+            mode=control.mode,
+            pose=pose,
+            travelled_deg=control.budget.used.travelled_deg,
+            moves=control.budget.used.moves,
+            received=self.received,
+            mean=lambda: control.state.irradiances,
+        )
 
     def _publish_of_motion(self, record: Record) -> None:
         if isinstance(record, Pose):
             record = replace(record, wind_m_s=self.stow_watch.take_gust(), tracker=self.name)
         self.publish(record)
 
+    def _count(self, file_name: str) -> ReceivedToday:
+        settings = self.settings
+        place, limits, utc_s = settings.site.place(), settings.limits.limits(), self.clock.utc()
+        return ReceivedToday(place, limits, self._albedo, self.folder, utc_s, self._phase, file_name)
+
+    def _build_shadow(self, common: Common) -> Shadow:
+        settings, utc_s = self.settings, self.clock.utc()
+        law = build_shadow(settings, utc_s, self.folder, common)
+        received = self._count(f"shadow-{law.named.name}-{FILE_NAME}")
+        return Shadow(law, settings, received, self.folder, self.publish, utc_s)
+
     def _albedo(self) -> float:
-        return float(getattr(self.control.pointing.law.learned, "albedo", _ALBEDO))
+        """Return what is known of the ground; one number for every plane that is compared."""
+        learned = getattr(self.control.pointing.law.learned, "albedo", None)
+        if learned is None and self.shadow is not None:
+            learned = self.shadow.albedo
+        return _ALBEDO if learned is None else float(learned)
 
     def note(self, record: Record) -> None:
         """Take in a record of the bus that concerns it: its own poses and modes, and every scan."""

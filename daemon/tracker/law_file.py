@@ -22,12 +22,12 @@ class LawFile:
 
     Parameters
     ----------
-    folder
+    folder, name
         Of the file.
     """
 
-    def __init__(self, folder: StateFolder) -> None:
-        self._file = StateFile(folder, FILE_NAME, _Kept, log, "what was learned")
+    def __init__(self, folder: StateFolder, name: str = FILE_NAME) -> None:
+        self._file = StateFile(folder, name, _Kept, log, "what was learned")
 
     def load(self) -> dict[str, Any] | None:
         """Return what was kept, or None; a file that cannot be read is reported and learning begins anew."""

@@ -13,7 +13,7 @@ from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.base.files import StateFolder
 from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
-from daemon.config.plugged import FALLBACK_LAW
+from daemon.config.plugged import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_file import LawFile
 from daemon.tracker.readings import Common
@@ -181,6 +181,13 @@ class GuardedLaw(Law):
         self.faces_needed, self.needs_sun, self.decide_every_s = law.faces_needed, law.needs_sun, law.decide_every_s
 
 
+class ShadowLaw(NamedTuple):
+    """A law that points nothing, and where it keeps what it has learned."""
+
+    named: NamedLaw
+    file: LawFile
+
+
 class Pointing:
     """What points one tracker.
 
@@ -216,10 +223,7 @@ class Pointing:
 
     def receive(self, scan: Scan, utc_s: float) -> None:
         """Hand a scan that has just arrived to the law."""
-        east, south, west, zenith = (
-            face.irradiance_w_m2 if face.quality is Quality.OK else math.nan for face in scan.faces
-        )
-        self.law.observe(Reading(utc_s, scan.time_monotonic_s, (east, south, west, zenith)))
+        self.law.observe(reading_of(scan, utc_s))
 
     def turn(self, utc_s: float) -> None:
         """Let the law begin a new day when it is time."""
@@ -238,6 +242,14 @@ class Pointing:
 
     def _save(self) -> None:
         self._file.save(self.law.to_dict())
+
+
+def reading_of(scan: Scan, utc_s: float) -> Reading:
+    """Return what laws are told of a scan that has come at this UTC [s]."""
+    east, south, west, zenith = (
+        face.irradiance_w_m2 if face.quality is Quality.OK else math.nan for face in scan.faces
+    )
+    return Reading(utc_s, scan.time_monotonic_s, (east, south, west, zenith))
 
 
 def ask(
@@ -294,7 +306,26 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
 def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> Pointing:
     """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
     file = LawFile(folder)
-    tracker = TrackerFacts(
+    tracker = _facts(settings, utc_s, file, common)
+    fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
+    return Pointing(
+        NamedLaw(settings.law.driver, _checked(_build(settings, tracker, file), settings.law.driver)),
+        NamedLaw(FALLBACK_LAW, cast("Law", fallback.build(fallback.SETTINGS(), replace(tracker, kept=None)))),
+        file,
+    )
+
+
+def build_shadow(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> ShadowLaw:
+    """Build the law of `law.shadow`, with what the file says of its parameters; raises `UserError` if it cannot be."""
+    name = settings.law.shadow
+    file = LawFile(folder, f"shadow-{name}-learned.json")
+    beside = settings.model_copy(update={"law": LAW.rechosen(settings.law, name)})
+    law = _build(beside, _facts(settings, utc_s, file, common), file)
+    return ShadowLaw(NamedLaw(name, _checked(law, name, "law.shadow")), file)
+
+
+def _facts(settings: Settings, utc_s: float, file: LawFile, common: Common | None) -> TrackerFacts:
+    return TrackerFacts(
         site=settings.site.place(),
         limits=settings.limits.limits(),
         scan_every_s=settings.cube.scan_every_s,
@@ -304,20 +335,14 @@ def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common
         common=(common or Common()).laws,
         group=settings.rows.group(settings.site.latitude_deg),
     )
-    fallback = plugins.load(plugins.LAWS, FALLBACK_LAW)
-    return Pointing(
-        NamedLaw(settings.law.driver, _checked(_build(settings, tracker, file), settings.law.driver)),
-        NamedLaw(FALLBACK_LAW, cast("Law", fallback.build(fallback.SETTINGS(), replace(tracker, kept=None)))),
-        file,
-    )
 
 
-def _checked(law: Law, name: str) -> Law:
+def _checked(law: Law, name: str, key: str = "law.driver") -> Law:
     """Return the law; `UserError` for one that asks for what there is not."""
     if not 1 <= law.faces_needed <= len(FACES):
-        raise UserError(f"law.driver: the law {name} asks for {law.faces_needed} good faces, not for 1 to {len(FACES)}")
+        raise UserError(f"{key}: the law {name} asks for {law.faces_needed} good faces, not for 1 to {len(FACES)}")
     if not 0.0 < law.decide_every_s < math.inf:
-        raise UserError(f"law.driver: the law {name} asks for a decision every {law.decide_every_s:g} s")
+        raise UserError(f"{key}: the law {name} asks for a decision every {law.decide_every_s:g} s")
     return law
 
 

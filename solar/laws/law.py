@@ -39,6 +39,10 @@ class LawSettings(BaseModel):
     """The one parameter that the benchmark varies as `NAME:VALUE`."""
 
     driver: str = Field("", description="Name of the law.")
+    shadow: str = Field(
+        "",
+        description="A second law that runs beside it, moves nothing, and tells each night what it would have gained.",
+    )
 
 
 @dataclass(frozen=True, slots=True)

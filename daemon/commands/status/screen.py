@@ -14,6 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, moment, zone
 
 _MODE_STYLES = {
@@ -192,7 +193,7 @@ def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
     if details := own["tracker"].get("details"):
         yield "details", Text(_printable(", ".join(_detail(*detail) for detail in details.items())))
     yield from _target(own)
-    yield from _received(own, time)
+    yield from lines_of_light(own, time)
     for source in own.get("wind") or ():
         yield "wind", _wind(source)
     if own["load"] is not None:
@@ -293,23 +294,6 @@ def _reason(decision: dict[str, Any]) -> str:
     """Return why in words, without the law's name in front."""
     why: str = decision["why"]
     return why.removeprefix(f"{decision['law']}: ")
-
-
-def _received(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
-    light = state.get("received")
-    if light is None or light["gain"] is None:
-        return
-    actual, chronometric = _energies(light["actual_kwh_m2"], light["chronometric_kwh_m2"])
-    text = f"{100 * light['gain']:+z.1f} % over chronometric: {actual} against {chronometric}"
-    since = _since(light["since"], time)
-    yield "received", Text(f"{text} {since}, a model's result from the faces")
-
-
-def _energies(one_kwh_m2: float, other_kwh_m2: float) -> tuple[str, str]:
-    """Return two of a kind in the unit that shows their difference, which stands behind the second."""
-    if max(one_kwh_m2, other_kwh_m2) < 1.0:
-        return f"{1000 * one_kwh_m2:.0f}", f"{1000 * other_kwh_m2:.0f} Wh/m2"
-    return f"{one_kwh_m2:.2f}", f"{other_kwh_m2:.2f} kWh/m2"
 
 
 def _cube(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:

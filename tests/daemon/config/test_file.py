@@ -121,8 +121,8 @@ def test_an_unknown_key_brings_the_one_that_was_meant(problems, text, meant):
 def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problems):
     assert problems("[law]\ncolour = 3") == [
         (
-            "law.colour = 3: there is no such key; the keys of [law] are driver, uniform_threshold, albedo, thrift,"
-            " travel_per_day_deg, moves_per_day, gain_uncertainty"
+            "law.colour = 3: there is no such key; the keys of [law] are driver, shadow, uniform_threshold, albedo,"
+            " thrift, travel_per_day_deg, moves_per_day, gain_uncertainty"
         )
     ]
     assert problems("[zzz]")[0].startswith("zzz: there is no such section; the sections are site, cube,")

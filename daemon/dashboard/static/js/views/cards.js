@@ -17,9 +17,15 @@ const because = ({ law, why }) => (why.startsWith(`${law}: `) ? why.slice(law.le
 const energy = (kwh) => (kwh < 1 ? num(1000 * kwh, 0, "Wh/m²") : num(kwh, 2, "kWh/m²"));
 const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${deg(b)}`;
 
+function inTheShadow({ law, failed_why, gain, travelled_deg, active_travelled_deg }) {
+  if (failed_why !== null) return `${law} has failed and is left out: ${failed_why}`;
+  if (gain === null) return `${law}: nothing to compare yet`;
+  return `${law} would have received ${signed(100 * gain, 1, "%")} by the model, for ${deg(travelled_deg)} of travel instead of ${deg(active_travelled_deg)}`;
+}
+
 export function next() {
   const big = h("p", { class: "big" });
-  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today", "Received today", "Against chronometric"]);
+  const { list, values } = facts(["In the light of now", "Last decision", "It said", "Moves today", "Travel today", "Received today", "Against chronometric", "Law in the shadow"]);
   const node = card("Next decision", null, big, list);
 
   function update({ tracker, extra, now, old }) {
@@ -38,6 +44,9 @@ export function next() {
     setText(values["It said"], decision ? `${decision.moved ? "go to" : "stay; aim"} ${pair(decision)}: ${because(decision)}` : "–");
     setText(values["Moves today"], tracker.today ? `${num(tracker.today.moves)}, ${num(tracker.today.left.moves)} left` : "–");
     setText(values["Travel today"], tracker.today ? `${deg(tracker.today.travelled_deg)}, ${deg(tracker.today.left.travel_deg)} left` : "–");
+    const shadow = tracker.shadow ?? null;
+    values["Law in the shadow"].parentElement.hidden = shadow === null;
+    if (shadow) setText(values["Law in the shadow"], inTheShadow(shadow));
     const light = tracker.received ?? null;
     for (const name of ["Received today", "Against chronometric"]) values[name].parentElement.hidden = light === null;
     if (!light) return;

@@ -15,7 +15,7 @@ from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Limits
 from solar.received import received
 
-log = logging.getLogger("heliocube.service")
+log = logging.getLogger("heliocube.received")
 
 FILE_NAME = "received.json"
 
@@ -72,6 +72,8 @@ class ReceivedToday:
         The time of construction [s].
     phase
         When its turn is among the trackers of the process.
+    file_name
+        Of the kept count.
     """
 
     def __init__(
@@ -82,11 +84,12 @@ class ReceivedToday:
         folder: StateFolder,
         utc_s: float,
         phase: Phase = ALONE,
+        file_name: str = FILE_NAME,
     ) -> None:
         self._phase = phase
         self._site, self._limits, self._albedo = site, limits, albedo
-        self._file = StateFile(folder, FILE_NAME, Insolation, log, "the light received today")
-        self._today = self._load() or Insolation(day=self._day_of(utc_s))
+        self._file = StateFile(folder, file_name, Insolation, log, "the light received today")
+        self._today = self._load() or Insolation(day=self.day_of(utc_s))
         self._newest_s = -math.inf
         self._waiting: list[tuple[float, float, list[float]]] = []
         self._unsaved = 0
@@ -96,10 +99,10 @@ class ReceivedToday:
         """Take in a scan that has just arrived, at this UTC [s], and where the tracker stands; None: not known."""
         elapsed_s = min(scan.time_monotonic_s - self._newest_s, _LONGEST_S)
         self._newest_s = scan.time_monotonic_s
-        if self._day_of(utc_s) != self._today.day:
+        if self.day_of(utc_s) != self._today.day:
             self._take_in()
             self._begin_mean()
-            self._today = Insolation(day=self._day_of(utc_s))
+            self._today = Insolation(day=self.day_of(utc_s))
         if not elapsed_s < _LONGEST_S:
             # After a gap nobody knows what the light was.
             self._begin_mean()
@@ -172,7 +175,7 @@ class ReceivedToday:
             self._unsaved = 0
             self._file.save(self._today)
 
-    def _day_of(self, utc_s: float) -> int:
+    def day_of(self, utc_s: float) -> int:
         """Count the solar days from midnight to midnight."""
         return int((utc_s + self._site[1] * DAY_S / 360.0) // DAY_S)
 

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.files import StateFolder
 from daemon.base.records import FaceReading, Mode, Pose, Quality, Scan
-from daemon.service.received import ReceivedToday
+from daemon.received.today import ReceivedToday
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 from solar.ephemeris import Site, sun_direction

@@ -1,0 +1,146 @@
+"""A law in the shadow of the one that points: what it would have gained, and that it moves nothing."""
+
+import asyncio
+import json
+import math
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.base.records import Decision, Event, Mode, Move
+from daemon.commands.file_check import check_file
+from daemon.service.operator import Operator
+from daemon.service.recent import Recent
+from daemon.service.state import state_json
+from solar.laws.chronometric import ChronometricLaw
+from tests.support.rig import HandWeather
+
+SELDOM = {
+    "cube": {"scan_every_s": 30},
+    "windows": {"mean_s": 60},
+    "safety": {"scan_stale_s": 65, "fallback_after_s": 600},
+    "rest_look_s": 30.0,
+}
+OVERCAST = HandWeather(dni=0, dhi=150)
+
+
+def seen(rig):
+    return state_json(rig.see(Recent()))["shadow"]
+
+
+def told(rig):
+    return [event.text for event in rig.of(Event) if event.subject == "shadow"]
+
+
+async def until_known(rig, seconds):
+    def known():
+        received = seen(rig)["received"]
+        return received is not None and received["known_s"] >= seconds
+
+    await rig.until(known, 4000, f"{seconds} s of light", every_s=10.0)
+
+
+async def most_of_an_hour(rig):
+    await rig.until_mode(Mode.TRACKING, 120)
+    await rig.until(
+        lambda: seen(rig)["received"] and seen(rig)["received"]["known_s"] >= 3000, 4000, "most of an hour", 10.0
+    )
+
+
+def test_under_an_even_sky_what_would_lie_flat_gains_over_what_follows_the_sun_and_moves_nothing(run_rig):
+    async def scenario(rig):
+        await most_of_an_hour(rig)
+        own, shadow = state_json(rig.see(Recent()))["received"], seen(rig)
+        # Both lie in the same light, and the one in the shadow is the best there is.
+        assert shadow["received"]["actual_kwh_m2"] == pytest.approx(own["best_kwh_m2"], rel=0.02)
+        assert shadow["gain"] == pytest.approx(own["best_kwh_m2"] / own["actual_kwh_m2"] - 1.0, abs=0.02)
+        assert shadow["gain"] > 0.05
+        assert shadow["law"] == "flat"
+        # It has lain flat from the start.
+        assert shadow["moves"] == 0
+        assert shadow["active_moves"] >= 5
+
+    rig = run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST)
+    assert {decision.law for decision in rig.of(Decision)} == {"chronometric"}
+    assert rig.truth().b_deg < 60.0
+
+
+def test_two_laws_that_say_the_same_gain_nothing_over_each_other(run_rig):
+    async def scenario(rig):
+        await most_of_an_hour(rig)
+        shadow = seen(rig)
+        assert abs(shadow["gain"]) < 0.002
+        assert shadow["travelled_deg"] == pytest.approx(shadow["active_travelled_deg"], abs=8.0)
+
+    run_rig(scenario, law={"driver": "chronometric", "shadow": "sun-vector"})
+
+
+def test_where_a_person_holds_the_tracker_the_one_in_the_shadow_stands_beside_it(run_rig):
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await asyncio.sleep(60)
+        await Operator(rig.tracker, 1.0).hold("looking", "ana")
+        await rig.until_mode(Mode.HOLD, 60)
+        before = seen(rig)
+        await asyncio.sleep(1800)
+        assert seen(rig)["moves"] == before["moves"]
+        assert seen(rig)["gain"] == pytest.approx(0.0, abs=0.01)
+
+    run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST)
+
+
+def test_a_night_tells_what_the_day_was_worth(run_rig):
+    async def scenario(rig):
+        await until_known(rig, 900)
+        await rig.until(lambda: told(rig), 12 * 3600, "solar midnight", every_s=60.0)
+
+    law = {"driver": "chronometric", "shadow": "flat"}
+    rig = run_rig(scenario, law=law, weather=OVERCAST, start="2022-10-12T16:00", **SELDOM)
+    (text,) = told(rig)
+    assert text.startswith("on the day that has ended flat in the shadow would have received 0.")
+    assert " where chronometric received 0." in text
+    assert text.endswith(" h of readings")
+
+
+def test_a_law_in_the_shadow_that_raises_is_left_out_and_the_tracker_goes_on(run_rig, monkeypatch):
+    def fails(*_):
+        raise RuntimeError("no such sky")
+
+    monkeypatch.setattr(ChronometricLaw, "aim", fails)
+
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.until(lambda: told(rig), 600, "the failure")
+        moves = len(rig.of(Decision))
+        await rig.until(lambda: len(rig.of(Decision)) > moves + 1, 900, "two more decisions")
+        assert seen(rig)["failed_why"] == "RuntimeError: no such sky"
+
+    rig = run_rig(scenario, law={"driver": "mu-prime", "shadow": "chronometric"})
+    assert len(told(rig)) == 1
+    assert rig.mode is Mode.TRACKING
+    assert rig.of(Move)
+
+
+def test_what_it_has_learned_and_moved_outlives_a_restart(run_rig, tmp_path):
+    law = {"driver": "chronometric", "shadow": "optimal", "albedo": 0.35}
+
+    async def scenario(rig):
+        await most_of_an_hour(rig)
+
+    run_rig(scenario, store={"directory": tmp_path}, law=law)
+    assert json.loads((tmp_path / "shadow-optimal-learned.json").read_text())["albedo"] == pytest.approx(0.35, abs=0.1)
+    kept = json.loads((tmp_path / "shadow-optimal-day.json").read_text())
+    assert kept["active_moves"] >= 5
+    assert 0 < json.loads((tmp_path / "shadow-optimal-received.json").read_text())["known_s"] < math.inf
+
+
+@pytest.mark.parametrize("name", ["mu-prime", "nought"])
+def test_the_law_in_the_shadow_is_an_installed_one_and_another(tmp_path, name):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"[law]\nshadow = '{name}'\n")
+    with pytest.raises(UserError) as refused:
+        check_file(file)
+    expected = (
+        f'law.shadow = "{name}": is not a law to run beside mu-prime; those are chronometric, flat, optimal, sun-'
+    )
+    assert expected in str(refused.value)
