@@ -119,7 +119,9 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
     try:
         import psycopg  # noqa: PLC0415 - it is in an extra
     except ImportError:
-        raise ArchiveError("an archive needs psycopg: pip install 'heliocube[archive]'") from None
+        raise ArchiveError(
+            "an archive needs psycopg: run deploy/install.sh --role archive, or pip install 'heliocube[archive]'"
+        ) from None
     try:
         return psycopg.connect(
             address.url,

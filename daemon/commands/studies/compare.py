@@ -270,8 +270,10 @@ def paper(
     from daemon.commands.studies.simulate import progress_bar
     from daemon.config.settings import Settings
     from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, verdicts, write_paper
+    from daemon.studies.spread.workers import check_workers
 
     workers, settings = chosen_workers(jobs, cluster), Settings()
+    check_workers(workers)
     with progress_bar(Console(stderr=True), "correcting") as progress:
         correction = find_correction(settings, progress)
     with progress_bar(Console(stderr=True), "repeating") as progress:

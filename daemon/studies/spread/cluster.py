@@ -42,7 +42,8 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
         from distributed.comm.addressing import parse_address, parse_host_port  # noqa: PLC0415 - as above
     except ImportError:
         raise UserError(
-            "--cluster needs dask.distributed: install it with pip install 'heliocube[cluster]', or take --jobs"
+            "--cluster needs dask.distributed: pip install --require-hashes -r deploy/lock/cluster.txt,"
+            " or 'heliocube[cluster]'; or take --jobs"
         ) from None
     _hush()
     try:
@@ -105,6 +106,7 @@ class ClusterPool:
             self._client.wait_for_workers(1, timeout=CONNECTS_WITHIN_S)
         except TimeoutError:
             raise self._idle() from None
+        self._refuse_others()
 
     def look(self) -> None:
         """Count the workers; there may be none for a minute, while they are started again."""
@@ -122,6 +124,11 @@ class ClusterPool:
         return WorkersError(f"--cluster: the scheduler at {self._address} is gone: start it and its workers again")
 
     def _idle(self) -> WorkersError:
+        if self._counted > -math.inf:
+            return WorkersError(
+                f"--cluster: all workers of the scheduler at {self._address} are gone: their logs tell why; one without"
+                f" this heliocube ends over its first task; then start 'dask worker {self._address}' again"
+            )
         return WorkersError(
             f"--cluster: the scheduler at {self._address} has no workers: start 'dask worker {self._address}'"
         )
@@ -132,6 +139,17 @@ class ClusterPool:
         except (OSError, TimeoutError, ValueError):
             raise self.gone() from None
         self._counted = time.monotonic()
+
+    def _refuse_others(self) -> None:
+        """Raise `WorkersError` for a worker of other releases: one without heliocube ends over what it is handed."""
+        try:
+            told = self._client.get_versions(packages=[name for name, _ in _versions()[1:]])["workers"]
+        except (OSError, TimeoutError, ValueError):
+            raise self.gone() from None
+        for worker, known in told.items():
+            for name, wanted in _versions()[1:]:
+                if known and (there := known["packages"].get(name)) != wanted:
+                    raise _other(f"at {worker}", name, there, wanted)
 
 
 def _connected(connect: Callable[..., Any], address: str) -> Any:
@@ -159,16 +177,18 @@ def _versions() -> tuple[tuple[str, str], ...]:
     return (("Python", f"{major}.{minor}"), *((name, version(name)) for name in _COUNT))
 
 
+def _other(where: str, name: str, there: str | None, wanted: str) -> WorkersError:
+    has = f"has {name} {there}" if there else f"lacks {name}"
+    return WorkersError(f"--cluster: the worker {where} {has}, and {wanted} is at work here: install the same there")
+
+
 def _on_worker(
     theirs: tuple[tuple[str, str], ...], work: Callable[[Task], Result], task: Task, *, apart: bool
 ) -> Result:
     """Carry out a task where it has come to, or refuse it."""
     for (name, wanted), (_, here) in zip(theirs, _versions(), strict=True):
         if wanted != here:
-            raise WorkersError(
-                f"--cluster: the worker on {platform.node()} has {name} {here}, and {wanted} is at work here: install"
-                " the same there"
-            )
+            raise _other(f"on {platform.node()}", name, here, wanted)
     if apart:
         return alone(work, task)
     with _ALONE:

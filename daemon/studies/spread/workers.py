@@ -90,6 +90,13 @@ def spread(
         yield from _Hands(pool, work, tasks).results()
 
 
+def check_workers(workers: Workers) -> None:
+    """Raise `UserError` where a cluster cannot be worked with, for a study that begins with work of its own."""
+    if workers.cluster is not None:
+        with _pool(workers, 1, apart=False):
+            pass
+
+
 def gather(
     work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers, progress: Callable[[float], None]
 ) -> tuple[list[Result], UserError | None]:

@@ -2,9 +2,12 @@
 
 import importlib.util
 import json
+import os
+import re
 import subprocess
 import sys
 import time
+from importlib.metadata import distribution, version
 from pathlib import Path
 
 import pytest
@@ -65,9 +68,12 @@ def wait_for(found, within_s=STARTS_WITHIN_S):
     return answer
 
 
-def energy(table, out, *words):
+def energy(table, out, *words, path=""):
     command = [PROGRAM, "energy", "--sites", table, "--out", out, "--laws", "flat,mu-prime"]
-    return subprocess.Popen([*command, *words], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    known = {**os.environ, "PYTHONPATH": str(path)}
+    return subprocess.Popen(
+        [*command, *words], cwd=ROOT, env=known, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
 
 
 @pytest.fixture
@@ -103,6 +109,20 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
         name = f"energy-sites.{ending}"
         assert (tmp_path / "far" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
     assert (tmp_path / "far" / "energy-sites.csv").read_text().count("mu-prime") == SITES
+    another_release_is_refused(address, table, tmp_path)
+
+
+def another_release_is_refused(address, table, tmp_path):
+    """As its workers know theirs before they are handed anything, one without heliocube too."""
+    known = tmp_path / "heliocube-9.9.dist-info"
+    known.mkdir()
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: heliocube\nVersion: 9.9\n")
+    (known / "entry_points.txt").write_text(distribution("heliocube").read_text("entry_points.txt"))
+    study = energy(table, tmp_path / "never", "--cluster", address, path=tmp_path)
+    _, errors = study.communicate(timeout=ENDS_WITHIN_S)
+    assert study.returncode == ExitCode.UNREACHABLE, errors
+    both = f"has heliocube {version('heliocube')}, and 9.9 is at work here"
+    assert re.fullmatch(rf"heliocube: --cluster: the worker at tcp://\S+ {re.escape(both)}: [^\n]+\n", errors)
 
 
 def test_what_is_no_address_is_refused_before_anybody_is_asked():
