@@ -7,15 +7,18 @@ ARGS   ?=
 # themselves: side by side, the instruments that they wait for missed their deadlines.
 WORKERS ?= 2
 WAITING ?= 6
+# Of the choice of small wrong changes; a day's own unless one is named.
+SEED ?= $(shell date +%Y%m%d)
 # Kept bytecode, whatever the surroundings say: hundreds of processes would compile the same files again.
 test test-quick: export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: run test test-quick lint docs deb format clean help
+.PHONY: run test test-quick mutations lint docs deb format clean help
 
 help:
 	@echo "make run   [ARGS='--speed 1']   the service on the simulated rig with its dashboard, 60 times real speed, until Ctrl-C"
 	@echo "make test  [ARGS='-k bridge']   the whole test suite"
 	@echo "make test-quick                 in a minute: one part at a time, without a rig and without real processes"
+	@echo "make mutations [ARGS='solar']   which share of small wrong changes the tests notice: before a release, on an idle machine"
 	@echo "make lint                       ruff, ruff format --check, mypy (for Linux and for Windows), import-linter"
 	@echo "make docs                       the documentation as a site, in site/html; a link that leads nowhere ends it"
 	@echo "make deb                        the Debian package of this checkout, in dist/"
@@ -50,6 +53,10 @@ test: $(BIN)/.dev
 
 test-quick: $(BIN)/.dev
 	$(BIN)/python -m pytest --quick -n $(WORKERS) --dist worksteal $(ARGS)
+
+mutations: $(BIN)/.dev
+	$(BIN)/python -m tests.mutation.reach reach.json tests/solar tests/drivers tests/daemon --live without
+	$(BIN)/python -m tests.mutation.run --reach reach.json --seed $(SEED) --limit 60 --jobs $(WORKERS) $(ARGS)
 
 lint: $(BIN)/.dev
 	$(BIN)/ruff check .

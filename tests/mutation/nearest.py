@@ -53,6 +53,10 @@ class Reached:
             reaching -= known
         return [*stages, *self._by_file(reaching)]
 
+    def knows(self, mutant: Mutant) -> bool:
+        """Whether some test has been seen to reach the change."""
+        return bool(self._reaching(mutant))
+
     def is_new(self, test: str, path: str) -> bool:
         """Whether a test lies near a module and was not there, or not green, when they were looked at."""
         return test not in self._seconds and _file(test) in (*_nearest(path)[0], *_nearest(path)[1])

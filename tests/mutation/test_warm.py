@@ -1,0 +1,87 @@
+"""A change of a function is put into the function that is there, wherever it is held."""
+
+import importlib
+import sys
+
+import pytest
+
+from tests.mutation.operators import mutants
+from tests.mutation.warm import Program, is_of_a_function
+
+SOURCE = b"""import functools
+
+LIMIT = 3
+
+def kept(function):
+    @functools.wraps(function)
+    def called(*given):
+        return function(*given) + 1
+    return called
+
+class A:
+    best: int = 4
+
+    def is_high(
+        self, x, limit=5
+    ):
+        return (
+            x > limit
+        )
+
+    @property
+    def low(self):
+        return 6
+
+    @low.setter
+    def low(self, value):
+        self.value = value - 7
+
+@kept
+def doubled(x):
+    return 2 * x
+
+@functools.cache
+def remembered(x):
+    return x + 8
+"""
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    (tmp_path / "changed_while_it_runs.py").write_bytes(SOURCE)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("changed_while_it_runs")
+    yield module, Program(tmp_path)
+    del sys.modules["changed_while_it_runs"]
+
+
+def change(line, was):
+    return next(
+        found for found in mutants("changed_while_it_runs.py", SOURCE) if (found.line, found.was) == (line, was)
+    )
+
+
+def test_what_runs_when_the_file_is_read_is_of_no_function():
+    assert {line for line in range(1, 36) if is_of_a_function_at(line)} == {7, 8, 9, 17, 18, 19, 23, 27, 31, 35}
+
+
+def is_of_a_function_at(line):
+    return is_of_a_function(mutants("f.py", b"\n" * (line - 1) + b"1")[0], SOURCE)
+
+
+@pytest.mark.parametrize(
+    ("line", "was", "call", "before", "after"),
+    [
+        (18, "x > limit", lambda m: m.A().is_high(5), False, True),
+        (23, "6", lambda m: m.A().low, 6, 7),
+        (27, "value - 7", lambda m: setattr(a := m.A(), "low", 1) or a.value, -6, 8),
+        (8, "1", lambda m: m.doubled(1), 3, 4),
+        (31, "2", lambda m: m.doubled(1), 3, 4),
+        (35, "x + 8", lambda m: m.remembered(1), 9, -7),
+    ],
+)
+def test_a_change_is_in_the_function_that_everybody_holds(program, line, was, call, before, after):
+    module, functions = program
+    assert call(module) == before
+    functions.with_change(change(line, was), SOURCE)()
+    assert call(module) == after
