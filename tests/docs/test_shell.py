@@ -124,7 +124,8 @@ def prepared(tmp_path_factory):
     (folder / "faces.csv").write_text(header + "".join(rows[660:780]))
     shutil.copy(sample("clear"), folder / "weather.csv")
     (folder / "weather").mkdir()
-    (folder / "weather" / "2016-10.csv.gz").write_bytes(gzip.compress(sample("clear").read_bytes()))
+    for month in ("2015-10", "2016-10"):
+        (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(sample("clear").read_bytes()))
     (folder / "points.csv").write_text("phi_deg,beta_deg,n,lambda_deg\n48.7,30,172,0\n")
     stored_days(folder / "records")
     (folder / "heliocube.toml").write_text('[store]\ndirectory = "records"\n')

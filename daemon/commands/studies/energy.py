@@ -15,6 +15,7 @@ from daemon.store.outputs import check_outputs
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.studies.energy import EnergyRow
+    from daemon.studies.energy_worth import Prices
     from daemon.studies.sites.table import AskedSite
     from daemon.studies.spread.workers import Workers
 
@@ -65,6 +66,21 @@ def energy(
         float, typer.Option("--axis-speed", min=0.01, max=90, metavar="DEG/S", help="Speed of each axis.")
     ] = 0.9,
     ideal: Annotated[bool, typer.Option("--ideal", help="Instant moves, no deadband.")] = False,
+    peak_kw: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            metavar="KW",
+            help="Power of the modules on the tracker at 1 kW/m2. With the next three: what each law earns and wears.",
+        ),
+    ] = None,
+    price: Annotated[float | None, typer.Option(min=0, metavar="MONEY", help="Of a kWh.")] = None,
+    drive_price: Annotated[
+        float | None, typer.Option(min=0, metavar="MONEY", help="Of new drives for both axes, put in.")
+    ] = None,
+    drive_life_deg: Annotated[
+        float | None, typer.Option(min=1, metavar="DEG", help="Travel, A and B added, that they last.")
+    ] = None,
     jobs: JobsOption = 1,
     cluster: ClusterOption = None,
     force: ForceOption = False,
@@ -77,9 +93,12 @@ def energy(
     skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
     check_names(skies, names)
     speed_deg_per_s, workers = None if ideal else speed, chosen_workers(jobs, cluster)
+    prices = _prices(peak_kw, price, drive_price, drive_life_deg)
     if sites is not None:
         if weather or site is not None:
             raise UserError("--sites has the place and the weather of each site: leave out WEATHER and --site")
+        if prices is not None:
+            raise UserError("--peak-kw and the prices are for the weather of one site: leave out --sites")
         asked = _asked_sites(sites, model)
         check_outputs([out / f"energy-sites.{ending}" for ending in _ENDINGS], "--out", force=force)
         _compare_sites(asked, out, skies, names, albedo, speed_deg_per_s, seed, workers, as_json=as_json)
@@ -92,7 +111,19 @@ def energy(
     for path in weather:
         check_weather_file(path, or_built_in=False)
     check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
-    _compare(weather, place, out, skies, names, albedo, speed_deg_per_s, as_json=as_json)
+    _compare(weather, place, out, skies, names, albedo, speed_deg_per_s, prices, as_json=as_json)
+
+
+def _prices(
+    peak_kw: float | None, price: float | None, drive_price: float | None, drive_life_deg: float | None
+) -> "Prices | None":
+    from daemon.studies.energy_worth import Prices
+
+    if peak_kw is None or price is None or drive_price is None or drive_life_deg is None:
+        if any(given is not None for given in (peak_kw, price, drive_price, drive_life_deg)):
+            raise UserError("what a law is worth takes all of --peak-kw, --price, --drive-price and --drive-life-deg")
+        return None
+    return Prices(peak_kw=peak_kw, per_kwh=price, drive=drive_price, life_deg=drive_life_deg)
 
 
 def _compare(
@@ -103,9 +134,11 @@ def _compare(
     names: list[str],
     albedo: float,
     speed_deg_per_s: float | None,
+    prices: "Prices | None",
     *,
     as_json: bool,
 ) -> None:
+    from daemon.studies import energy_worth
     from daemon.studies.energy import IDEAL, Terms, as_page, as_text, measured_minutes, run_benchmark, write_csv
     from daemon.studies.energy_plot import plot
     from solar.energy import Drive, lay_out
@@ -133,6 +166,11 @@ def _compare(
                 raise
     simulated = minutes.simulated
     text = as_text(rows, days, terms, simulated=simulated)
+    page = as_page(rows, days, terms, simulated=simulated)
+    if prices is not None:
+        worths = energy_worth.worths(rows, sum(page["days"].values()), prices)
+        text += energy_worth.as_text(worths, prices)
+        page["worth"] = energy_worth.as_page(worths, prices)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "energy.txt").write_text(text, encoding="utf-8")
@@ -141,7 +179,6 @@ def _compare(
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
-        page = as_page(rows, days, terms, simulated=simulated)
         print_json(page | {"tables": out, "warnings": minutes.warnings})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")

@@ -63,6 +63,34 @@ def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(monke
     assert "SIMULATED" not in (out / "energy.txt").read_text()
 
 
+PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
+
+
+def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, weather, tmp_path, capsys):
+    given = (weather, "--site", SITE, "--laws", "flat,mu-prime,optimal,bound", "--out", tmp_path / "o")
+    assert energy(monkeypatch, *given, *PRICES, "--json") == 0
+    page = json.loads(capsys.readouterr().out)
+    rows, worth = {row["law"]: row for row in page["rows"]}, {row["law"]: row for row in page["worth"]["rows"]}
+    assert list(worth) == ["flat", "mu-prime", "optimal"]
+    for law, found in worth.items():
+        assert found["energy"] == pytest.approx(rows[law]["energy_kwh_m2"] * 2 * 0.25 * 365.25)
+        travel_deg = (rows[law]["travel_deg_per_day"] + rows[law]["return_deg_per_day"]) * 365.25
+        assert found["wear"] == pytest.approx(travel_deg / 300000 * 600)
+        assert found["left"] == pytest.approx(found["energy"] - found["wear"])
+    assert worth["mu-prime"]["wear"] > worth["optimal"]["wear"] > worth["flat"]["wear"] == 0.0
+    most = max(worth.values(), key=lambda row: row["left"])["law"]
+    text = (tmp_path / "o" / "energy.txt").read_text()
+    assert f"sky perez1990: most is left by {most}\n" in text
+    assert all(len(line) <= 80 for line in text.splitlines())
+
+
+@pytest.mark.parametrize("left_out", range(4))
+def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_path, capsys, left_out):
+    some = PRICES[: 2 * left_out] + PRICES[2 * left_out + 2 :]
+    assert energy(monkeypatch, weather, "--site", SITE, "--out", tmp_path / "o", *some) == 2
+    assert "takes all of --peak-kw, --price, --drive-price and --drive-life-deg" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,0 +1,113 @@
+"""What the laws earn and wear in money: the thrift that pays best, from the price of energy and the life of a drive."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from textwrap import wrap
+from typing import Any
+
+from daemon.studies.energy import EnergyRow
+from daemon.studies.energy_names import BOUND, FIXED
+from daemon.studies.text_table import WIDTH, table
+
+_YEAR_DAYS = 365.25
+_HEADS = ("law", "energy/year", "wear/year", "left/year", "drive lasts")
+
+
+@dataclass(frozen=True, slots=True)
+class Prices:
+    """What energy and wear are worth, in one currency.
+
+    Attributes
+    ----------
+    peak_kw
+        Of the modules on the tracker at 1 kW/m2, which turns insolation [kWh/m2] into energy [kWh] without losses.
+    per_kwh
+        Of energy.
+    drive
+        Of new drives for both axes, with the work of changing them.
+    life_deg
+        Travel, A and B added, after which they are changed.
+    """
+
+    peak_kw: float
+    per_kwh: float
+    drive: float
+    life_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Worth:
+    """A law's mean year in money.
+
+    Attributes
+    ----------
+    energy, wear
+        What the modules' energy sells for, and what the travel takes off the drives.
+    drive_years
+        How long these last.
+    """
+
+    sky: str
+    law: str
+    energy: float
+    wear: float
+    drive_years: float
+
+    @property
+    def left(self) -> float:
+        """What is left of the energy's price after the wear."""
+        return self.energy - self.wear
+
+
+def worths(rows: Sequence[EnergyRow], days: int, prices: Prices) -> list[Worth]:
+    """Return what each law is worth; the bound, which is no tracker, is left out.
+
+    Parameters
+    ----------
+    rows
+        Of the benchmark.
+    days
+        Whole days that they are of: a mean year is `365.25 / days` of them.
+    prices
+        Of energy and drives. The way back to the night position wears as any other.
+    """
+    return [_worth(row, days, prices) for row in rows if row.law != BOUND]
+
+
+def as_text(found: Sequence[Worth], prices: Prices) -> str:
+    """Return the tables of all skies, for reading."""
+    assumed = (
+        f"In money, a mean year: {prices.peak_kw:g} kW of modules at {prices.per_kwh:g} per kWh, without their losses;"
+        f" drives for {prices.drive:,g} last {prices.life_deg:,.0f} deg of travel, the way back at night among it."
+    )
+    lines = ["", *wrap(assumed, WIDTH)]
+    for sky in dict.fromkeys(each.sky for each in found):
+        of_sky = [each for each in found if each.sky == sky]
+        best = max(of_sky, key=lambda each: each.left)
+        lines += ["", f"sky {sky}: most is left by {best.law}", *table([_HEADS, *map(_cells, of_sky)])]
+    return "\n".join(lines) + "\n"
+
+
+def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
+    """Return the same for scripts."""
+    return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.left} for each in found]}
+
+
+def _worth(row: EnergyRow, days: int, prices: Prices) -> Worth:
+    years = days / _YEAR_DAYS
+    # A plane that is fixed has no drive, whatever the benchmark counts on its way from the night position.
+    per_day_deg = 0.0 if row.law.startswith(FIXED) else row.travel_deg_per_day + row.return_deg_per_day
+    travel_deg = per_day_deg * _YEAR_DAYS
+    return Worth(
+        sky=row.sky,
+        law=row.law,
+        energy=row.energy_kwh_m2 * prices.peak_kw * prices.per_kwh / years,
+        wear=travel_deg / prices.life_deg * prices.drive,
+        drive_years=prices.life_deg / travel_deg if travel_deg > 0.0 else math.inf,
+    )
+
+
+def _cells(each: Worth) -> list[str]:
+    lasts = "-" if math.isinf(each.drive_years) else f"{each.drive_years:.1f} years"
+    return [each.law, f"{each.energy:.2f}", f"{each.wear:.2f}", f"{each.left:.2f}", lasts]
