@@ -96,7 +96,8 @@ class Api:
             exception_handlers={HTTPException: _refused, Exception: _broken},
         )
         self.routes = routes.routes
-        self.app = Gate(routes, Token(token), AllowedHosts(hosts), self._turns, self._bodies, self.refusals)
+        self.token = Token(token)
+        self.app = Gate(routes, self.token, AllowedHosts(hosts), self._turns, self._bodies, self.refusals)
 
     def close(self) -> None:
         """End the streams of all listeners, and the waiting of others."""

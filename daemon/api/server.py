@@ -6,11 +6,13 @@ import logging
 import os
 import socket
 from collections.abc import Callable, Iterator
+from typing import cast
 
 import uvicorn
 
 from daemon.api.app import Api
-from daemon.api.connections import Connections
+from daemon.api.port.connections import Connections
+from daemon.api.port.doorkeeper import Doorkeeper
 from daemon.base.addresses import parse_address
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
@@ -22,18 +24,15 @@ log = logging.getLogger("heliocube.api")
 _AGAIN_S = 10.0
 _GRACE_S = 1
 _LONGEST_HEAD = 16 << 10
-# As many connections are taken in at one turn of the loop; more wait in the kernel, which makes one whose queue is
-# full come again after a second.
-_AT_ONCE = 64
-_QUEUE = 1024
 _KEEP_ALIVE_S = 5
 
 
 class _Server(uvicorn.Server):
     """A server that leaves signals alone and rests until it is told to end."""
 
-    def __init__(self, config: uvicorn.Config, bound: socket.socket) -> None:
+    def __init__(self, config: uvicorn.Config, doorkeeper: Doorkeeper, bound: socket.socket) -> None:
         super().__init__(config)
+        self._doorkeeper = doorkeeper
         self._bound = bound
         self._ended = asyncio.Event()
 
@@ -42,11 +41,19 @@ class _Server(uvicorn.Server):
         yield
 
     async def main_loop(self) -> None:
-        self._bound.listen(_QUEUE)
-        await self._ended.wait()
+        with self._doorkeeper.open(self._bound, self._connect):
+            await self._ended.wait()
 
     def end(self) -> None:
         self._ended.set()
+
+    async def _connect(self, caller: socket.socket) -> None:
+        await asyncio.get_running_loop().connect_accepted_socket(self._protocol, caller)
+
+    def _protocol(self) -> asyncio.Protocol:
+        return cast("Callable[..., asyncio.Protocol]", self.config.http_protocol_class)(
+            config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
 
 
 class ApiServer:
@@ -136,15 +143,16 @@ class ApiServer:
                 access_log=False,
                 server_header=False,
                 date_header=False,
-                backlog=_AT_ONCE,
                 h11_max_incomplete_event_size=_LONGEST_HEAD,
                 # These are counted on the loop's clock, which may be a fast one.
                 timeout_keep_alive=_KEEP_ALIVE_S * pace,
                 timeout_graceful_shutdown=_GRACE_S * pace,
             ),
+            Doorkeeper(self._api.token, self._api.refusals, self._speed),
             bound,
         )
-        serving = asyncio.create_task(server.serve(sockets=[bound]))
+        # It takes its connections from the doorkeeper.
+        serving = asyncio.create_task(server.serve(sockets=[]))
         watching = asyncio.create_task(self._connections.run())
         try:
             await asyncio.shield(serving)

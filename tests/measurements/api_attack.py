@@ -1,6 +1,6 @@
 """How soon a stop is answered while the local interface is attacked, and what the attack costs the service.
 
-Usage: python tests/measurements/api_attack.py [--clients N] [--idle N] [--stops N] [--only KIND ...] [--fill SECONDS]
+Usage: python tests/measurements/api_attack.py [--clients N] [--idle N] [--stops N] [--processes N] [--only KIND ...]
 
 Starts `heliocube run` on the simulated rig, lets it fill its memory with scans, and attacks it from a process of its
 own, over loopback alone: one kind of attack after the other, each beside N clients that ask for every page as fast as
@@ -10,6 +10,7 @@ and as `heliocube stop` from a shell, each answered when telemetry has shown the
 
 import argparse
 import asyncio
+import collections
 import contextlib
 import http.client
 import json
@@ -39,6 +40,8 @@ speed = {speed}
 """
 PAGES = ("/api/state", "/api/scans", "/metrics", "/healthz", "/api/nothing", "/api/scans?since=2022-10-14T06:05:00Z")
 HOST = "localhost"
+FROM_EVERYWHERE = ("knock_spread", "halves_spread")
+HELD = 300
 
 
 def get(path, *, keep=False, host=HOST, more=""):
@@ -53,11 +56,19 @@ class Attack:
         self._port = port
         self._random = random.Random(seed)
         self.done = self.refused = 0
+        self._held = collections.deque()
+
+    def _own_address(self, once):
+        """Return where to call from: any of the sixteen million of this machine, where the kind says so."""
+        if once.__name__ not in FROM_EVERYWHERE:
+            return None
+        return f"127.{self._random.randrange(256)}.{self._random.randrange(256)}.{self._random.randrange(1, 255)}", 0
 
     async def forever(self, once):
         while True:
             try:
-                reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
+                own = self._own_address(once)
+                reader, writer = await asyncio.open_connection("127.0.0.1", self._port, local_addr=own)
             except OSError:
                 self.refused += 1
                 await asyncio.sleep(0.01)
@@ -147,10 +158,27 @@ class Attack:
     async def knock(self, reader, writer):
         """Connect and go away."""
 
+    async def knock_spread(self, reader, writer):
+        """Do so from another address each time."""
+
+    async def halves_spread(self, reader, writer):
+        """Send half of a head, from another address each time, and go on to the next while it is held."""
+        writer.write(b"POST /api/stop HTTP/1.1\r\nHost: loc")
+        self._held.append(writer.transport.get_extra_info("socket").dup())
+        if len(self._held) > HELD:
+            self._held.popleft().close()
+
+    async def reset(self, reader, writer):
+        """Begin a command, and tear the connection down."""
+        writer.write(b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\n")
+        writer.transport.abort()
+
     async def run(self, kind, clients, idle, seconds):
         tasks = [asyncio.create_task(self.forever(self.pages)) for _ in range(clients)]
         tasks += [asyncio.create_task(self.forever(self.idle)) for _ in range(idle)]
-        if kind != "pages":
+        if kind == "knock_hard":
+            tasks.append(asyncio.create_task(asyncio.to_thread(knock_hard, self._port, seconds)))
+        elif kind != "pages":
             tasks += [asyncio.create_task(self.forever(getattr(self, kind))) for _ in range(clients)]
         await asyncio.wait(tasks, timeout=seconds)
         for task in tasks:
@@ -159,9 +187,18 @@ class Attack:
         print(json.dumps({"done": self.done, "refused": self.refused}))
 
 
+def knock_hard(port, seconds):
+    """Connect and go away as fast as one process can."""
+    ends_s = time.monotonic() + seconds
+    while time.monotonic() < ends_s:
+        with socket.socket() as knocking:
+            knocking.setblocking(False)
+            knocking.connect_ex(("127.0.0.1", port))
+
+
 KINDS = (
     "pages", "kept", "slowly", "slow_body", "garbage", "wrong_host", "wrong_token", "huge", "pipelined", "upgrade",
-    "deaf", "knock",
+    "deaf", "knock", "knock_spread", "halves_spread", "reset", "knock_hard",
 )  # fmt: skip
 
 
@@ -260,11 +297,18 @@ def measure(service, kinds, chosen):
         lines, cpu_s, begun_s = service.log.read_text().count("\n"), service.cpu_s(), time.monotonic()
         arguments = [sys.executable, __file__, "--attack", kind, "--port", str(service.port)]
         arguments += ["--clients", str(chosen.clients), "--idle", str(chosen.idle), "--seconds", "600"]
-        with subprocess.Popen([*arguments, "--seed", str(chosen.seed)], stdout=subprocess.PIPE) as attack:
-            time.sleep(1.5)
-            found = stops(service, chosen.stops)
-            late_s = service.metric("loop_late_worst_seconds")
+        attacks = [
+            subprocess.Popen([*arguments, "--seed", str(chosen.seed + number)], stdout=subprocess.DEVNULL)
+            for number in range(chosen.processes)
+        ]
+        time.sleep(1.5)
+        found = stops(service, chosen.stops)
+        for attack in attacks:
             attack.terminate()
+            attack.wait()
+        # Those who were let in are served before it.
+        time.sleep(0.5)
+        late_s = service.metric("loop_late_worst_seconds")
         took_s = time.monotonic() - begun_s
         print(
             f"{kind}: POST {found['POST']}; shell {found['shell']}; loop late at worst {late_s * 1e3:.0f} ms;"
@@ -278,6 +322,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clients", type=int, default=40)
     parser.add_argument("--idle", type=int, default=64)
+    parser.add_argument("--processes", type=int, default=1, help="that attack, each with so many clients")
     parser.add_argument("--stops", type=int, default=20)
     parser.add_argument("--fill", type=float, default=180.0, help="seconds at 60 times real speed before the attack")
     parser.add_argument("--seed", type=int, default=random.randrange(2**32))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from daemon.api.connections import Connections
+from daemon.api.port.connections import Connections
 from daemon.api.refusals import ApiRefusals
 from daemon.api.turns import CrowdedError, ReadTurns
 from daemon.base.records import Event, Mode
@@ -172,7 +172,7 @@ def test_only_hosts_of_this_machine_and_those_that_are_named_are_served(serve, h
 def test_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     async def scenario(rig, call):
         await under_way(rig)
-        readers = [asyncio.create_task(call.get("/api/state")) for _ in range(150)]
+        readers = [asyncio.create_task(call.get("/api/state")) for _ in range(300)]
         await asyncio.wait(readers, return_when=asyncio.FIRST_COMPLETED)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         stopped = await call.post("stop")

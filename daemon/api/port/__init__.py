@@ -1,0 +1,1 @@
+"""The port of the local interface: who gets in, and for how long a connection is kept."""

@@ -1,0 +1,223 @@
+"""The door of the local interface: whoever comes waits before it until he has said something.
+
+A connection costs the server many times what it costs the one who opens it. So none is handed to it before its first
+bytes have come: one that is closed without a word, as thousands a second may be, costs a few calls of the system. The
+rest get in at a bounded rate, but whoever bears the token gets in at once.
+"""
+
+import asyncio
+import ipaddress
+import re
+import socket
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+from daemon.api.gate import Token
+from daemon.api.refusals import ApiRefusals
+from daemon.base.recurrence import RateLimit
+
+# More wait in the kernel, up to net.core.somaxconn; whoever comes when its queue is full is let wait for a second.
+_QUEUE = 4096
+# At one turn of the loop, so that others get theirs within some milliseconds.
+_AT_ONCE = 64
+_IN_PER_S, _IN_AT_ONCE = 200.0, 100
+_MOST_SILENT, _MOST_WAITING = 192, 128
+_MOST_OF_AN_ADDRESS = 32
+_SILENT_FOR_S, _LOOK_EVERY_S = 5.0, 1.0
+_AGAIN_AFTER_S = 1.0
+_LONGEST_LOOK = 4096
+_BEARS = re.compile(rb"\r\nauthorization:[ \t]*bearer[ \t]+([^\r\n]+)\r\n", re.IGNORECASE)
+_SORRY = b'{"error":"too many programs ask at once; ask again in a second"}'
+_CROWDED = (
+    b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\nretry-after: 1\r\nconnection: close\r\n"
+    b"content-length: %d\r\n\r\n%s" % (len(_SORRY), _SORRY)
+)
+
+
+@dataclass(eq=False, slots=True)
+class _Caller:
+    """One who is before the door."""
+
+    socket: socket.socket
+    address: str
+    since_s: float
+
+
+class Doorkeeper:
+    """Takes connections in, and lets those through that have something to say.
+
+    Parameters
+    ----------
+    token
+        Whoever bears it does not wait.
+    refusals
+        Takes note of those who are sent away.
+    speed
+        How many times as fast as the machine's the event loop's clock runs.
+    """
+
+    def __init__(self, token: Token, refusals: ApiRefusals, speed: float) -> None:
+        self._token = token
+        self._refusals = refusals
+        self._speed = speed
+        self._rate = RateLimit(_IN_PER_S / speed, _IN_AT_ONCE)
+        self._silent: dict[_Caller, None] = {}
+        self._waiting: dict[_Caller, None] = {}
+        self._of_address: Counter[str] = Counter()
+        self._timers: dict[Callable[[], None], asyncio.TimerHandle] = {}
+        self._entering: set[asyncio.Task[None]] = set()
+
+    @contextmanager
+    def open(self, bound: socket.socket, serve: Callable[[socket.socket], Awaitable[object]]) -> Iterator[None]:
+        """Let callers of a bound socket through to `serve`, for as long as the context lasts."""
+        self._loop, self._bound, self._serve = asyncio.get_running_loop(), bound, serve
+        bound.setblocking(False)
+        bound.listen(_QUEUE)
+        self._take_in()
+        try:
+            yield
+        finally:
+            self._loop.remove_reader(bound)
+            for timer in self._timers.values():
+                timer.cancel()
+            for caller in [*self._silent, *self._waiting]:
+                self._forget(caller)
+                caller.socket.close()
+
+    def _take_in(self) -> None:
+        self._loop.add_reader(self._bound, self._accept)
+
+    def _accept(self) -> None:
+        for _ in range(_AT_ONCE):
+            try:
+                accepted, address = self._bound.accept()
+            except (BlockingIOError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                self._refusals.note("crowded", f"no connection can be taken in: {error.strerror}")
+                self._loop.remove_reader(self._bound)
+                self._after(_AGAIN_AFTER_S, self._take_in)
+                return
+            accepted.setblocking(False)
+            self._come(_Caller(accepted, address[0], self._loop.time()))
+
+    def _come(self, caller: _Caller) -> None:
+        said = _look(caller)
+        if said is None:
+            self._let_wait(caller)
+        else:
+            self._hear(caller, said)
+
+    def _let_wait(self, caller: _Caller) -> None:
+        """Keep one who has said nothing yet, at the cost of the one who has been silent for longest if need be."""
+        alone = self._too_many_from(caller.address)
+        if alone or len(self._silent) >= _MOST_SILENT:
+            longest = next((one for one in self._silent if not alone or one.address == caller.address), caller)
+            whose = f"from {caller.address}" if alone else "in all"
+            self._refusals.note("crowded", f"too many connections that say nothing {whose}: the longest is closed")
+            self._forget(longest)
+            longest.socket.close()
+            if longest is caller:
+                return
+        self._of_address[caller.address] += 1
+        self._silent[caller] = None
+        self._loop.add_reader(caller.socket, self._listen_to, caller)
+        self._after(_LOOK_EVERY_S, self._look_round)
+
+    def _too_many_from(self, address: str) -> bool:
+        # All that comes through a tunnel or a proxy on this machine comes from loopback.
+        return self._of_address[address] >= _MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
+
+    def _listen_to(self, caller: _Caller) -> None:
+        said = _look(caller)
+        if said is not None:
+            self._forget(caller)
+            self._hear(caller, said)
+
+    def _hear(self, caller: _Caller, said: bytes) -> None:
+        if not said:
+            caller.socket.close()
+        elif self._bears_the_token(said) or (not self._waiting and self._rate.admit(self._loop.time())):
+            self._let_in(caller)
+        elif len(self._waiting) < _MOST_WAITING and not self._too_many_from(caller.address):
+            self._of_address[caller.address] += 1
+            self._waiting[caller] = None
+            self._after(1.0 / _IN_PER_S, self._let_next_in)
+        else:
+            self._refuse(caller)
+
+    def _bears_the_token(self, said: bytes) -> bool:
+        bearer = _BEARS.search(said)
+        return bearer is not None and self._token.is_given(bearer[1])
+
+    def _let_next_in(self) -> None:
+        while self._waiting and self._rate.admit(self._loop.time()):
+            caller = next(iter(self._waiting))
+            self._forget(caller)
+            self._let_in(caller)
+        if self._waiting:
+            self._after(1.0 / _IN_PER_S, self._let_next_in)
+
+    def _let_in(self, caller: _Caller) -> None:
+        entering = self._loop.create_task(self._enter(caller))
+        self._entering.add(entering)
+        entering.add_done_callback(self._entering.discard)
+
+    async def _enter(self, caller: _Caller) -> None:
+        try:
+            await self._serve(caller.socket)
+        except OSError:
+            caller.socket.close()
+
+    def _refuse(self, caller: _Caller) -> None:
+        self._refusals.note("crowded", "more new connections than are let in")
+        # What is not read would take the answer with it.
+        with suppress(OSError):
+            caller.socket.recv(_LONGEST_LOOK)
+            caller.socket.send(_CROWDED)
+        caller.socket.close()
+
+    def _forget(self, caller: _Caller) -> None:
+        if caller in self._silent:
+            self._loop.remove_reader(caller.socket)
+            del self._silent[caller]
+        elif caller in self._waiting:
+            del self._waiting[caller]
+        else:
+            return
+        self._of_address[caller.address] -= 1
+        if not self._of_address[caller.address]:
+            del self._of_address[caller.address]
+
+    def _look_round(self) -> None:
+        """Send those away who have been silent for long."""
+        now_s = self._loop.time()
+        for caller in list(self._silent):
+            silent_s = (now_s - caller.since_s) / self._speed
+            if silent_s < _SILENT_FOR_S:
+                self._after(_LOOK_EVERY_S, self._look_round)
+                return
+            self._refusals.note("slow", f"{caller.address} has said nothing in {silent_s:.0f} s")
+            self._forget(caller)
+            caller.socket.close()
+
+    def _after(self, wall_s: float, call: Callable[[], None]) -> None:
+        """Call after so many seconds of the machine, once however often this is asked for."""
+        if call not in self._timers:
+            self._timers[call] = self._loop.call_later(wall_s * self._speed, self._call, call)
+
+    def _call(self, call: Callable[[], None]) -> None:
+        del self._timers[call]
+        call()
+
+
+def _look(caller: _Caller) -> bytes | None:
+    """Return the first bytes of a caller, none if he has gone, or None if he has said nothing yet."""
+    try:
+        return caller.socket.recv(_LONGEST_LOOK, socket.MSG_PEEK)
+    except (BlockingIOError, InterruptedError):
+        return None
+    except OSError:
+        return b""
