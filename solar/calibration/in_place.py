@@ -194,7 +194,7 @@ def _estimate(
 def _missing(utc_s: Array, site: Site) -> list[str]:
     days = np.unique(np.floor(utc_s / DAY_S)).size
     if days < _LEAST_DAYS:
-        return [f"clear and stable sky on {days} days, where at least {_LEAST_DAYS} are needed"]
+        return [f"clear and stable sky on {days} day{'s' * (days != 1)}, where at least {_LEAST_DAYS} are needed"]
     sun = sun_direction(utc_s, *site)
     lit = np.count_nonzero(sun @ FACE_NORMALS[:3].T > _LIT_COSINE, axis=0)
     missing = [

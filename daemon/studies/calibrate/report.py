@@ -120,8 +120,8 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         f"albedo  {fit.albedo:.3f} +- {standing['albedo_uncertainty']:.3f} (law.albedo)",
         f"left unexplained: {100.0 * fit.shape.residual:.2f} % of the zenith face",
         (
-            "+- are expanded, k = 2. Most of those of gains and albedo is how surely a clear-sky model tells the level "
-            "of all gains; for 1 % use a reference."
+            "Uncertainties (U, +-) are expanded, k = 2. Those of the gains and of the albedo come mostly from the "
+            "clear-sky model, which sets the level of all gains; to know them to 1 % use a reference."
         ),
     ]
     if not fit.shape.residual <= _DOUBTFUL:

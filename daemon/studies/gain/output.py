@@ -18,6 +18,11 @@ _NOTHING = 1e-9
 _CSV_BLOCK_ROWS = 50_000
 _NAMES = {Device.STATIC: "static panel", Device.VERTICAL: "vertical axis", Device.HORIZONTAL: "horizontal axis"}
 _RATIO = {Device.STATIC: "K_DS_clip", Device.VERTICAL: "K_DV", Device.HORIZONTAL: "K_DH"}
+_ASKED = ("phi_deg", "beta_deg", "lambda_deg", "n")
+_LEGEND = """\
+K: the dual axis over a static panel (K_DS; _clip for one face, _abs for both),
+a vertical axis (K_DV) or the paper's horizontal axis (K_DH).
+eta_VS, eta_HS: what those two axes gain over the static panel."""
 _ETA = {Device.VERTICAL: "eta_VS", Device.HORIZONTAL: "eta_HS"}
 
 
@@ -50,15 +55,18 @@ def as_page(columns: Columns, sky_label: str | None) -> dict[str, Any]:
 
 
 def show(columns: Columns, console: Console, sky_label: str | None) -> None:
-    """Print one row as a comparison of devices, several as they are."""
+    """Print one row as a comparison of devices, several as they are, beside the inputs in which they differ."""
     rows = next(iter(columns.values())).size
     if rows == 1:
         _compare({name: float(column[0]) for name, column in columns.items()}, console, sky_label)
         return
-    texts = [[name, *(_number(name, value) for value in column[:LONGEST_TABLE])] for name, column in columns.items()]
-    _print_aligned(list(zip(*texts, strict=True)), console)
+    told = [name for name in _ASKED if name in columns and np.ptp(columns[name]) > 0.0] or ["phi_deg"]
+    ordered = told + [name for name in columns if name not in told]
+    texts = [[name, *(_number(name, value) for value in columns[name][:LONGEST_TABLE])] for name in ordered]
+    _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
     if rows > LONGEST_TABLE:
         _print(f"and {rows - LONGEST_TABLE} rows more: --format csv writes them all", console)
+    _print("\n" + _LEGEND, console)
 
 
 def _compare(row: dict[str, float], console: Console, sky_label: str | None) -> None:
@@ -89,8 +97,8 @@ def _in_words(name: str) -> str:
     return f"{quantity} by the paper's script {source[-1]} ({name})"
 
 
-def _print_aligned(lines: list[tuple[str, ...]], console: Console) -> None:
-    for line in table(lines):
+def _print_aligned(lines: list[tuple[str, ...]], console: Console, *, keys: int = 1) -> None:
+    for line in table(lines, keys=keys):
         _print(line, console)
 
 
@@ -120,6 +128,8 @@ def _percent(share: float) -> str:
 
 def _number(name: str, value: float) -> str:
     # A search for the best tilt ends some 1e-15 deg beside nothing.
+    if np.isnan(value):
+        return "-"
     value = 0.0 if abs(value) < _NOTHING else value
     return f"{value:.0f}" if name == "n" else f"{value:.6g}" if name.endswith("_deg") else f"{value:.5g}"
 

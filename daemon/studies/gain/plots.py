@@ -213,7 +213,7 @@ def printed_against_exact(request: Request) -> Figure:
             finite = np.where(np.isfinite(ratio), ratio, np.nan).ravel()
             panel.plot(days, finite, style, color=colour, label=name, linewidth=1.6)
         panel.set_yscale("log")
-        panel.set_ylabel(f"dual axis over\n{_NAMES[device].partition(' (')[0]}")
+        panel.set_ylabel(f"dual axis over\n{_NAMES[device].partition(' (')[0]}\n(log scale)")
         panel.set_title(f"tilt {_tilt(tilts, device):.1f}°", fontsize=10, loc="left")
         panel.legend(fontsize=9, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)
         panel.grid(alpha=0.3, which="both")

@@ -207,13 +207,13 @@ def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.Da
     return {kind: table[(table.index >= first) & (table.index < last)] for kind, table in tables.items()}
 
 
-def nothing_in(span: ReportSpan, source: str, reach: tuple[float, float] | None) -> str:
-    """Return the sentence for a span without a record."""
+def nothing_in(span: ReportSpan, source: str, reach: tuple[float, float] | None, record: str = "record") -> str:
+    """Return the sentence for a span of which `source` has no `record`."""
     first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M} UTC" for at in (span.start_utc_s, span.end_utc_s))
     have = ""
     if reach is not None:
         have = "; it has records from {:%Y-%m-%d} to {:%Y-%m-%d}".format(*(times(at, None)[0] for at in reach))
-    return f"{source} has no record from {first} to {last}{have}"
+    return f"no {record} from {first} to {last} in {source}{have}"
 
 
 def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], None]) -> dict[str, pd.DataFrame]:

@@ -52,7 +52,7 @@ def material_of_tables(
 def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
     """Draw pictures to files; raises `UserError` for one that has nothing to show, and for a file."""
     if "power" in names and not len(material.tables["curves"]):
-        raise UserError(nothing_in(material.span, "power: " + material.source, None) + " of I-V curves")
+        raise UserError("power: " + nothing_in(material.span, material.source, None, "I-V curve"))
     drawing = Drawing(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)

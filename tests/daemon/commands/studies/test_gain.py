@@ -113,7 +113,16 @@ def test_parquet_has_the_same_numbers(heliocube, tmp_path):
 
 def test_a_long_table_says_how_many_rows_it_left_out(heliocube):
     _, out, _ = heliocube("gain", "--lat", "30", "--day", "1:365")
-    assert out.splitlines()[-1] == "and 165 rows more: --format csv writes them all"
+    assert "and 165 rows more: --format csv writes them all" in out.splitlines()
+
+
+def test_each_part_of_a_wide_table_says_which_day_a_row_is(heliocube):
+    _, out, _ = heliocube("gain", "--lat", "48.7", "--printed", "--day", "1:10:3")
+    parts = [part.splitlines() for part in out.split("\n\n")[:-1]]
+    assert len(parts) > 1
+    assert [[line.split()[0] for line in part] for part in parts] == [["n", "1", "4", "7", "10"]] * len(parts)
+    assert "nan" not in out
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_a_clear_sky_stands_beside_the_theory(heliocube):
