@@ -220,8 +220,11 @@ class Shadow:
         """Count what the tracker's laws have moved since the last scan; for both of them where they do not differ."""
         used, mode = (active.travelled_deg, active.moves), active.mode
         before, self._active_before = self._active_before, used
+        if before is None:
+            # The first move of a service that has just begun is often ordered before the first scan is handed on.
+            before = (0.0, 0) if used[1] <= 1 and self._travel.active_moves == 0 else used
         alike, self._mode_before = Mode.TRACKING not in (mode, self._mode_before), mode
-        if before is None or used == before:
+        if used == before:
             return
         # The tracker's own count begins anew with its day.
         begun = used[1] < before[1]

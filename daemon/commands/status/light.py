@@ -33,7 +33,8 @@ def _shadow(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:
         yield "shadow", Text(f"{shadow['law']}: nothing to compare yet")
     else:
         travel = f"{shadow['travelled_deg']:.0f} deg instead of {shadow['active_travelled_deg']:.0f}"
-        text = f"{shadow['law']} would have received {100 * shadow['gain']:+z.1f} % today, for {travel} of travel"
+        more = f"{100 * abs(shadow['gain']):.1f} % {'more' if shadow['gain'] >= 0 else 'less'}"
+        text = f"{shadow['law']} would have received {more} today, for {travel} of travel"
         yield "shadow", Text(f"{text}, a model's result")
 
 

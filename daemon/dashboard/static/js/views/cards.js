@@ -20,7 +20,7 @@ const pair = ({ target_a_deg: a, target_b_deg: b }) => `A ${signedDeg(a)}, B ${d
 function inTheShadow({ law, failed_why, gain, travelled_deg, active_travelled_deg }) {
   if (failed_why !== null) return `${law} has failed and is left out: ${failed_why}`;
   if (gain === null) return `${law}: nothing to compare yet`;
-  return `${law} would have received ${signed(100 * gain, 1, "%")} by the model, for ${deg(travelled_deg)} of travel instead of ${deg(active_travelled_deg)}`;
+  return `${law} would have received ${num(100 * Math.abs(gain), 1, "%")} ${gain >= 0 ? "more" : "less"} by the model, for ${deg(travelled_deg)} of travel instead of ${deg(active_travelled_deg)}`;
 }
 
 export function next() {
