@@ -186,14 +186,13 @@ class _Numbers:
         self.lost = 0
 
     def note(self, number: int) -> None:
-        """Take a higher number; raise `ScanRefusedError` for any other."""
+        """Take a higher number; raise `ScanRefusedError` for another, which `refuse_old` must have let pass."""
         ahead = number - self.highest
         if ahead > 0:
             self.lost += ahead - 1
             self._seen = (self._seen << ahead | 1) & (1 << SEQUENCE_WINDOW) - 1 if ahead < SEQUENCE_WINDOW else 1
             self.highest = number
             return
-        self.refuse_old(number)
         self._seen |= 1 << -ahead
         if number > self._first:
             self.lost -= 1

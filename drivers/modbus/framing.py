@@ -80,7 +80,7 @@ class RtuClient:
             start = self._buffer.find(head)
             while start >= 0:
                 frame = self._buffer[start : start + length + 3]
-                if len(frame) == length + 3 and crc16(frame[:-2]) == frame[-2:] and belongs(request.pdu, frame[1:-2]):
+                if crc16(frame[:-2]) == frame[-2:] and belongs(request.pdu, frame[1:-2]):
                     self._request, self._buffer = None, b""
                     return frame[1:-2]
                 start = self._buffer.find(head, start + 1)
@@ -152,7 +152,7 @@ class RtuServer:
         found = []
         while (length := _request_length(self._buffer)) <= len(self._buffer):
             frame = self._buffer[:length]
-            if length > 3 and crc16(frame[:-2]) == frame[-2:]:
+            if crc16(frame[:-2]) == frame[-2:]:
                 found.append(Asked(ModbusRequest(frame[0], frame[1:-2])))
                 self._buffer = self._buffer[length:]
             else:

@@ -5,6 +5,7 @@ A line is named by one text: a serial port's name, ``tcp:192.168.1.40:502`` for 
 """
 
 import asyncio
+import os
 import re
 from collections.abc import Callable
 from functools import partial
@@ -173,7 +174,9 @@ class TcpPath:
         except TimeoutError:
             raise ConnectError(self._device, f"{name} does not answer within {within_s:g} s; is it on?") from None
         except OSError as error:
-            reason = error.strerror or str(error)
+            # What asyncio makes of it names the address again, and not the reason.
+            code = error.errno or 0
+            reason = os.strerror(code) if code > 0 else error.strerror or str(error)
             raise ConnectError(self._device, f"{name} takes no connection ({reason}); is it on?") from error
 
     async def close(self) -> None:

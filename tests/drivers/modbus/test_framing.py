@@ -162,5 +162,79 @@ def test_what_was_cut_off_long_ago_does_not_spoil_the_next_question():
     assert [asked.request for asked in server.feed(client.begin(ASKED), 1.0)] == [ASKED]
 
 
+ALL_KINDS = [
+    *(read_registers(2, function, 0, 1) for function in range(1, 5)),
+    write_coil(2, 3, on=False),
+    write_register(3, 1, 2),
+    ModbusRequest(5, bytes.fromhex("0F 0000 000A 02 0502")),
+    write_registers(4, 0, [1, 2, 3]),
+    ModbusRequest(6, b"\x2b"),
+]
+
+
+@pytest.mark.parametrize(("client", "server"), [(RtuClient, RtuServer), (TcpClient, TcpServer)])
+def test_a_server_takes_questions_byte_by_byte_with_noise_of_one_byte_between_them_where_there_can_be_one(
+    client, server
+):
+    asking, answering = client(), server()
+    noise = b"\x00" if client is RtuClient else b""
+    # What looks like the head of a longer question is waited for.
+    stream = noise.join(asking.begin(each) for each in ALL_KINDS) + 8 * noise
+    found = [asked.request for byte in stream for asked in answering.feed(bytes((byte,)), 100.0)]
+    assert found == ALL_KINDS
+
+
+def test_a_pause_of_a_tenth_of_a_second_ends_a_frame_of_rtu():
+    frame = RtuClient().begin(ASKED)
+    for pause_s, whole in ((0.09, True), (0.11, False)):
+        server = RtuServer()
+        server.feed(frame[:3], 50.0)
+        server.feed(frame[3:5], 50.0 + pause_s)
+        assert bool(server.feed(frame[5:], 50.0 + 2 * pause_s)) == whole
+
+
+def test_an_answer_is_found_behind_noise_wherever_it_is_cut():
+    for cut in range(len(ANSWER)):
+        framing = RtuClient()
+        framing.begin(ASKED)
+        assert framing.feed(b"\x02\x04" * 400 + ANSWER[:cut]) is None
+        assert registers_of(framing.feed(ANSWER[cut:])) == (7,)
+
+
+def test_over_tcp_questions_are_counted_from_one_and_never_bear_the_number_of_nobody():
+    client = TcpClient()
+    numbers = [int.from_bytes(client.begin(ASKED)[:2], "big") for _ in range(0x10001)]
+    assert numbers == [*range(1, 0x10000), 1, 2]
+
+
+def test_over_tcp_the_reply_of_another_unit_is_not_taken():
+    client, server = TcpClient(), TcpServer()
+    (asked,) = server.feed(client.begin(ASKED), 0.0)
+    reply = server.reply(asked, bytes((4, 2, 0, 7)))
+    assert client.feed(reply[:6] + b"\x03" + reply[7:]) is None
+    assert registers_of(client.feed(reply)) == (7,)
+    assert client.feed(reply) is None
+
+
+@pytest.mark.parametrize(
+    ("head", "can_be"),
+    [
+        ("0001 0000 0001 02", False),
+        ("0001 0000 0002 02", True),
+        ("0001 0000 00FE 02", True),
+        ("0001 0000 00FF 02", False),
+        ("0001 0001 0002 02", False),
+    ],
+)
+def test_over_tcp_a_head_says_at_once_whether_it_can_be_one(head, can_be):
+    server, data = TcpServer(), bytes.fromhex(head)
+    assert server.feed(data[:-1], 0.0) == []
+    if can_be:
+        assert server.feed(data[-1:], 0.0) == []
+    else:
+        with pytest.raises(BrokenStreamError):
+            server.feed(data[-1:], 0.0)
+
+
 def test_a_request_knows_its_unit():
     assert read_registers(9, 3, 1, 1) == ModbusRequest(9, b"\x03\x00\x01\x00\x01")

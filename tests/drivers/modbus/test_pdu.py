@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.modbus.pdu import belongs, number, words_for
+from drivers.modbus.pdu import belongs, exception_text, number, words_for, words_of
 
 
 @pytest.mark.parametrize(("kind", "value", "words"), [
@@ -56,3 +56,24 @@ def test_what_is_no_finite_number_is_none(words):
 ])  # fmt: skip
 def test_a_reply_belongs_to_its_question_by_function_length_and_what_it_echoes(request_, reply, its_own):
     assert belongs(bytes.fromhex(request_), bytes.fromhex(reply)) == its_own
+
+
+@pytest.mark.parametrize(("reply", "text"), [
+    ("83 01", "does not know the function (exception 1)"),
+    ("84 02", "has no such register (exception 2)"),
+    ("86 03", "does not take the value or the count (exception 3)"),
+    ("83 04", "has failed (exception 4)"),
+    ("83 05", "needs longer (exception 5)"),
+    ("83 06", "is busy (exception 6)"),
+    ("83 07", "refuses (exception 7)"),
+    ("83 0A", "cannot be reached through the gateway (exception 10)"),
+    ("83 0B", "does not answer the gateway (exception 11)"),
+    ("03 02 0001", ""),
+])  # fmt: skip
+def test_an_exception_is_said_in_words(reply, text):
+    assert exception_text(bytes.fromhex(reply)) == text
+
+
+def test_how_many_registers_a_number_takes():
+    kinds = ("int16", "uint16", "int32", "uint32", "float32")
+    assert [words_of(kind) for kind in kinds] == [1, 1, 2, 2, 2]

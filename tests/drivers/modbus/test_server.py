@@ -1,9 +1,11 @@
 """The answering end: right questions, and every wrong one."""
 
+import struct
+
 import pytest
 
 from drivers.modbus.pdu import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE
-from drivers.modbus.server import RefusedRequestError, SilentError, answer
+from drivers.modbus.server import NoBits, RefusedRequestError, SilentError, answer
 
 
 class Table:
@@ -84,3 +86,53 @@ def test_what_is_wrong_gets_its_exception():
 
 def test_a_table_may_keep_silent():
     assert answer(Table(), bytes.fromhex("03 0009 0001")) is None
+
+
+class Wide:
+    """Registers and coils of any number, of which the last that were written are kept."""
+
+    def __init__(self):
+        self.written = None
+
+    def read(self, function, register, count):
+        return (0,) * count
+
+    def write(self, function, register, values):
+        self.written = function, register, values
+
+    def read_bits(self, function, first, count):
+        return (False,) * count
+
+    write_bits = write
+
+
+@pytest.mark.parametrize(("question", "written"), [
+    ("06 0003 1234", (6, 3, (0x1234,))),
+    ("06 0003 0000", (6, 3, (0,))),
+    ("06 0003 FFFF", (6, 3, (0xFFFF,))),
+    ("05 0004 FF00", (5, 4, (True,))),
+    ("05 0004 0000", (5, 4, (False,))),
+])  # fmt: skip
+def test_one_register_or_coil_is_written(question, written):
+    table = Wide()
+    assert answer(table, bytes.fromhex(question)) == bytes.fromhex(question)
+    assert table.written == written
+
+
+@pytest.mark.parametrize(("function", "most"), [(1, 2000), (2, 2000), (3, 125), (4, 125), (15, 1968), (16, 123)])
+def test_as_many_as_the_standard_allows_and_not_one_more(function, most):
+    def asked(count):
+        question = struct.pack(">BHH", function, 0, count)
+        if function < 15:
+            return question
+        length = 2 * count if function == 16 else (count + 7) // 8
+        return question + bytes((length,)) + bytes(length)
+
+    assert answer(Wide(), asked(most))[0] == function
+    assert answer(Wide(), asked(most + 1)) == bytes((function | 0x80, ILLEGAL_VALUE))
+
+
+@pytest.mark.parametrize("question", ["01 0000 0001", "0F 0000 0001 01 01", "05 0000 FF00"])
+def test_a_table_without_coils_refuses_them(question):
+    function = bytes.fromhex(question)[0]
+    assert answer(NoBits(), bytes.fromhex(question)) == bytes((function | 0x80, ILLEGAL_FUNCTION))
