@@ -3,8 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 ARGS   ?=
-# One for each of two cores for the tests that compute; those that pass real time mostly wait, and come after them, by
-# themselves: side by side, the instruments that they wait for missed their deadlines.
+# One for each of two cores for the tests that compute, in the background; those that pass real time mostly wait, and run
+# at the same time: tests/support/passes.py.
 WORKERS ?= 2
 WAITING ?= 6
 # Of the choice of small wrong changes; a day's own unless one is named.
@@ -45,11 +45,7 @@ run: $(BIN)/.runtime
 	@$(BIN)/heliocube run --dashboard $(ARGS)
 
 test: $(BIN)/.dev
-	@run() { echo "$(BIN)/python -m pytest $$*"; $(BIN)/python -m pytest "$$@" $(ARGS); } ; \
-	run --live without -n $(WORKERS) --dist worksteal; first=$$?; [ $$first -ne 2 ] || exit 2; \
-	run --live only -n $(WAITING) --dist worksteal -o cache_dir=.pytest_cache/live; second=$$?; \
-	if [ $$first -eq 5 ]; then exit $$second; elif [ $$second -eq 5 ]; then exit $$first; fi; \
-	[ $$first -ne 0 ] && exit $$first || exit $$second
+	$(BIN)/python -m tests.support.passes $(WORKERS) $(WAITING) $(ARGS)
 
 test-quick: $(BIN)/.dev
 	$(BIN)/python -m pytest --quick -n $(WORKERS) --dist worksteal $(ARGS)
