@@ -25,6 +25,7 @@ RISE_ELEVATION_DEG = -0.8333
 HOUR_S = 3600.0
 DAY_S = 86400.0
 REMEMBERED_HOURS = 128
+REMEMBERED_DAYS = 16
 
 Number = TypeVar("Number", float, Array)
 
@@ -115,9 +116,15 @@ def extraterrestrial_dni(utc_s: float | Array) -> Array:
 
 def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
     """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude."""
+    mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
+    return _sun_day(mean_solar_day, latitude_deg, longitude_deg, altitude_m)
+
+
+@lru_cache(maxsize=REMEMBERED_DAYS)
+def _sun_day(mean_solar_day: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> SunDay:
+    """Work it out once for all trackers of a process, which ask as soon as a day begins."""
     from pvlib import spa
 
-    mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S
     mean_noon_utc_s = (mean_solar_day + 0.5) * DAY_S - longitude_deg * 240.0
     # The equation of time can carry the true noon into the UTC day before or after that of the mean noon.
     midnights = (mean_noon_utc_s // DAY_S + np.array([-1.0, 0.0, 1.0])) * DAY_S

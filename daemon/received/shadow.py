@@ -16,6 +16,7 @@ from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Target
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
+from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
 from solar.energy import Drive
 from solar.frames import Angles
@@ -124,6 +125,8 @@ class Shadow:
         Takes what is told each night.
     utc_s
         The time of construction [s].
+    phase
+        When its turn is among the trackers of the process.
     """
 
     def __init__(
@@ -134,7 +137,9 @@ class Shadow:
         folder: StateFolder,
         publish: Callable[[Record], None],
         utc_s: float,
+        phase: Phase = ALONE,
     ) -> None:
+        self._phase = phase
         self._named, self._law_file = law
         self._settings = settings
         self._received = received
@@ -195,7 +200,7 @@ class Shadow:
 
     def _decide(self, now_s: float, mean: Irradiances | None, utc_s: float) -> None:
         law, motion, heading = self._named.law, self._settings.motion, self._axes.heading
-        self._due_s = max(now_s + law.decide_every_s, self._moved_s + motion.minimum_interval_s)
+        self._due_s = max(self._phase.next_s(now_s, law.decide_every_s), self._moved_s + motion.minimum_interval_s)
         if heading is None:
             return
         whereabouts = Whereabouts(self._axes.pose(utc_s), Target(*heading, ""))
@@ -213,7 +218,7 @@ class Shadow:
             self._law_file.save(law.to_dict())
             self._axes.send(there)
             self._moved_s = now_s
-            self._due_s = now_s + max(law.decide_every_s, motion.minimum_interval_s)
+            self._due_s = max(self._phase.next_s(now_s, law.decide_every_s), now_s + motion.minimum_interval_s)
             self._travel = travel.plus(shadow=(distance_deg, 1))
 
     def _count_moves(self, active: Active) -> None:

@@ -90,6 +90,7 @@ class ReceivedToday:
         self._site, self._limits, self._albedo = site, limits, albedo
         self._file = StateFile(folder, file_name, Insolation, log, "the light received today")
         self._today = self._load() or Insolation(day=self.day_of(utc_s))
+        self._day = self._today.day
         self._newest_s = -math.inf
         self._waiting: list[tuple[float, float, list[float]]] = []
         self._unsaved = 0
@@ -99,10 +100,10 @@ class ReceivedToday:
         """Take in a scan that has just arrived, at this UTC [s], and where the tracker stands; None: not known."""
         elapsed_s = min(scan.time_monotonic_s - self._newest_s, _LONGEST_S)
         self._newest_s = scan.time_monotonic_s
-        if self.day_of(utc_s) != self._today.day:
-            self._take_in()
+        if self.day_of(utc_s) != self._day:
+            self._day = self.day_of(utc_s)
             self._begin_mean()
-            self._today = Insolation(day=self.day_of(utc_s))
+            self._in_turn(self._end_day)
         if not elapsed_s < _LONGEST_S:
             # After a gap nobody knows what the light was.
             self._begin_mean()
@@ -120,11 +121,12 @@ class ReceivedToday:
     @property
     def counted(self) -> Insolation:
         """The count without the minutes that wait to be taken in."""
-        return self._today
+        return self._today if self._today.day == self._day else Insolation(day=self._day)
 
     @property
     def today(self) -> Insolation:
         """The count so far; a started minute does not count yet."""
+        self._end_day()
         self._take_in()
         return self._today
 
@@ -133,19 +135,26 @@ class ReceivedToday:
         self._sums, self._seconds = [0.0] * 6, [0.0] * 6
 
     def _end_mean(self, utc_s: float) -> None:
+        self._end_day()
         pairs = zip(self._sums, self._seconds, strict=True)
         means = [total / seconds if seconds > 0.0 else math.nan for total, seconds in pairs]
         self._waiting.append((utc_s - self._elapsed_s, self._elapsed_s, means))
         self._begin_mean()
         if len(self._waiting) == _MOST_WAITING:
-            self._take_in_in_turn()
+            self._in_turn(self._take_in)
 
-    def _take_in_in_turn(self) -> None:
-        """Take in at once, or while the next mean is made: all trackers of a process have as many that wait."""
+    def _in_turn(self, work: Callable[[], None]) -> None:
+        """Work at once, or while the next mean is made: all trackers of a process have the same to do at one scan."""
         if self._phase.place == 0:
-            self._take_in()
+            work()
         else:
-            asyncio.get_running_loop().call_later(self._phase.delay_s(_MEAN_S), self._take_in)
+            asyncio.get_running_loop().call_later(self._phase.delay_s(_MEAN_S), work)
+
+    def _end_day(self) -> None:
+        """Take in what waits of the day that has ended, and begin the next."""
+        if self._today.day != self._day:
+            self._take_in()
+            self._today = Insolation(day=self._day)
 
     def _take_in(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""

@@ -211,7 +211,7 @@ class Tracker:
         settings, utc_s = self.settings, self.clock.utc()
         law = build_shadow(settings, utc_s, self.folder, common)
         received = self._count(f"shadow-{law.named.name}-{FILE_NAME}")
-        return Shadow(law, settings, received, self.folder, self.publish, utc_s)
+        return Shadow(law, settings, received, self.folder, self.publish, utc_s, self._phase)
 
     def _albedo(self) -> float:
         """Return what is known of the ground; one number for every plane that is compared."""

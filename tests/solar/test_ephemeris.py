@@ -98,6 +98,12 @@ def test_sunrise_noon_and_sunset_are_those_of_the_solar_day_around_the_instant(s
     assert day.highest_elevation_deg == pytest.approx(sun_position(near, *site).elevation_deg.max(), abs=0.01)
 
 
+def test_a_day_is_worked_out_once_for_all_trackers_that_ask_in_it():
+    one = sun_day(1665705600.0, 48.7, 2.2, 156.0)
+    assert sun_day(1665705600.0 + 36000.0, 48.7, 2.2, 156.0) is one
+    assert sun_day(1665705600.0 + 36000.0, 48.7, 2.3, 156.0) != one
+
+
 def test_polar_night_and_polar_day_have_no_sunrise_and_differ_in_the_noon_elevation():
     night, day = sun_day(utc("2022-12-21T12:00"), *TROMSO), sun_day(utc("2022-06-21T12:00"), *TROMSO)
     assert night.sunrise_utc_s is None

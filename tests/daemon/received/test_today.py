@@ -1,5 +1,7 @@
 """What the tracker has gained today, by the light that the faces show."""
 
+import asyncio
+import json
 import math
 
 import numpy as np
@@ -7,9 +9,11 @@ import pytest
 
 from daemon.base.files import StateFolder
 from daemon.base.records import FaceReading, Mode, Pose, Quality, Scan
+from daemon.base.timeloop import VirtualTimeLoop
 from daemon.received.today import ReceivedToday
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
+from daemon.tracker.phase import Phase
 from solar.ephemeris import Site, sun_direction
 from solar.frames import Limits, angles_within
 from tests.support.rig import SITE, HandWeather
@@ -81,6 +85,33 @@ def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
     assert again.today == before
     assert feed(again, even(200.0), 600, begin_s=3700.0).known_s == 4200
     assert feed(again, even(200.0), 600, begin_s=float(DAY_S)).known_s == 600
+
+
+def test_many_trackers_book_the_day_that_has_ended_one_after_the_other(tmp_path):
+    """A booking that came for all with one scan would hold the loop for half a second with 500 of them."""
+    wait_s = 60.0 * 5 / 10
+
+    def kept():
+        return json.loads((tmp_path / "received.json").read_text())["known_s"] if any(tmp_path.iterdir()) else 0
+
+    async def scenario():
+        counted = ReceivedToday(
+            Site(*SITE), Limits(), lambda: 0.2, StateFolder(tmp_path), NOON_S, Phase(place=5, trackers=10)
+        )
+        feed(counted, even(200.0), 600)
+        for at_s in np.arange(605.0, 1205.0, 5.0):
+            counted.add(scan(at_s, even(200.0)), Pose(NOON_S + at_s, at_s, *FLAT, moving=False), NOON_S + at_s)
+        at_s = float(DAY_S)
+        counted.add(scan(at_s, even(200.0)), None, NOON_S + at_s)
+        assert (counted.counted.known_s, kept()) == (0, 0), "the scan that ends the day does not wait for the booking"
+        await asyncio.sleep(wait_s - 1)
+        assert kept() == 0
+        await asyncio.sleep(2)
+        assert kept() == 1200
+        assert counted.today.known_s == 0
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
 
 
 def test_a_file_that_cannot_be_read_is_said_and_counted_anew(tmp_path, caplog):
