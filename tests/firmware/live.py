@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+from drivers.errors import ConnectError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
@@ -66,6 +67,17 @@ def driver_on(firmware, a=A, b=B, **options):
     """Return the real driver on the firmware's port."""
     line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic)
     return PozsolPositioner(line, time.monotonic, a, b, **options)
+
+
+async def opened(positioner, within_s=120.0):
+    """Open, and return who it is; once more where a busy machine lets the emulator print its screens too slowly."""
+    deadline_s = time.monotonic() + within_s
+    while True:
+        try:
+            return await positioner.open()
+        except ConnectError:
+            if time.monotonic() >= deadline_s:
+                raise
 
 
 async def until(condition, within_s=30.0):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import LinkLostError, RefusedError
-from tests.firmware.live import A, B, driver_on, standstill_after_s, until
+from tests.firmware.live import A, B, driver_on, opened, standstill_after_s, until
 
 
 def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_unit(start_firmware):
@@ -15,7 +15,7 @@ def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_
 
     async def scene():
         positioner = driver_on(firmware)
-        identity = await positioner.open()
+        identity = await opened(positioner)
         assert (identity.board, identity.setup_conflicts) == ("36A1", ())
         seen = await positioner.read_telemetry()
         assert (seen.supply_v, seen.faults, seen.reference_doubt, seen.own_moves) == (24.0, (), "", ())
@@ -30,7 +30,7 @@ def test_a_move_ends_half_a_unit_from_its_target_and_inside_the_limits(start_fir
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.move_to(*target)
 
         async def arrived():
@@ -52,7 +52,7 @@ def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lo
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         for replugged in (False, True):
             await positioner.move_to(-30.0, 60.0)
             await asyncio.sleep(1.5)
@@ -73,7 +73,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.move_to(-30.0, 60.0)
         await asyncio.sleep(1.0)
         firmware.control("unplug")
@@ -88,7 +88,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
         await until(lost)
         await positioner.close()
         firmware.control("plug")
-        await positioner.open()
+        await opened(positioner)
         begin_s = time.monotonic()
         watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
         await positioner.stop()
@@ -105,7 +105,7 @@ def test_the_axis_that_is_named_first_moves_first(start_firmware):
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.move_to(-10.0, 80.0, first="b")
         await asyncio.sleep(1.5)
         a_deg, b_deg = firmware.pose_deg()
@@ -122,7 +122,7 @@ def test_a_move_without_supply_is_refused_with_its_cause_and_nothing_moves(start
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         firmware.control("supply 15")
         before = firmware.positions_mm()
 
@@ -145,7 +145,7 @@ def test_own_tracking_is_switched_off_and_what_it_drove_is_stopped(start_firmwar
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         firmware.write_parameter(56, "y")
 
         async def on():
@@ -170,7 +170,7 @@ def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_w
 
     async def scene():
         positioner = driver_on(firmware, b=replace(B, minimum_deg=14.0))
-        identity = await positioner.open()
+        identity = await opened(positioner)
         holder = "field 74 of the positioner says 39.6, but instruments.positioner.a_axis.holder_mm is 0: set"
         offset = "field 193 of the positioner says 2.5, but instruments.positioner.b_axis.zero_offset is 0: set"
         assert [text.startswith((holder, offset)) for text in identity.setup_conflicts] == [True, True]
@@ -182,7 +182,7 @@ def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_w
         # With the unit's own values in the configuration nothing is left to complain of.
         a = replace(A, geometry=replace(A.geometry, holder_mm=39.6, low_deg=-51.2))
         positioner = driver_on(firmware, a=replace(a, minimum_deg=-45.0), b=replace(B, zero_offset=2.5))
-        identity = await positioner.open()
+        identity = await opened(positioner)
         assert identity.setup_conflicts == ()
         await positioner.close()
 

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from drivers.errors import RefusedError
-from tests.firmware.live import driver_on, standstill_after_s, until
+from tests.firmware.live import driver_on, opened, standstill_after_s, until
 
 
 async def over(positioner):
@@ -22,7 +22,7 @@ def test_both_axes_are_homed_and_the_count_is_believed(start_firmware):
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         for axis, index in (("a", 0), ("b", 1)):
             await positioner.home(axis)
             seen = await over(positioner)
@@ -39,7 +39,7 @@ def test_a_run_that_a_supply_dip_breaks_off_leaves_a_doubt_until_a_good_one(star
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.home("a")
         firmware.control("supply 15")
         await asyncio.sleep(0.8)
@@ -61,7 +61,7 @@ def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware)
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         firmware.control("stucklow 0 1")
         await positioner.home("a")
         seen = await over(positioner)
@@ -80,7 +80,7 @@ def test_homing_stops_the_other_axis_first(start_firmware):
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.move_to(-20.0, 16.0)
         await asyncio.sleep(1.5)
         await positioner.home("b")
@@ -97,7 +97,7 @@ def test_dead_hall_sensors_are_a_fault_and_nothing_is_sent_to_either_axis(start_
 
     async def scene():
         positioner = driver_on(firmware)
-        await positioner.open()
+        await opened(positioner)
         await positioner.move_to(-20.0, 80.0)
         await asyncio.sleep(1.0)
         firmware.control("freeze 0 1")
