@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from drivers.positioners.pozsol.link import LinkState
-from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.wire import TokenStream, require_allowed
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.transports.cable import Cabled
@@ -91,5 +91,5 @@ class InMemoryStream(Cabled):
         return False
 
     def _take(self, screens: bytes, now_s: float) -> None:
-        self._table.take(TokenStream().feed(screens + b"$"), now_s)
+        self._table.take(TokenStream().cut(screens + b"$"), now_s)
         self._state = LinkState(self._table.snapshot())

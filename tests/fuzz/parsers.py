@@ -33,7 +33,7 @@ from drivers.errors import DeadlineError, DeviceError
 from drivers.load import agilent6063b, chroma63600
 from drivers.load.session import LoadSession
 from drivers.meters.keithley2000 import Keithley2000
-from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.unit_setup import count_step, missing_fields
 from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, own_moves, parse_number, parse_status
 from drivers.positioners.rotctld.protocol import ReplyStream, error_text, state_of
@@ -124,7 +124,7 @@ def _screens() -> Take:
         stream, table = TokenStream(), FieldTable()
         step = data[0] % 61 + 3 if data else 1
         for place in range(0, len(data), step):
-            table.take(stream.feed(data[place : place + step]), 0.01 * place)
+            table.take(stream.cut(data[place : place + step]), 0.01 * place)
         fields = {}
         for code, value in table.snapshot().items():
             fields[code] = value.text.decode("latin-1").strip()

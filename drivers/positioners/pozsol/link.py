@@ -7,7 +7,8 @@ from typing import NamedTuple, Protocol
 from drivers.errors import LinkLostError
 from drivers.lines.serial_port import SerialPort
 from drivers.lines.threads import DeviceThread
-from drivers.positioners.pozsol.stream import FieldTable, Port, TelemetryReader, Value
+from drivers.positioners.pozsol.stream import Port, TelemetryReader
+from drivers.positioners.pozsol.table import FieldTable, Value
 from drivers.positioners.pozsol.wire import require_allowed
 from drivers.transcript import Tap, no_tap
 

@@ -23,7 +23,7 @@ from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
 from drivers.positioners.pozsol.standstill import Standstill
-from drivers.positioners.pozsol.stream import Value
+from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
 from drivers.positioners.pozsol.wire import Field, encode_command

@@ -13,7 +13,7 @@ from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.reference import Reference
-from drivers.positioners.pozsol.stream import Value
+from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.wire import OWN_MOVES, Field, own_moves, parse_status
 
 _DEVICE = "positioner"

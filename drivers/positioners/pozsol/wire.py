@@ -15,6 +15,7 @@ SEPARATOR = 0x24
 TERMINATOR = b"\r"
 MAXIMUM_PACKET = 64
 MAXIMUM_VALUE = 255
+_LONGEST = 1 + MAXIMUM_VALUE
 COMMAND_SPACING_S = 0.06
 """The unit looks at its input every 20 ms and a second packet in that time overwrites the first."""
 
@@ -72,7 +73,7 @@ DECIMALS = {
 """How many decimals public firmware prints; older and newer units differ, so a reader takes any number of them."""
 
 _FAR = 99_999.0
-_RANGES = {
+_RANGES: dict[int, tuple[float, float]] = {
     Field.A_ANGLE: (-360.0, 360.0),
     Field.B_ANGLE: (-360.0, 360.0),
     Field.A_POSITION: (-_FAR, _FAR),
@@ -168,25 +169,35 @@ class TokenStream:
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
         """Take in any number of bytes and return the (field code, value) pairs that they complete."""
-        first, *rest = data.split(b"$")
-        if not rest:
+        return [(token[0], token[1:]) for token in self.cut(data)]
+
+    def cut(self, data: bytes) -> list[bytes]:
+        """Take in any number of bytes and return the tokens that they complete: one byte of code, and the value."""
+        tokens = data.split(b"$")
+        last = tokens.pop()
+        if not tokens:
             if self._in_token:
-                self._pending += first
-                if len(self._pending) > 1 + MAXIMUM_VALUE:
-                    self._pending, self._in_token = b"", False
+                self._begin(self._pending + last)
             return []
-        tokens = [self._pending + first, *rest[:-1]] if self._in_token else rest[:-1]
-        self._pending = rest[-1]
-        self._in_token = len(self._pending) <= 1 + MAXIMUM_VALUE
-        if not self._in_token:
-            self._pending = b""
-        return [(token[0], token[1:]) for token in tokens if 0 < len(token) <= 1 + MAXIMUM_VALUE]
+        if self._in_token:
+            tokens[0] = self._pending + tokens[0]
+        else:
+            del tokens[0]
+        self._begin(last)
+        lengths = list(map(len, tokens))
+        if tokens and not (min(lengths) > 0 and max(lengths) <= _LONGEST):
+            tokens = [token for token in tokens if 0 < len(token) <= _LONGEST]
+        return tokens
+
+    def _begin(self, pending: bytes) -> None:
+        self._in_token = len(pending) <= _LONGEST
+        self._pending = pending if self._in_token else b""
 
 
 def parse_number(field: int, value: bytes) -> float:
     """Return the number of a field, printed in whatever width; `ValueError` if it is none or one that cannot be."""
     found = _NUMBER.fullmatch(value)
-    low, high = _RANGES[Field(field)]
+    low, high = _RANGES[field]
     number = float(found[1]) if found else math.nan
     if not (low <= number <= high):
         raise ValueError(f"positioner field {field} should be a number from {low:g} to {high:g}, not {value!r}")

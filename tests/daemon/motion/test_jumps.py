@@ -5,7 +5,7 @@ import pytest
 from daemon.motion.watch import Watch
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import LinkState
-from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import PositionerWatch
 from drivers.positioners.pozsol.wire import TokenStream
 from drivers.settings import PositionerSettings
@@ -44,7 +44,7 @@ def strays(screens, cut):
     for at, screen in enumerate(screens):
         clock[0] = STARTS_S + SCREEN_S * at
         for piece in (screen[:cut], screen[cut:]):
-            table.take(stream.feed(piece), clock[0])
+            table.take(stream.cut(piece), clock[0])
             if at < 12:
                 continue
             look = unit.read(LinkState(table.snapshot(), jumped_s=table.jumped_s))

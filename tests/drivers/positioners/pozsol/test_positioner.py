@@ -10,7 +10,7 @@ from drivers.errors import LinkLostError, RefusedError, StillMovingError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.positioner import PozsolPositioner
-from drivers.positioners.pozsol.stream import FieldTable
+from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.pozsol.core import PositionerCore
@@ -156,7 +156,7 @@ def test_old_telemetry_is_silence_and_old_status_is_too():
         clock[0] = 100.0
         table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
         for field, text in texts.items():
-            table.take([(field, text)], 100.0 - (age_s if field in stale else 0.0))
+            table.take([b"%c%b" % (field, text)], 100.0 - (age_s if field in stale else 0.0))
         return watch.read(LinkState(table.snapshot()))
 
     assert look((), 0.0).supply_v == 24.0

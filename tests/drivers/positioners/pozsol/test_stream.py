@@ -5,7 +5,10 @@ import pytest
 
 from drivers.errors import LinkLostError
 from drivers.positioners.pozsol.stream import TelemetryReader
+from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.wire import Field
+
+AT_ONCE = (0.0, 0.0)
 
 
 class Wire:
@@ -55,7 +58,7 @@ def wire():
 
 @pytest.fixture
 def reader(wire):
-    reader = TelemetryReader(wire, lambda: wire.now_s)
+    reader = TelemetryReader(wire, lambda: wire.now_s, gather_s=AT_ONCE)
     yield reader
     if reader.lost is None:
         wire.end()
@@ -73,7 +76,7 @@ REST = b"$%c1.0000$%c1.0000$" % (Field.A_POSITION, Field.A_DESTINATION)
 def test_the_newest_value_counts_with_the_time_at_which_it_came(wire, reader):
     wire.say(angle(b"1.0"))
     wire.say(angle(b"1.5"))
-    assert reader.table.get(Field.A_ANGLE) == (b"1.5", pytest.approx(0.24), 1.5)
+    assert reader.table.get(Field.A_ANGLE) == Value(b"1.5", pytest.approx(0.24), 1.5)
     assert reader.table.get(Field.B_ANGLE) is None
 
 
@@ -161,17 +164,38 @@ class Resting:
 
 def test_of_a_unit_at_rest_screens_are_gathered_until_a_command_is_sent():
     unit = Resting()
-    reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
+    reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=(0.0, 60.0))
     for _ in range(20_000):
         if unit.woken.wait(0.001):
             break
-        # Read at once for five seconds; each command is good for five more.
+        # At rest after five seconds; each command is good for five more.
         reader.attend()
     else:
         pytest.fail("a command does not end the gathering")
     reader.close()
     assert reader.lost is None
     assert reader.table.get(Field.A_POSITION).time_s == unit.now_s
+
+
+class Travelling(Resting):
+    """A unit on its way."""
+
+    def __init__(self):
+        super().__init__()
+        self.over = threading.Event()
+
+    def read(self):
+        return super().read().replace(b"1.0000", b"%.4f" % self.now_s, 1)
+
+    def close(self):
+        self.over.set()
+
+
+def test_of_a_unit_on_its_way_screens_are_read_as_often_as_is_meant_for_that():
+    unit = Travelling()
+    reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=(0.0, 60.0))
+    assert unit.over.wait(60.0)
+    assert reader.lost == "read all the time"
 
 
 def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
@@ -193,7 +217,7 @@ BANNER = b"\r\nready to go\r\n"
 @pytest.fixture
 def booting(wire):
     """Return a reader of a unit that may restart for two seconds because its port was opened."""
-    reader = TelemetryReader(wire, lambda: wire.now_s, boot_s=2.0, banner=b"ready to go")
+    reader = TelemetryReader(wire, lambda: wire.now_s, boot_s=2.0, banner=b"ready to go", gather_s=AT_ONCE)
     yield reader
     wire.end()
     reader.close()

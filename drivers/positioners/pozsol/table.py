@@ -1,0 +1,200 @@
+"""The newest value of each telemetry field that can be believed."""
+
+import math
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+
+from drivers.positioners.pozsol.wire import DECIMALS, Field, parse_number, parse_status
+
+# An axis turns by a tenth of this between two screens, and no faster than that; more means that the unit counts from
+# elsewhere now.
+_JUMP_DEG = 2.0
+_FASTEST_DEG_PER_S = 10.0
+_JUMP_WITHIN_S = 1.0
+# When nothing was read for so much longer than was meant, the first of what is read then has waited, and some that did
+# not fit is lost.
+_PAUSE_S = 0.15
+_BACKLOG_S = 0.5
+_TRAVEL = frozenset((Field.A_POSITION, Field.A_DESTINATION, Field.B_POSITION, Field.B_DESTINATION))
+_ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
+# What one screen says of an axis holds together, by the code of the angle that it begins with.
+_SCREENS: dict[int, int] = {
+    int(code): int(angle)
+    for angle, codes in {
+        Field.A_ANGLE: (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION),
+        Field.B_ANGLE: (Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION),
+    }.items()
+    for code in codes
+}
+_WHOLE = 3
+_ALL = frozenset(range(256))
+
+
+@dataclass(slots=True)
+class Value:
+    """A field as it was printed, when that has last come [s], and its number; NaN for a text."""
+
+    text: bytes
+    time_s: float
+    number: float = math.nan
+
+
+class FieldTable:
+    """The newest value of each field that can be believed; filled by one thread, read by any.
+
+    An axis's angle, position and destination are always those of one screen: the position of a new count beside the
+    angle of the old one would be taken for motion.
+
+    Parameters
+    ----------
+    jumps
+        By field, the change within a second that is believed only once the next value confirms it.
+
+    Attributes
+    ----------
+    jumped_s
+        When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
+    travelled_s
+        When a position or destination has last changed; -inf before it did.
+    """
+
+    def __init__(self, jumps: Mapping[int, float] = _ANGLES) -> None:
+        self._jumps = jumps
+        self._taken_s = self._paused_s = self._caught_up_s = -math.inf
+        self.jumped_s: float | None = None
+        self.travelled_s = -math.inf
+        self.forget()
+
+    def get(self, field: int) -> Value | None:
+        """Return the newest value of a field, or None if it never came."""
+        return self._values.get(field)
+
+    def snapshot(self) -> dict[int, Value]:
+        """Return all fields; when each has come goes on, what it says does not."""
+        return dict(self._values)
+
+    def forget(self) -> None:
+        """Start anew."""
+        self._values: dict[int, Value] = {}
+        # By the token, as the stream has it.
+        self._said: dict[bytes, Value] = {}
+        self._suspect: dict[int, float] = {}
+        # The axis's screen that is being read, which nobody sees before it is whole; whose angle was not believed.
+        self._screen: dict[int, Value] = {}
+        self._held: set[int] = set()
+
+    def take(self, tokens: Sequence[bytes], now_s: float, waited_s: float = 0.0) -> None:
+        """Note what has come, but for what cannot be: bytes were lost then, and the next screen has it again.
+
+        Parameters
+        ----------
+        tokens
+            One byte that names the field, and its text; in the order in which they came.
+        now_s
+            When they were read [s].
+        waited_s
+            How long they were let wait on purpose.
+        """
+        if self._values and now_s - self._taken_s > _PAUSE_S + waited_s:
+            self._paused_s, self._caught_up_s = self._taken_s, now_s + _BACKLOG_S
+        self._taken_s = now_s
+        said, news = self._said, self._news(tokens)
+        for token in tokens:
+            # A screen that has lost its end is ended by the next field, whatever that says.
+            if token[0] in news or self._screen:
+                self._take(token, now_s)
+            else:
+                said[token].time_s = now_s
+
+    def _news(self, tokens: Sequence[bytes]) -> Set[int]:
+        """Return the fields that have to be looked at: of a unit at rest hardly any says what it has not said before.
+
+        Of all that comes at once each of the others says the same, so nothing in between is left out.
+        """
+        if self._screen or self._held:
+            return _ALL
+        said = self._said
+        news = {token[0] for token in tokens if token not in said}
+        return news if news.isdisjoint(_SCREENS) else news | _SCREENS.keys()
+
+    def _take(self, token: bytes, now_s: float) -> None:
+        code = token[0]
+        axis = _SCREENS.get(code)
+        if self._screen and (axis not in self._screen or axis == code):
+            self._end_screen()
+        # Where the angle that began a screen cannot be believed yet, nothing of the axis can.
+        if axis != code and axis in self._held:
+            return
+        value = self._believed(token, now_s)
+        if axis is not None:
+            self._take_of_axis(axis, code, value)
+        elif value is not None:
+            self._keep({code: value})
+
+    def _take_of_axis(self, axis: int, code: int, value: Value | None) -> None:
+        if axis == code:
+            (self._held.add if value is None else self._held.discard)(axis)
+        if value is None:
+            return
+        if axis != code and not self._screen:
+            # The unit prints it before the angle, or the angle was lost.
+            self._keep({code: value})
+            return
+        self._screen[code] = value
+        if len(self._screen) == _WHOLE:
+            self._end_screen()
+
+    def _end_screen(self) -> None:
+        screen, self._screen = self._screen, {}
+        self._keep(screen)
+
+    def _keep(self, values: dict[int, Value]) -> None:
+        for code, value in values.items():
+            known = self._values.get(code)
+            if known is not value:
+                if known is not None:
+                    del self._said[b"%c%b" % (code, known.text)]
+                self._said[b"%c%b" % (code, value.text)] = value
+        # In one step: another thread sees all of them or none.
+        self._values.update(values)
+
+    def _believed(self, token: bytes, now_s: float) -> Value | None:
+        """Return what a field says now, or None if it cannot be."""
+        code, known = token[0], self._said.get(token)
+        if known is not None:
+            # Believed before, and no jump from there.
+            self._suspect.pop(code, None)
+            known.time_s = now_s
+            return known
+        text, number = token[1:], math.nan
+        try:
+            if code in DECIMALS:
+                number = parse_number(code, text)
+            elif code == Field.STATUS:
+                parse_status(text.decode("latin-1"))
+        except ValueError:
+            return None
+        if code in self._jumps and not self._plausible(code, number, now_s):
+            return None
+        if code in _TRAVEL:
+            self.travelled_s = now_s
+        return Value(text, now_s, number)
+
+    def _plausible(self, code: int, number: float, now_s: float) -> bool:
+        """Tell whether a value can be; a jump is one once the next value confirms it."""
+        known, most = self._values.get(code), self._jumps[code]
+        if known is None:
+            self._suspect.pop(code, None)
+            return True
+        passed_s = now_s - (min(known.time_s, self._paused_s) if now_s < self._caught_up_s else known.time_s)
+        if passed_s > _JUMP_WITHIN_S or abs(number - known.number) <= most + _FASTEST_DEG_PER_S * passed_s:
+            self._suspect.pop(code, None)
+            return True
+        suspect = self._suspect.get(code)
+        self._suspect[code] = number
+        if suspect is None or abs(number - suspect) > most:
+            return False
+        del self._suspect[code]
+        if code in _ANGLES:
+            self.jumped_s = now_s
+        return True

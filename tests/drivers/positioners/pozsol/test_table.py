@@ -1,0 +1,60 @@
+import random
+
+import pytest
+
+from drivers.positioners.pozsol.table import FieldTable
+from drivers.positioners.pozsol.wire import Field, TokenStream, encode_command
+from sim_drivers.pozsol.core import PositionerCore
+
+
+def axis_a(angle_deg):
+    return [b"%c%.1f" % (Field.A_ANGLE, angle_deg), b"%c1.0" % Field.A_POSITION, b"%c1.0" % Field.A_DESTINATION]
+
+
+def take_together(table, *blocks):
+    for at, angles in enumerate(blocks):
+        assert table.jumped_s is None
+        table.take([token for angle_deg in angles for token in axis_a(angle_deg)], 0.27 * at, waited_s=0.25)
+
+
+@pytest.mark.parametrize("last", [(10.0, 14.0, 14.0), (16.0, 16.0)])
+def test_a_jump_is_seen_in_screens_that_were_let_come_together(last):
+    table = FieldTable()
+    take_together(table, (10.0, 10.0), (10.0, 10.0), (10.0, 10.0), last)
+    assert (table.get(Field.A_ANGLE).number, table.jumped_s) == (last[-1], 0.27 * 3)
+
+
+@pytest.mark.parametrize("last", [(13.0, 13.0), (10.0, 90.0)])
+def test_what_an_axis_can_turn_by_meanwhile_and_what_comes_once_are_no_jump(last):
+    table = FieldTable()
+    take_together(table, (10.0, 10.0), (10.0, 10.0), last, (last[0], last[0]))
+    assert (table.get(Field.A_ANGLE).number, table.jumped_s) == (last[0], None)
+
+
+def garbled(screen, dice):
+    """Return a screen, now and then with a byte lost or changed."""
+    if dice.random() < 0.9:
+        return screen
+    place = dice.randrange(len(screen))
+    return screen[:place] + dice.choice((b"", b"9", b"-", b"$")) + screen[place + 1 :]
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_a_block_of_screens_leaves_what_its_fields_leave_one_by_one(seed):
+    dice = random.Random(seed)
+    core, stream, at_once, singly = PositionerCore(), TokenStream(), FieldTable(), FieldTable()
+    now_s = 0.0
+    for block in range(60):
+        if block % 20 == 10:
+            core.feed(encode_command(Field.A_ANGLE, dice.uniform(-40.0, 40.0)), now_s)
+        data = b""
+        for _ in range(dice.choice((1, 6, 12))):
+            now_s += 0.02
+            data += garbled(core.next_screen(now_s), dice)
+        tokens = stream.cut(data)
+        at_once.take(tokens, now_s)
+        for token in tokens:
+            singly.take([token], now_s)
+        # As text: NaN is not itself.
+        assert repr(at_once.snapshot()) == repr(singly.snapshot())
+        assert (at_once.jumped_s, at_once.travelled_s) == (singly.jumped_s, singly.travelled_s)
