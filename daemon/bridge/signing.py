@@ -65,7 +65,8 @@ def verify(datagram: bytes, *keys: bytes) -> bytes:
         )
     if _PAYLOAD.fullmatch(parts[1]) is None or len(parts[1]) % 4 == 1:
         raise ScanRefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS")
-    return base64.urlsafe_b64decode(parts[1] + b"=" * (-len(parts[1]) % 4))
+    # One more than is needed is passed over.
+    return base64.urlsafe_b64decode(parts[1] + b"==")
 
 
 def _signature(signed: bytes, key: bytes) -> bytes:

@@ -37,6 +37,7 @@ class Rig:
         )
         self.multiplexer = NiMultiplexer(self.cables.multiplexer)
         self.voltmeter = Keithley2000(self.cables.voltmeter)
+        self.events = []
         self.scans, self.at, self.loop, self.scanned = [], [], loop, asyncio.Event()
         clock = LoopClock(loop.time, 1.7e9)
         self.acquisition = Acquisition(
@@ -45,7 +46,7 @@ class Rig:
             clock,
             Random(1),
             self._keep,
-            lambda _event: None,
+            self.events.append,
             lambda _utc_s: self.sun_deg,
             simulated=True,
         )
@@ -139,6 +140,9 @@ def test_a_switch_that_is_lost_during_the_last_reading_spoils_the_scan(run):
         await asyncio.sleep(6)
         assert len(rig.scans) == delivered
         assert rig.acquisition.outage.is_down
+        (event,) = rig.events
+        assert event.subject == "cube"
+        assert "multiplexer" in event.text
 
     run(scenario)
 

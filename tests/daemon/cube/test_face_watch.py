@@ -195,3 +195,27 @@ def test_more_than_sun_and_sky_can_give_is_found_within_minutes(at_w_m2, found):
     minutes = day.minutes(15, frozen=3, at_w_m2=at_w_m2)
     assert [each is not None for each in minutes] == [False, False, False, found]
     assert ["more than sun and sky can give" in alarm.text for alarm in day.alarms.active] == [True] * found
+
+
+def test_a_face_is_accused_by_the_third_look_at_five_minutes_and_forgiven_after_ten_that_agree():
+    day = WatchedDay(MORNING_UTC_S)
+    assert day.minutes(7, frozen=3, at_w_m2=1800.0) == [None, None, None, 6.75]
+    day.minutes(9)
+    assert day.doubted() == [3]
+    day.minutes(6)
+    assert day.doubted() == []
+
+
+def test_each_fault_is_told_with_the_faces_that_have_it():
+    day = WatchedDay(MORNING_UTC_S)
+    day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])
+    (alarm,) = day.alarms.active
+    dead, over = alarm.text.split("; not used until it agrees with the others again")[:2]
+    assert dead.startswith("the south face reads next to nothing")
+    assert over.startswith("; the zenith face reads more than sun and sky")
+
+
+def test_a_face_that_is_never_read_is_not_accused():
+    day = WatchedDay(MORNING_UTC_S)
+    assert day.minutes(40, frozen=1, at_w_m2=np.nan) == [None] * 4
+    assert day.alarms.active == ()
