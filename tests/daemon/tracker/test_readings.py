@@ -163,3 +163,14 @@ def test_with_the_clock_in_doubt_the_sun_begins_no_night_and_light_ends_one():
     for _ in range(36):
         rig.scan(100.0)
     assert rig.judge(sun_known=False)[2] is None
+
+
+def test_what_is_missing_is_said_with_the_faces_that_are_bad():
+    rig = Rig()
+    rig.clock.now += 61
+    assert rig.judge()[:2] == (Data.BAD, "no good scan for 61 s"), "no scan at all has no face"
+    for _ in range(13):
+        rig.scan(100.0, bad=("east", "zenith"))
+    assert rig.judge()[1] == "no good scan for 126 s (east late, zenith late)"
+    rig.scan(100.0)
+    assert rig.judge()[1] == "waiting for the cube's readings"

@@ -1,12 +1,15 @@
 """All reasons to stow together, and over a restart."""
 
+import asyncio
 import json
 import math
 import re
 
 import pytest
 
+from daemon.base.clock import LoopClock
 from daemon.base.files import StateFolder
+from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import SafetySettings
 from daemon.tracker.stow import WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
@@ -137,3 +140,35 @@ def test_a_storm_that_a_failing_disk_has_not_taken_is_kept_when_it_works_again(t
     blocked.unlink()
     rig.folder.retry()
     assert "25.0" in (blocked / "safety.json").read_text()
+
+
+def test_whoever_waits_is_woken_within_a_second_when_stow_begins_and_only_then():
+    async def scenario():
+        loop = asyncio.get_running_loop()
+        clock, woken, wind = LoopClock(loop.time, 1.7e9), [], {"roof": 3.0, "field": 3.0}
+        polled = []
+
+        def read(name):
+            polled.append(loop.time())
+            return wind[name]
+
+        sources = [WindStow(SAFETY, lambda name=name: read(name), name) for name in wind]
+        watch = StowWatch(sources, SafetyFile(StateFolder(None)), clock, lambda: woken.append(loop.time()))
+        began_s = loop.time()
+        running = asyncio.create_task(watch.run())
+        await asyncio.sleep(10.5)
+        assert woken == []
+        for name, after_s in (("roof", 1000.0), ("field", 1000.0)):
+            wind[name] = 20.0
+            await asyncio.sleep(2.0)
+            wind[name] = 3.0
+            await asyncio.sleep(after_s)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        count = len(polled)
+        await asyncio.sleep(100.0)
+        assert len(polled) == count, "nobody polls any more"
+        return [at_s - began_s for at_s in woken]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(scenario()) == pytest.approx([11.0, 1013.0], abs=0.6)

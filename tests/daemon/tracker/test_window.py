@@ -137,3 +137,12 @@ def test_a_window_of_many_says_what_each_ones_own_says_whoever_has_asked_before_
             common.mean(each.time_monotonic_s + 0.7 * place)
     asked_s = scans[-1].time_monotonic_s + 3.3
     assert one.mean(asked_s) == common.mean(asked_s)
+
+
+def test_all_four_faces_are_asked_for_unless_fewer_will_do():
+    window = Window(60, nominal_s=5, longest_s=60)
+    good, bad = FaceReading(500.0, Quality.OK, 0.0, 0.0), FaceReading(math.nan, Quality.LATE, 0.0, 0.0)
+    window.add(Scan("cube", "s", 0, 0.0, 0.0, good, bad, good, good))
+    assert window.mean(0.0) is None
+    assert window.mean(0.0, 4) is None
+    assert window.mean(0.0, 3).coverage == pytest.approx(5 / 60)
