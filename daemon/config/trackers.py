@@ -34,6 +34,8 @@ class TrackerTable(Section):
 PARTS = tuple(name for name in TrackerTable.model_fields if name != "name")
 # Where a section of a tracker's table is at home in the file.
 _AT_HOME = {"positioner": "instruments.positioner"}
+# What all trackers of a process share, and a stranger looks for in their tables.
+_SHARED = ("cube", "bridge")
 
 
 class SharedPort(NamedTuple):
@@ -93,6 +95,11 @@ def place_in_table(path: str) -> str:
 
 def resembling(name: str) -> str:
     """Return the remedy for a name that is none of a tracker's sections."""
+    if name in _SHARED:
+        return (
+            "the trackers of a process have one cube and one bridge: write it outside their tables; one of another"
+            " cube gets a file and a process of its own"
+        )
     found = difflib.get_close_matches(name.rpartition(".")[2].lower(), PARTS, 1)
     return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(PARTS)}"
 

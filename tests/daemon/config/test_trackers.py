@@ -80,6 +80,10 @@ def test_what_the_command_line_says_holds_for_all(read):
             "tracker[east].limit: a tracker has no such section; did you mean limits?",
         ),
         (
+            "[[tracker]]\nname = 'east'\n[tracker.cube]\nname = 'other'\n",
+            "tracker[east].cube: a tracker has no such section; the trackers of a process have one cube and one bridge",
+        ),
+        (
             "[[tracker]]\nname = 'east'\n[tracker.positioner]\nport = '/dev/ttyACM0'\n",
             'tracker[east].positioner.port = "/dev/ttyACM0": must be a port whose name outlives a replug',
         ),
