@@ -34,7 +34,7 @@ from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Angles, Array
 from solar.laws.law import Law
 
-COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est")
+COLUMNS = ("time", "a_set", "b_set", "a", "b", "mode", "law", "dni_est", "dhi_est", "albedo_est", "simulated")
 
 # The service starts so long before the first row, to be connected when it comes.
 _WARM_UP_S = 10.0
@@ -303,7 +303,7 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: 
             mode = log.modes[first + at]
             a_set, b_set, a, b = angles[first + at].tolist()
             texts = [f"{value:z.3f}" for value in (a_set, b_set, a, b)]
-            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at]])
+            writer.writerow([iso_utc(row.time_utc_s), *texts, mode.value, laws.get(mode, ""), *estimates[at], "true"])
 
 
 def _estimates(

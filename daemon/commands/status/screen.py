@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from operator import itemgetter
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
@@ -32,6 +32,9 @@ _STOP_STYLE = "bold white on red"
 _NEWS, _LIVE_NEWS = 5, 7
 _BAD = "bold red"
 _REFRESH_S = 0.25
+_FRAME_LINES, _FRAME_COLUMNS = 2, 4
+# Below it a heading would take the place of the news themselves.
+_LEAST_ROOM = 5
 _LINE_EVERY_S = 5.0
 _BAR_WIDTH = 30
 _FULL_BAR_W_M2 = 1200.0
@@ -69,31 +72,50 @@ class LiveView:
 
 def render(state: dict[str, Any]) -> RenderableType:
     """Return one screen for the JSON of /api/state."""
-    return Group(_title(state), *_body(state, _NEWS, bars=False))
+    return Group(_title(state), _body(state, bars=False), *_news(state, _NEWS))
 
 
 def live_screen(state: dict[str, Any]) -> RenderableType:
     """Return the same in a frame, with bars for the faces, for a screen that changes in place."""
-    body = Group(*_body(state, _LIVE_NEWS, bars=True))
-    return Panel(body, title=_title(state), subtitle="Ctrl-C ends", expand=True)
+    return _Framed(state)
 
 
-def _body(state: dict[str, Any], most_news: int, *, bars: bool) -> Iterator[RenderableType]:
+class _Framed:
+    """A frame with as many of the latest news as the terminal has lines for: what is cut off would be the newest."""
+
+    def __init__(self, state: dict[str, Any]) -> None:
+        self._state = state
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        body = _body(self._state, bars=True)
+        inside = options.update(width=options.max_width - _FRAME_COLUMNS, height=None)
+        room = console.height - _FRAME_LINES - len(console.render_lines(body, inside))
+        choices = (Group(*_news(self._state, count, bare=room < _LEAST_ROOM)) for count in range(_LIVE_NEWS, 0, -1))
+        news = next((some for some in choices if len(console.render_lines(some, inside)) <= room), Group())
+        yield Panel(Group(body, news), title=_title(self._state), subtitle="Ctrl-C ends", expand=True)
+
+
+def _body(state: dict[str, Any], *, bars: bool) -> RenderableType:
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
     for name, text in _rows(state, bars=bars):
         grid.add_row(name, text)
-    yield grid
+    return grid
+
+
+def _news(state: dict[str, Any], most: int, *, bare: bool = False) -> Iterator[RenderableType]:
     # A move is known by its beginning, and comes when it has ended.
-    news = sorted(state["news"], key=itemgetter("time"))[-most_news:]
+    news = sorted(state["news"], key=itemgetter("time"))[-most:]
     if news:
         lines = Table.grid(padding=(0, 2))
         lines.add_column(style="dim", no_wrap=True)
         lines.add_column(style="dim")
         for item in news:
             lines.add_row(dated(item["time"]), item["text"])
-        yield from (Text(), Text(f"What happened lately ({zone(state['time'])})", style="dim"), lines)
+        if not bare:
+            yield from (Text(), Text(f"What happened lately ({zone(state['time'])})", style="dim"))
+        yield lines
 
 
 def line(state: dict[str, Any]) -> str:

@@ -51,6 +51,8 @@ def curve_figure(voltage_v: Array, current_a: Array, title: str) -> Figure:
     for axes in (left, right):
         axes.set_ylim(bottom=0.0)
     left.set_xlim(left=0.0)
+    for line in (*left.lines, *right.lines):
+        line.set_clip_on(False)
     figure.legend([current, watts], ["I(V)", "P(V)"], frameon=False, loc="outside lower center", ncols=2)
     return figure
 
@@ -108,7 +110,7 @@ def movement_figure(day: Pairs, site: Site, title: str) -> Figure:
         tilt, azimuth = _facing(side, site)
         upper.plot(time, tilt, color=colour, linewidth=1.0, linestyle=line, label=name)
         lower.plot(time, azimuth, color=colour, linewidth=1.0, linestyle=line, label=name)
-    upper.set(ylabel="inclination, zenith angle [deg]", ylim=(0.0, 95.0), title=title)
+    upper.set(ylabel="inclination, zenith angle [deg]", ylim=(-3.0, 95.0), title=title)
     lower.set(ylabel="azimuth [deg]")
     lower.set_title(f"no azimuth while a tracker lies flat within {_FLAT_DEG:g} deg", fontsize=9)
     _clock(lower, time)

@@ -87,6 +87,7 @@ def test_a_clear_hour_is_followed_at_any_cadence(replayed, law, every_s):
     assert (last["mode"], last["law"]) == ("tracking", law)
     assert off_sun_deg(last) < (4.0 if law == "optimal" else 8.0)
     assert float(last["a"]) == pytest.approx(float(last["a_set"]), abs=1.0)
+    assert {row["simulated"] for row in found} == {"true"}
     if law == "optimal":
         assert float(last["dni_est"]) == pytest.approx(700.0, rel=0.02)
         assert float(last["dhi_est"]) == pytest.approx(90.0, rel=0.05)

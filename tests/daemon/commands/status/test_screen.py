@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from daemon.base.records import Mode
-from daemon.commands.status.screen import LiveView, render
+from daemon.base.records import Event, Mode
+from daemon.commands.status.screen import LiveView, live_screen, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 
@@ -130,3 +130,25 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         assert any(line.startswith("remedy   ") for line in lines[alarm:])
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
+def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(run_rig):
+    out = io.StringIO()
+
+    async def scenario(rig):
+        recent = Recent()
+        rig.bus.subscribe(recent.note)
+        await rig.until_mode(Mode.TRACKING, 120)
+        for text in [f"event {number}" for number in range(9)]:
+            rig.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "operator", text))
+        for height in (24, 60):
+            console = Console(file=out, force_terminal=False, width=80, height=height)
+            console.print(live_screen(state_json(rig.see(recent))))
+            out.write("END")
+
+    run_rig(scenario)
+    small, tall, _ = out.getvalue().split("END")
+    assert len(small.splitlines()) <= 24
+    assert "event 8" in small
+    assert "event 2" not in small
+    assert "event 2" in tall
