@@ -158,3 +158,22 @@ def test_a_face_that_the_sun_reaches_must_not_be_darker_than_one_in_the_shade(az
     assert not usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[lit]
     faces[shaded], faces[lit] = 75.0, 400.0
     assert usable_faces(faces, direction_from_azimuth(azimuth, 40.0, 50.0))[shaded]
+
+
+def test_the_product_is_that_with_the_normal_of_the_pose():
+    random = np.random.default_rng(5)
+    vectors, a_deg, b_deg = random.normal(size=(50, 3)), random.uniform(-90, 90, 50), random.uniform(5, 90, 50)
+    expected = (vectors * normal_from_angles(a_deg, b_deg)).sum(axis=-1)
+    np.testing.assert_allclose(product(vectors, a_deg, b_deg), expected, atol=1e-12)
+
+
+def test_of_many_instants_each_has_its_own_least_face():
+    # The second zenith face is as dark as a dead one beside its own verticals, and not beside those of the first.
+    faces = np.array([[5.0, 6.0, 7.0, 4.0], [400.0, 500.0, 450.0, 4.0], [np.nan] * 4])
+    assert zenith_usable(faces).tolist() == [zenith_usable(row).tolist() for row in faces] == [True, False, False]
+
+
+def test_where_the_sky_gives_less_than_the_ground_takes_the_module_still_looks_a_thousandth_up():
+    sun = np.array([1.0, 0.0, 0.0])
+    vector = aim_vector(Light(np.array(500.0), np.array(100.0), np.array(0.0)), sun, 1.0)
+    np.testing.assert_allclose(vector, [500.0, 0.0, 0.1])

@@ -1,0 +1,119 @@
+"""What the law optimal expects of the sky, worked out beside it reading by reading."""
+
+import numpy as np
+import pytest
+
+from solar.laws.light import light_from_faces
+from solar.laws.memory import LightMemory, OptimalSettings
+
+SUN = np.array([0.5, 0.5, np.sqrt(0.5)])
+CLEAR, CLOUDY, HAZY = (450.0, 450.0, 60.0, 660.0), (70.0, 75.0, 65.0, 140.0), (300.0, 310.0, 80.0, 500.0)
+DARK = (np.nan, 400.0, np.nan, 600.0)
+SETTINGS = OptimalSettings(forget_after_s=600.0)
+
+
+def light(faces):
+    return np.array(light_from_faces(faces, SUN, 0.2))
+
+
+def heard(*readings, settings=SETTINGS):
+    memory = LightMemory(settings)
+    for faces, elapsed_s in readings:
+        memory.observe(faces, SUN, elapsed_s)
+    return memory
+
+
+class Beside:
+    """The same, as one would write it on paper."""
+
+    def __init__(self, first):
+        self.quick = self.slow = light(first)
+        self.deviation = 0.0
+
+    def then(self, faces, elapsed_s):
+        new = light(faces)
+        quick_share, slow_share = (1.0 - 0.5 ** (elapsed_s / half_life_s) for half_life_s in (90.0, 600.0))
+        self.quick = self.quick + quick_share * (new - self.quick)
+        self.slow = self.slow + slow_share * (new - self.slow)
+        self.deviation += slow_share * (abs(self.quick[0] - self.slow[0]) - self.deviation)
+        return self
+
+    def expects(self, thrift=1.0):
+        unrest = self.deviation / (self.slow[0] + 0.1 * self.slow[1] + 10.0)
+        share = min(0.6 * np.sqrt(thrift) * unrest, 0.8)
+        return unrest, (1.0 - share) * self.quick + share * self.slow
+
+
+def test_nothing_is_known_before_the_first_reading_and_the_first_is_believed_as_it_is():
+    assert not heard().expect().known
+    expected = heard((CLEAR, 60.0)).expect()
+    assert expected.known
+    assert expected.unrest == 0.0
+    np.testing.assert_allclose(np.array(expected.light), light(CLEAR))
+
+
+@pytest.mark.parametrize("thrift", [0.1, 1.0, 10.0, 100.0])
+def test_a_varying_sky_is_expected_between_its_quick_and_its_slow_mean(thrift):
+    memory = heard((CLEAR, 60.0), (CLOUDY, 240.0), (HAZY, 60.0), (CLOUDY, 240.0))
+    unrest, expected = Beside(CLEAR).then(CLOUDY, 240.0).then(HAZY, 60.0).then(CLOUDY, 240.0).expects(thrift)
+    says = memory.expect(thrift)
+    assert 0.6 * 10.0 * unrest > 0.8, "the thriftiest is at the bound"
+    assert says.unrest == pytest.approx(unrest)
+    np.testing.assert_allclose(np.array(says.light), expected)
+    assert memory.expect().light == pytest.approx(memory.expect(1.0).light)
+
+
+def test_a_reading_with_too_few_faces_changes_nothing_but_its_age():
+    before, after = heard((CLEAR, 60.0), (HAZY, 60.0)), heard((CLEAR, 60.0), (HAZY, 60.0), (DARK, 60.0))
+    np.testing.assert_array_equal(np.array(after.expect().light), np.array(before.expect().light))
+    assert after.expect().unrest == before.expect().unrest > 0.0
+    assert np.isnan(after.light.beam)
+    assert before.light.beam == pytest.approx(light(HAZY)[0])
+
+
+@pytest.mark.parametrize(("gap_s", "known"), [(600.0, True), (601.0, False)])
+def test_what_is_known_ends_with_the_time_after_which_it_is_forgotten(gap_s, known):
+    assert heard((CLEAR, 60.0), (DARK, gap_s)).expect().known == known
+    assert heard((CLEAR, 60.0), (DARK, 300.0), (DARK, gap_s - 300.0)).expect().known == known
+
+
+@pytest.mark.parametrize(("gap_s", "forgotten"), [(540.0, False), (541.0, True)])
+def test_after_a_longer_gap_the_memory_begins_with_the_next_reading(gap_s, forgotten):
+    memory = heard((CLEAR, 60.0), (CLOUDY, 60.0), (DARK, gap_s), (HAZY, 60.0))
+    if forgotten:
+        np.testing.assert_allclose(np.array(memory.expect().light), light(HAZY))
+    else:
+        _, expected = Beside(CLEAR).then(CLOUDY, 60.0).then(HAZY, 60.0).expects()
+        np.testing.assert_allclose(np.array(memory.expect().light), expected)
+    # A good reading ends the gap.
+    memory.observe(DARK, SUN, 600.0)
+    assert memory.expect().known
+
+
+def test_readings_together_are_readings_one_after_the_other():
+    readings = ((CLEAR, 60.0), (CLOUDY, 30.0), (HAZY, 120.0))
+    together = LightMemory(SETTINGS)
+    together.observe([faces for faces, _ in readings], [SUN] * 3, [seconds for _, seconds in readings])
+    alone = heard(*readings)
+    np.testing.assert_allclose(np.array(together.expect().light), np.array(alone.expect().light))
+    np.testing.assert_allclose(np.array(together.light), np.array(alone.light))
+
+
+def test_below_the_horizon_no_reading_is_good():
+    memory = LightMemory(SETTINGS)
+    memory.observe(CLOUDY, SUN * [1, 1, -1], 60.0)
+    assert not memory.expect().known
+
+
+def test_a_copy_goes_its_own_way():
+    memory = heard((CLEAR, 60.0))
+    memory.copied().observe(CLOUDY, SUN, 600.0)
+    np.testing.assert_allclose(np.array(memory.expect().light), light(CLEAR))
+
+
+def test_the_price_of_travel_is_in_its_range():
+    for thrift in (0.1, 100.0):
+        assert OptimalSettings(thrift=thrift).thrift == thrift
+    for thrift in (0.09, 101.0, np.nan):
+        with pytest.raises(ValueError, match=r"not in 0\.1\.\.100"):
+            OptimalSettings(thrift=thrift)
