@@ -141,8 +141,8 @@ def replay(
     Returns
     -------
     One row per reading, a UTC index named ``time``: a_set, b_set, a, b [deg] (set, and where the tracker stands), mode,
-    law, dni_est, dhi_est [W/m2], albedo_est (estimates of the law `optimal`, NaN for others), simulated (always True: the
-    tracker is).
+    law, dni_est, dhi_est [W/m2], albedo_est (estimates of the law `optimal`, NaN for others), simulated (always True,
+    as the tracker is).
 
     Raises
     ------
