@@ -24,6 +24,8 @@ _DEADLOCK_AFTER_S = 10.0
 _LOOK_EVERY_ROUNDS = 16
 _RESOLUTION_S = 1e-9
 _TIDY_TIMERS = 100
+# What `asyncio.sleep` has called when its time is over, and nothing else has.
+_WAKE_SLEEPER = getattr(asyncio.futures, "_set_result_unless_cancelled", None)
 
 
 class _DelegatingSelector(selectors.BaseSelector):
@@ -112,6 +114,10 @@ class _Timer:
             loop.call_exception_handler({"message": f"Exception in timer {self._callback!r}", "exception": error})
 
 
+_OVER = _Timer(0.0, print, (), copy_context())
+_OVER.cancel()
+
+
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
@@ -157,7 +163,11 @@ class _VirtualSelector(_DelegatingSelector):
         return events
 
     def _jump(self) -> None:
-        until_s = self._timers[0][0] if self._timers else math.inf
+        if self._pass_to(self._timers[0][0] if self._timers else math.inf):
+            self._run_timers()
+
+    def _pass_to(self, until_s: float) -> bool:
+        """Let time go on, with its beats; return False where one of them has set off what has to run before."""
         while self.beats:
             beat = min(self.beats, key=_due_s) if len(self.beats) > 1 else self.beats[0]
             if beat.due_s >= until_s:
@@ -165,11 +175,19 @@ class _VirtualSelector(_DelegatingSelector):
             if beat.due_s > self.now_s:
                 self.skip(beat.due_s - self.now_s)
             beat.due_s = self.now_s + beat.every_s
-            if beat.call() or not self._timers:
-                return
+            if beat.call() or until_s == math.inf:
+                return False
         if until_s > self.now_s:
             self.skip(until_s - self.now_s)
-        self._run_timers()
+        return True
+
+    def pass_alone(self, when_s: float) -> bool:
+        """Let time go on to an instant before which nothing else is to happen; return False where something is."""
+        while self._timers and self._timers[0][2].cancelled():
+            heapq.heappop(self._timers)
+        if self.jobs or (self._timers and self._timers[0][0] <= when_s + max(_RESOLUTION_S, math.ulp(when_s))):
+            return False
+        return not self._real.select(0) and self._pass_to(when_s)
 
     def _run_timers(self) -> None:
         # By itself: through the loop's list of what is to be done each would take a second round. Those that are set
@@ -216,9 +234,22 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         """Call back at a virtual time, at a third of what a timer of asyncio's costs: a day has half a million."""
         if self.is_closed():
             raise RuntimeError("Event loop is closed")
+        if callback is _WAKE_SLEEPER and self._sleeps_alone(when):
+            callback(*args)
+            return cast("TimerHandle", _OVER)
         timer = _Timer(when, callback, args, context or copy_context())
         self._virtual.set_timer(timer)
         return cast("TimerHandle", timer)
+
+    def _sleeps_alone(self, until_s: float) -> bool:
+        """Let time go on while the task that runs sleeps, if nothing else is to happen before: it sees no difference.
+
+        It goes on at once then, which costs a fifth of a timer, a waking and a round of the loop.
+        """
+        task = asyncio.current_task(self)
+        if task is None or task.cancelling() or getattr(self, "_ready", True):
+            return False
+        return self._virtual.pass_alone(until_s)
 
     def call_every(self, every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
         """Call back again and again, at a tenth of what a timer costs; return what ends that.
@@ -288,6 +319,22 @@ async def call_until(every_s: float, call: Callable[[], bool]) -> None:
         await over.wait()
     finally:
         end()
+
+
+async def look_until(event: asyncio.Event, every_s: float, call: Callable[[], bool]) -> None:
+    """Return when `event` is set, or a call every `every_s` returns True, and leave the event cleared."""
+
+    def beat() -> bool:
+        if call():
+            event.set()
+        return event.is_set()
+
+    end = call_every(every_s, beat)
+    try:
+        await event.wait()
+    finally:
+        end()
+        event.clear()
 
 
 def _due_s(beat: _Beat) -> float:

@@ -7,7 +7,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until, look_until
 
 NAME = ContextVar("name", default="")
 
@@ -218,3 +218,63 @@ def test_a_timer_can_be_years_away():
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         assert runner.run(main()) == pytest.approx(20 * 365.25 * 86400.0)
+
+
+@pytest.mark.parametrize("loop", [asyncio.SelectorEventLoop, VirtualTimeLoop])
+def test_a_look_every_so_often_ends_when_it_finds_something_or_the_event_is_set(loop):
+    async def scenario():
+        running, event, looks = asyncio.get_running_loop(), asyncio.Event(), []
+
+        def look():
+            looks.append(running.time())
+            return len(looks) == 3
+
+        await look_until(event, 0.01, look)
+        found = len(looks), event.is_set()
+        running.call_soon(event.set)
+        await look_until(event, 3600.0, look)
+        return found, len(looks), event.is_set()
+
+    with asyncio.Runner(loop_factory=loop) as runner:
+        assert runner.run(scenario()) == ((3, False), 3, False)
+
+
+def test_whoever_sleeps_alone_sees_the_same_as_among_others():
+    async def course(others):
+        loop, seen = asyncio.get_running_loop(), []
+
+        async def sleeper():
+            for number in range(4):
+                await asyncio.sleep(1.0)
+                seen.append(("task", number, round(loop.time(), 6)))
+
+        end = call_every(0.7, lambda: bool(seen.append(("beat", round(loop.time(), 6)))))
+        loop.call_later(2.5, lambda: seen.append(("timer", round(loop.time(), 6))))
+        loop.call_later(3.0, lambda: seen.append(("at the same time", round(loop.time(), 6))))
+        # One timer more at every instant leaves nobody alone.
+        timers = [loop.call_later(0.1 * tick, lambda: None) for tick in range(1, 40)] if others else []
+        await sleeper()
+        end()
+        for timer in timers:
+            timer.cancel()
+        return seen
+
+    def run(others):
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            return runner.run(course(others))
+
+    alone = run(others=False)
+    assert alone == run(others=True)
+    assert [entry[0] for entry in alone[:4]] == ["beat", "task", "beat", "task"]
+
+
+def test_a_task_that_was_cancelled_does_not_sleep_first():
+    async def scenario():
+        asyncio.current_task().cancel()
+        try:
+            await asyncio.sleep(3600.0)
+        except asyncio.CancelledError:
+            return asyncio.get_running_loop().time()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(scenario()) < 1.0
