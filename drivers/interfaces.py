@@ -7,7 +7,7 @@ after ``close``; it always identifies and configures the instrument anew. Times 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 AxisName = Literal["a", "b"]
 
@@ -235,6 +235,14 @@ class Positioner(Protocol):
         What shows in that look is what was cleared; whatever came later was not seen by anybody. Without `forgive` the
         doubts about the reference stay, as before a reference run: nobody has said that the count is right.
         """
+
+
+@runtime_checkable
+class Repeating(Protocol):
+    """A positioner that can tell without asking anybody whether it still shows what it showed last."""
+
+    def repeated_s(self, telemetry: Telemetry) -> float | None:
+        """Return the time of a look that would show again what this last one did; None where it has to be made."""
 
 
 @dataclass(frozen=True, slots=True)

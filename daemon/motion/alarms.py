@@ -41,6 +41,11 @@ class Currents:
         if now_s - self._since_s >= _LASTS_S:
             self.text, self._last_s = text, now_s
 
+    @property
+    def judges(self) -> bool:
+        """Whether a current is high, and only has to last."""
+        return self._since_s is not None
+
     def forget(self) -> None:
         """Forget what was told: a person has looked."""
         self.text = self._since_s = None

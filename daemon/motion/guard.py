@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from daemon.base.alarms.alarms import Alarms
@@ -17,7 +18,7 @@ from daemon.motion.alarms import Currents, show
 from daemon.motion.reference import Doubts
 from daemon.motion.watch import Stray, Watch
 from drivers.errors import DeviceError, StillMovingError
-from drivers.interfaces import Positioner, PositionerIdentity, Telemetry
+from drivers.interfaces import Positioner, PositionerIdentity, Repeating, Telemetry
 from drivers.settings import PositionerSettings
 
 log = logging.getLogger("heliocube.motion")
@@ -34,6 +35,8 @@ _STATUS_WITHIN_S = 4.0
 _STATUS_LATE_S = 1.0
 _POSE_EVERY_S = 5.0
 _POSE_CHANGED_DEG = 0.05
+# Time alone says no more about an axis that has stood for so long: no motor can still be running out.
+_JUDGED_AFTER_S = 5.0
 _TELL_BUTTONS_EVERY_S = 600.0
 _CLEAR = "nothing moves before a person has looked and said 'heliocube clear'"
 
@@ -56,8 +59,6 @@ class Guard:
 
     Attributes
     ----------
-    telemetry, pose
-        The newest; telemetry is None while the link is down.
     rested
         Where it stood when it was seen last with nothing ordered; None while something is.
     identity
@@ -83,6 +84,7 @@ class Guard:
         polled: Callable[[], None],
     ) -> None:
         self._positioner = positioner
+        self._repeats = positioner if isinstance(positioner, Repeating) else None
         self.doubts = doubts
         self._clock = clock
         self._publish = publish
@@ -101,8 +103,11 @@ class Guard:
         self._halted_for: tuple[str, ...] = ()
         self._alarmed: tuple[object, ...] = ()
         self._deaf_looks = 0
-        self.telemetry: Telemetry | None = None
-        self.pose: Pose | None = None
+        self._telemetry: Telemetry | None = None
+        self._read: Telemetry | None = None
+        self._pose: Pose | None = None
+        self._repeated_s: float | None = None
+        self._repeated_utc_s = 0.0
         self.rested: Pose | None = None
         self.identity: PositionerIdentity | None = None
         self.frozen: str | None = None
@@ -112,6 +117,42 @@ class Guard:
         self.stray: Stray | None = None
 
     @property
+    def telemetry(self) -> Telemetry | None:
+        """The newest look; None while the link is down."""
+        self._take_over()
+        return self._telemetry
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the tracker was seen last."""
+        self._take_over()
+        return self._pose
+
+    def glance(self) -> bool:
+        """Look at what rests; return False where it has to be read and judged: something may be new, or is to be told.
+
+        What it showed last and shows again was judged before, and time alone makes nothing of it.
+        """
+        told, since_s, now_s = self._reported_pose, self.watch.stands_since_s, self._clock.monotonic()
+        if self.rested is None or told is None or now_s - told.time_monotonic_s >= _POSE_EVERY_S:
+            return False
+        if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.judges or self.stray is not None:
+            return False
+        self._repeated_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
+        self._repeated_utc_s = self._clock.utc()
+        return self._repeated_s is not None
+
+    def _take_over(self) -> None:
+        """Give the last look the time of the last glance: whoever asks is to see that somebody looks."""
+        at_s, telemetry, pose = self._repeated_s, self._telemetry, self._pose
+        if at_s is None or telemetry is None or pose is None:
+            return
+        self._repeated_s = None
+        self._telemetry = replace(telemetry, time_monotonic_s=at_s, status_monotonic_s=at_s)
+        self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=self._repeated_utc_s)
+        self.watch.repeated(self._telemetry)
+
+    @property
     def unexplained(self) -> str | None:
         """What moved without an order or did not stop, or None."""
         return self.doubts.incident or self._under_inquiry
@@ -119,7 +160,7 @@ class Guard:
     @property
     def must_halt(self) -> bool:
         """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
-        faults = self.telemetry.faults if self.telemetry else ()
+        faults = self._telemetry.faults if self._telemetry else ()
         return self.halt_wanted or (faults != self._halted_for and bool(set(faults) - set(self._halted_for)))
 
     @property
@@ -129,7 +170,8 @@ class Guard:
 
     def lost(self) -> None:
         """Know nothing until the link is back."""
-        self.telemetry = None
+        self._take_over()
+        self._telemetry = None
         self.homing = self.clearing = False
         self.stray = None
         self._halted_for = ()
@@ -142,7 +184,8 @@ class Guard:
     async def poll(self, *, moving: bool) -> Telemetry:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
-        self.telemetry = telemetry
+        self._telemetry = self._read = telemetry
+        self._repeated_s = None
         if self._halted_for:
             self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
         self._note_own_moves(telemetry)
@@ -299,7 +342,7 @@ class Guard:
             b_deg=telemetry.b_deg,
             moving=moving,
         )
-        self.pose = pose
+        self._pose = pose
         self.rested = pose if self.watch.settled and not moving else None
         if (
             told is None

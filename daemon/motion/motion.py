@@ -18,7 +18,7 @@ from daemon.base.clock import Clock
 from daemon.base.files import StateFolder
 from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
-from daemon.base.timeloop import wait_at_most
+from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.reference import Doubts
@@ -297,7 +297,14 @@ class Motion(MotionState):
             self._note_link()
             if await self._do_what_is_asked():
                 continue
-            await wait_at_most(self._wake, self._polling.idle_s)
+            await look_until(self._wake, self._polling.idle_s, self._may_be_new)
+
+    def _may_be_new(self) -> bool:
+        """Glance at a unit that rests; tell whether it has to be looked at, or there is or may be something to do."""
+        asked = self._wanted is not None or self._retries.text is not None
+        if asked or (self._rehoming.enabled and self._guard.doubts.reference is not None):
+            return True
+        return not self._guard.glance()
 
     async def _do_what_is_asked(self) -> bool:
         """Do the most urgent thing; return False if there is nothing to do."""

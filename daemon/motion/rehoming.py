@@ -15,7 +15,7 @@ class Rehoming:
     """
 
     def __init__(self, *, enabled: bool) -> None:
-        self._enabled = enabled
+        self.enabled = enabled
         self._runs = 0
         self._settled = False
         self._due_s = -math.inf
@@ -29,7 +29,7 @@ class Rehoming:
         # A doubt that comes after the first run had ended the one before has a cause of its own; more of them are a
         # unit that cannot keep its count.
         another = self._settled and self._runs == 1
-        if not self._enabled or (now_s < self._due_s and not another):
+        if not self.enabled or (now_s < self._due_s and not another):
             return False
         self._settled = False
         self._due_s = now_s + _PAUSES_S[min(self._runs, len(_PAUSES_S) - 1)]

@@ -92,6 +92,10 @@ class Watch:
         if not (self._shown and anchor is not None and _near(here, anchor, self._jitter)):
             self._anchor, self._since_s, self._shown = here, telemetry.time_monotonic_s, True
 
+    def repeated(self, telemetry: Telemetry) -> None:
+        """Take this for the last look: it shows what that did, later."""
+        self._last = telemetry
+
     def same_place(self, one: Telemetry, other: Telemetry) -> bool:
         """Tell whether neither axis moved between two looks."""
         return _near(_positions(one), _positions(other), self._jitter)

@@ -37,6 +37,7 @@ def show(rig, **fields):
         return replace(await read(rig.positioner), **fields)
 
     rig.positioner.read_telemetry = shown
+    rig.positioner.repeated_s = lambda _seen: None
 
 
 def alarms(rig):

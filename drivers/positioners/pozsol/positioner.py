@@ -118,6 +118,13 @@ class PozsolPositioner:
         """Return the newest telemetry; `LinkLostError` when it is old."""
         return self._read()
 
+    def repeated_s(self, telemetry: Telemetry) -> float | None:
+        """Return the time of a look that would show again what this last one did; None where it has to be made."""
+        try:
+            return self._watch.repeated_s(telemetry, self._line.state())
+        except LinkLostError:
+            return None
+
     def fields(self) -> dict[int, str]:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
         return {code: _text(value) for code, value in sorted(self._line.state().values.items())}

@@ -95,6 +95,13 @@ class PositionerWatch:
         self._last = _Standing(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
         return telemetry
 
+    def repeated_s(self, telemetry: Telemetry, state: LinkState) -> float | None:
+        """Return the time of a look that would show again what this last one did; None where it has to be made."""
+        last = self._last
+        if last is None or last.shown is not telemetry or self.run is not None:
+            return None
+        return state.as_of_s if last.repeats(state) and state.restarted_s == self._restarted_s else None
+
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
         start = before.position_a if axis == "a" else before.position_b
@@ -231,7 +238,7 @@ class _Standing:
 
     def __init__(self, state: LinkState, telemetry: Telemetry) -> None:
         self._state = state
-        self._telemetry = telemetry
+        self._telemetry = self.shown = telemetry
         self._fields: dict[str, Any] = {}
 
     def repeats(self, state: LinkState) -> bool:
@@ -243,4 +250,5 @@ class _Standing:
         if not self._fields:
             self._fields = {field.name: getattr(self._telemetry, field.name) for field in fields(Telemetry)}
         self._fields["time_monotonic_s"] = self._fields["status_monotonic_s"] = time_s
-        return Telemetry(**self._fields)
+        self.shown = Telemetry(**self._fields)
+        return self.shown

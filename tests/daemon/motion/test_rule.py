@@ -400,6 +400,32 @@ def test_poses_at_rest_are_told_every_5_s_and_motion_at_once(run_rig):
     run_rig(scenario)
 
 
+def test_what_rests_and_says_so_is_read_seldom_and_still_known_by_the_last_half_second(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        await asyncio.sleep(10)
+        read, reads = rig.positioner.read_telemetry, []
+
+        def counted():
+            reads.append(rig.clock.monotonic())
+            return read()
+
+        rig.positioner.read_telemetry = counted
+        ages_s = []
+        for _ in range(100):
+            await asyncio.sleep(0.97)
+            now_s = rig.clock.monotonic()
+            ages_s += [now_s - rig.motion.telemetry.time_monotonic_s, now_s - rig.motion.pose.time_monotonic_s]
+        assert len(reads) < 25
+        assert max(ages_s) < 0.6
+        drive_b(rig, 80.0)
+        start_s = rig.clock.monotonic()
+        await rig.until(lambda: rig.motion.unexplained, 1.1, "that it moved")
+        assert rig.motion.telemetry.time_monotonic_s >= start_s
+
+    run_rig(scenario)
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [({"a_motor_current_a": 1.9}, "draws more than 1.6 A"), ({"b_motor_current_a": 0.7}, "although it stands")],
