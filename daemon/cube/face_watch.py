@@ -11,9 +11,10 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
+from daemon.cube.contradictions import MINUTES, Contradictions
 from solar.ephemeris import SunDirection
+from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.frames import Array
-from solar.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, responses
 from solar.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
@@ -21,7 +22,6 @@ BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
-_RESPONSE_BLOCKS = 30
 _CUBE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 _UPRIGHT = 0.05
 _ZENITH = FACES.index("zenith")
@@ -32,7 +32,13 @@ _WHY = {
     Doubt.SAME: "the same as another, two by two: an address line of the multiplexer is stuck, or its port is dead",
     Doubt.FROZEN: "the same while the light changes on the others: see whether its sensor or its channel is stuck",
     Doubt.OVER: "more than sun and sky can give there: see its gain, and whether faces are interchanged",
+    Doubt.NIGHT: "light in the night while the others are dark: see whether its sensor or its channel is stuck",
+    Doubt.ODD: "what the others and the sun's position contradict: see whether it is shaded, dirty, stuck or turned",
+    Doubt.SWAPPED: "each what the other should: see whether their cables are swapped",
+    Doubt.TORN: "what no light explains, and nobody can tell which of them is wrong: see all four, and the clock",
 }
+# A face that stood still is no better for reading, for a while, what could be true.
+_MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
 
 
 def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
@@ -73,7 +79,8 @@ class FaceWatch:
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
         # The light is known from the faces of an upright cube only.
         self._is_upright = bool(np.abs(self._normals - _CUBE).max() < _UPRIGHT)
-        self._minutes: deque[tuple[Array, Array]] = deque(maxlen=_RESPONSE_BLOCKS)
+        self._minutes: deque[tuple[Array, Array]] = deque(maxlen=MINUTES)
+        self._contradictions = Contradictions()
         self._begin()
 
     def implausible(self, face: int) -> bool:
@@ -107,29 +114,63 @@ class FaceWatch:
 
     def _judge(self) -> None:
         sun = self._sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2)
-        if sun[2] < LOWEST_SINE:
-            return
         sums, counts = (np.sum(part, axis=0) for part in zip(*self._blocks, strict=True))
         with np.errstate(invalid="ignore"):
             faces, voltages = sums / counts
+        if sun[2] < LOWEST_SINE:
+            self._judge_night(faces, sun)
+        else:
+            self._judge_day(faces, voltages, sun)
+        self._report()
+
+    def _judge_night(self, faces: Array, sun: Array) -> None:
+        self._minutes.clear()
+        for face in np.flatnonzero(lit_at_night(faces, sun)).tolist():
+            self._count(face, Doubt.NIGHT, sound=False)
+
+    def _judge_day(self, faces: Array, voltages: Array, sun: Array) -> None:
         found = doubts(faces, voltages, sun, self._normals)[0]
         if self.implausible(_ZENITH):
             # What is too much for a vertical face is judged by the zenith face.
             found[:_ZENITH][found[:_ZENITH] == Doubt.OVER] = Doubt.NONE
         light = bool(lit(faces, sun)[0])
+        self._add_minute()
         followed = self._responses()
-        found[followed == Response.STAYS] = Doubt.FROZEN
+        against = self._contradicted()
+        found[against != Doubt.NONE] = against[against != Doubt.NONE]
+        # To stand still is the plainer word for the same face; of two that are swapped one may seem to.
+        found[(followed == Response.STAYS) & (found != Doubt.SWAPPED)] = Doubt.FROZEN
         for face, doubt in enumerate(found.tolist()):
-            agrees = self._whys[face] is not Doubt.FROZEN or followed[face] == Response.FOLLOWS
-            self._count(face, Doubt(doubt), sound=light and agrees and not np.isnan(faces[face]))
-        self._report()
+            agrees = light and self._agrees(face, followed[face]) and not np.isnan(faces[face])
+            self._count(face, Doubt(doubt), sound=agrees)
+        self._narrow()
 
-    def _responses(self) -> NDArray[np.int64]:
-        """Tell of each face whether it has followed the light of the last half hour."""
+    def _agrees(self, face: int, response: int) -> bool:
+        """Tell whether a face has done what is asked of it after what was said against it."""
+        why = self._whys[face]
+        followed = why not in _MUST_FOLLOW or response == Response.FOLLOWS
+        return followed and self._contradictions.agrees(face, self._whys)
+
+    def _narrow(self) -> None:
+        """Believe the others again once it is known which face they contradicted."""
+        if Doubt.TORN in self._whys and any(why not in (Doubt.NONE, Doubt.TORN) for why in self._whys):
+            self._whys = [Doubt.NONE if why is Doubt.TORN else why for why in self._whys]
+
+    def _add_minute(self) -> None:
         (sums, _), counts = self._blocks[-1]
         with np.errstate(invalid="ignore"):
             self._minutes.append((sums / counts, self._sun_direction(self._clock.utc() - _BLOCK_S / 2)))
-        if not self._is_upright or len(self._minutes) < _RESPONSE_BLOCKS:
+
+    def _contradicted(self) -> NDArray[np.int64]:
+        """Tell of each face whether it contradicts the others over the last half hour."""
+        if not self._is_upright:
+            return np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+        faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
+        return self._contradictions.look(faces, suns, self._whys)
+
+    def _responses(self) -> NDArray[np.int64]:
+        """Tell of each face whether it has followed the light of the last half hour."""
+        if not self._is_upright or len(self._minutes) < MINUTES:
             return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
         faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
         return responses(faces, suns, [not self.implausible(face) for face in range(len(FACES))])

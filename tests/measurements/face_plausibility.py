@@ -14,8 +14,9 @@ from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
 from daemon.studies.energy import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.faces.contradiction import misfits
+from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
-from solar.plausible import Doubt, Response, doubts, responses
 from solar.sky import SkyModel, sky
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
@@ -68,6 +69,17 @@ def stays(utc_s: Array, faces: Array, sun: Array) -> int:
     return named
 
 
+def contradictions(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, float]:
+    """Return of how many half hours, one an hour, sound faces contradict each other, and the greatest misfit."""
+    looks = []
+    for begin in range(0, utc_s.size - HALF_HOUR, 2 * HALF_HOUR):
+        half_hour = slice(begin, begin + HALF_HOUR)
+        if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
+            looks.append(misfits(faces[half_hour], sun[half_hour]))
+    known = [look for look in looks if look is not None]
+    return sum(look.contradict for look in known), len(known), max(look.least for look in known)
+
+
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
@@ -81,7 +93,10 @@ def main() -> None:
     for model in SKIES:
         for albedo in ALBEDOS:
             found = np.zeros((utc_s.size, 4), dtype=np.int64)
-            raised, minutes = 0, dict.fromkeys([kind for kind in Doubt if kind not in (Doubt.NONE, Doubt.FROZEN)], 0)
+            raised, minutes = (
+                0,
+                dict.fromkeys([kind for kind in Doubt if kind in (Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.OVER)], 0),
+            )
             for seed in range(SEEDS):
                 faces, voltages = cube_of(utc_s, dni, dhi, model, albedo, seed)
                 found = doubts(five_minutes(utc_s, faces), five_minutes(utc_s, voltages), sun, normals)
@@ -90,6 +105,8 @@ def main() -> None:
                     minutes[kind] += int((found == kind).any(axis=1).sum())
             frozen = stays(utc_s, faces, sun)
             told = [f"{kind.name.lower()} {count}" for kind, count in minutes.items()]
+            against, known, greatest = contradictions(utc_s, faces, sun)
+            told.append(f"{against} of {known} half hours that contradict, misfit {greatest:.3f} at the most")
             told.append(f"{frozen} half hours with a face that stays")
             print(f"{model:10} albedo {albedo:4.2f}: {raised:4d} alarms for {SEEDS} cubes; minutes: {', '.join(told)}")
 

@@ -140,7 +140,8 @@ _ALL = (
         Severity.WARNING,
         "a face of the cube reads what cannot be true",
         "the face is not used; laws that need it follow the ephemeris instead",
-        "look after the sensor, its cable and the multiplexer; it is used again after ten sound looks",
+        "look after the sensor, its cable and the multiplexer, its shade, and whether cables are swapped; it is used"
+        " again after ten sound looks, one that stood still or contradicted the others once it follows the light",
     ),
     _kind(
         "cube-sensor",

@@ -139,6 +139,8 @@ class WatchedDay:
         self.alarms = Alarms(self.clock, lambda _record: None)
         self.watch = FaceWatch(settings.site, settings.cube, self.clock, self.alarms)
         self.random = np.random.default_rng(1)
+        self.order = [0, 1, 2, 3]
+        self.share = [1.0] * 4
 
     def minutes(self, count, frozen=None, at_w_m2=0.0):
         """Let scans come every 15 s; returns after how many minutes each face was found, None for never."""
@@ -146,9 +148,10 @@ class WatchedDay:
         utc_s = self.clock.utc_s + 15.0 * np.arange(1, 4 * count + 1)
         sun = sun_direction(utc_s, *self.site)
         beam = np.where(utc_s % 1200 < 300, 150.0, 750.0) * (sun[:, 2] > 0)
-        light = sky("perez1990", sun, beam, np.full(utc_s.size, 140.0), extraterrestrial_dni(utc_s))
+        light = sky("perez1990", sun, beam, np.where(sun[:, 2] > -0.05, 140.0, 0.0), extraterrestrial_dni(utc_s))
         normals = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])
         faces = np.stack([light.irradiance_on(normal[None, :]) for normal in normals], axis=-1)
+        faces = faces[:, self.order] * self.share
         if frozen is not None:
             faces[:, frozen] = at_w_m2
         faces += self.random.normal(0.0, 0.3, faces.shape)
@@ -219,3 +222,50 @@ def test_a_face_that_is_never_read_is_not_accused():
     day = WatchedDay(MORNING_UTC_S)
     assert day.minutes(40, frozen=1, at_w_m2=np.nan) == [None] * 4
     assert day.alarms.active == ()
+
+
+def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_are_put_right():
+    day = WatchedDay(MORNING_UTC_S - 3600.0)
+    day.order = [0, 2, 1, 3]
+    found = day.minutes(60)
+    assert [minutes is not None for minutes in found] == [False, True, True, False]
+    (alarm,) = day.alarms.active
+    assert "the south, west faces read each what the other should" in alarm.text
+    day.order = [0, 1, 2, 3]
+    day.minutes(60)
+    assert day.doubted() == []
+
+
+def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():
+    day = WatchedDay(MORNING_UTC_S - 3600.0)
+    day.minutes(40)
+    day.share = [1.0, 0.3, 1.0, 1.0]
+    day.minutes(60)
+    assert day.doubted() == [1]
+    (alarm,) = day.alarms.active
+    assert "the south face reads what the others and the sun's position contradict" in alarm.text
+    day.share = [1.0] * 4
+    day.minutes(60)
+    assert day.doubted() == []
+
+
+def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():
+    day = WatchedDay(MORNING_UTC_S)
+    day.order = [1, 0, 2, 3]
+    day.minutes(60)
+    assert day.doubted() == [0, 1, 2, 3]
+    (alarm,) = day.alarms.active
+    assert "what no light explains" in alarm.text
+    day.order = [0, 1, 2, 3]
+    day.minutes(60)
+    assert day.doubted() == []
+
+
+def test_a_face_stuck_at_a_level_is_named_in_the_night():
+    day = WatchedDay(MORNING_UTC_S + 14 * 3600.0)
+    found = day.minutes(15, frozen=1, at_w_m2=200.0)
+    assert [minutes is not None for minutes in found] == [False, True, False, False]
+    (alarm,) = day.alarms.active
+    assert "the south face reads light in the night while the others are dark" in alarm.text
+    day.minutes(30)
+    assert day.doubted() == [1], "darkness is no agreement"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.plausible import Doubt, Response, doubts, lit, responses
+from solar.faces.plausible import Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.sky import sky
 
 SITE = (48.7176, 2.2090, 156.0)
@@ -151,3 +151,17 @@ def test_of_two_reasons_the_graver_one_is_named():
 )
 def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevation_deg, expected):
     assert lit(faces_w_m2, towards_south(elevation_deg)).tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    ("faces_w_m2", "sine", "named"),
+    [
+        ((0.1, 300.0, -0.2, 0.0), -0.2, [1]),
+        ((0.1, 300.0, -0.2, 0.0), -0.08, []),
+        ((0.1, 15.0, -0.2, 0.0), -0.2, []),
+        ((8.0, 300.0, -0.2, 0.0), -0.2, []),
+        ((np.nan, 300.0, -0.2, 0.0), -0.2, []),
+    ],
+)
+def test_light_on_one_face_alone_in_the_night_is_none(faces_w_m2, sine, named):
+    assert np.flatnonzero(lit_at_night(faces_w_m2, (0.9, 0.1, sine))).tolist() == named

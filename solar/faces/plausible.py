@@ -35,6 +35,10 @@ _STAYS_SHARE = 0.1
 _FOLLOWS_SHARE = 0.3
 _LIT_COSINE = 0.15
 _ALBEDO = 0.2
+# Deep dusk gives a millionth of a day's light: more on one face alone is no lamp that anybody puts up.
+_NIGHT_SINE = float(np.sin(np.radians(-6.0)))
+_NIGHT_W_M2 = 20.0
+_NIGHT_OTHERS_W_M2 = 5.0
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
 
@@ -47,6 +51,10 @@ class Doubt(IntEnum):
     SAME = 3
     OVER = 4
     FROZEN = 5
+    NIGHT = 6
+    ODD = 7
+    SWAPPED = 8
+    TORN = 9
 
 
 class Response(IntEnum):
@@ -98,6 +106,22 @@ def doubts(faces_w_m2: ArrayLike, voltages_mv: ArrayLike, sun: ArrayLike, normal
         found[seen] = doubt
     found[up[:, 2] < LOWEST_SINE] = Doubt.NONE
     return found
+
+
+def lit_at_night(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
+    """Tell which face, shape (4,), reads light with the sun 6 deg below the horizon while the other three read none.
+
+    Parameters
+    ----------
+    faces_w_m2
+        Means over some minutes of east, south, west and zenith, shape (4,).
+    sun
+        Unit vector to the sun, shape (3,).
+    """
+    faces, height = np.asarray(faces_w_m2, float), np.asarray(sun, float)[2]
+    bright = faces > _NIGHT_W_M2
+    alone = np.sum(np.abs(faces) < _NIGHT_OTHERS_W_M2) == len(faces) - 1
+    return bright & bool(alone and height < _NIGHT_SINE)
 
 
 def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -> NDArray[np.int64]:

@@ -1,0 +1,132 @@
+"""Whether four faces can show one light at all, and which of them is wrong when they cannot.
+
+Beam, uniform sky and horizon (:mod:`solar.laws.light`) are three unknowns for four readings, within bounds: no beam is
+negative, no horizon much darker than the vault. What is left over between the readings and the best such light is the
+misfit. With one face left out a true light is nearly always found, unless a face that stays is the wrong one: over half
+an hour only the leaving out of the wrong one leaves nothing over. Two faces that are swapped are found alike, by
+swapping them back.
+"""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solar.faces.plausible import LOWEST_SINE
+from solar.frames import Array
+from solar.laws.light import Light, light_from_faces
+
+PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+"""Places of two faces that may be swapped."""
+MISFIT = 0.15
+"""Share of the readings above which they contradict each other."""
+AGREEMENT = 0.08
+"""Share below which they agree."""
+_SOLVED = 0.06
+_CLEARLY = 2.0
+_ALBEDOS = np.array([0.1, 0.3, 0.7])
+_HORIZON_RANGE = (-0.2, 0.7)
+_LIT_W_M2 = 30.0
+_PARTS = 3
+_LEAST_MINUTES = 24
+_HELD_BACK = np.array([[True] * 4, *(np.arange(4) != face for face in range(4))])
+
+
+class Misfits(NamedTuple):
+    """What is left over of the readings, as a share of them.
+
+    Attributes
+    ----------
+    whole
+        By all four faces.
+    least
+        The same in the part of the time where they agree best.
+    without
+        By the three others, for each face, shape (4,).
+    swapped
+        By all four with two swapped back, for each of `PAIRS`, shape (6,).
+    """
+
+    whole: float
+    least: float
+    without: Array
+    swapped: Array
+
+    @property
+    def contradict(self) -> bool:
+        """Whether no light explains the faces, at no time."""
+        return self.least > MISFIT
+
+    @property
+    def accused(self) -> tuple[int, ...]:
+        """The face that is wrong, or two that are swapped; empty where that cannot be told."""
+        if not self.contradict:
+            return ()
+        swapped, single = _clear(self.swapped), _clear(self.without)
+        if swapped is not None and single is not None:
+            # A face that stands still may for a while look like its neighbour.
+            return ()
+        if swapped is not None:
+            return PAIRS[swapped]
+        return () if single is None else (single,)
+
+    def in_order(self, places: Collection[int]) -> bool:
+        """Tell whether the faces agree as they are, and would not with any two of these swapped."""
+        pairs = [place for place, pair in enumerate(PAIRS) if set(pair) <= set(places)]
+        return self.whole < AGREEMENT and float(self.swapped[pairs].min(initial=np.inf)) > MISFIT
+
+
+def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
+    """Return how badly the faces of a cube fit together; None where the light or the readings do not suffice.
+
+    Parameters
+    ----------
+    faces_w_m2
+        Means of minutes that follow each other, about half an hour, east, south, west and zenith, shape (n, 4).
+    sun
+        Unit vectors to the sun then, shape (n, 3).
+    """
+    good = np.isfinite(faces_w_m2).all(axis=-1) & (sun[:, 2] >= LOWEST_SINE)
+    faces, up = faces_w_m2[good], sun[good]
+    if len(faces) < _LEAST_MINUTES or not np.sort(faces, axis=-1)[:, -2].mean() > _LIT_W_M2:
+        return None
+    orders = np.array([_order(pair) for pair in PAIRS])
+    tried = np.concatenate([np.repeat(faces[None], len(_HELD_BACK), axis=0), np.moveaxis(faces[:, orders], 0, 1)])
+    used = np.concatenate([_HELD_BACK, np.ones((len(PAIRS), 4), dtype=np.bool_)])[:, None, :]
+    used = np.broadcast_to(used, tried.shape)
+    left = _left_over(tried, up, used)
+    there = (used * tried**2).sum(axis=-1)
+    shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
+    parts = zip(np.array_split(left[0], _PARTS), np.array_split(there[0], _PARTS), strict=True)
+    least = min(float(np.sqrt(over.sum() / all_of_it.sum())) for over, all_of_it in parts)
+    return Misfits(float(shares[0]), least, shares[1:5], shares[5:])
+
+
+def _clear(shares: Array) -> int | None:
+    """Return the place of the one share that leaves nothing over; None for none, or more than one."""
+    best, second = np.sort(shares)[:2]
+    return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEARLY * best, AGREEMENT) else None
+
+
+def _order(pair: tuple[int, int]) -> list[int]:
+    one, other = pair
+    return [{one: other, other: one}.get(face, face) for face in range(4)]
+
+
+def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> Array:
+    """Return the squares left over, shape (k, n), over the ground that explains the faces best."""
+    albedo = _ALBEDOS[:, None, None]
+    light = light_from_faces(np.broadcast_to(faces, (len(_ALBEDOS), *faces.shape)), sun, albedo, used[None])
+    over = np.where(used, faces - faces_of(light, sun, albedo), 0.0)
+    squares: Array = (over**2).sum(axis=-1).min(axis=0)
+    return squares
+
+
+def faces_of(light: Light, sun: Array, albedo: Array | float) -> Array:
+    """Return what the faces of a cube read [W/m2] in a light whose horizon is no darker than any is, shape (..., 4)."""
+    horizontal = light.beam * np.maximum(sun[..., 2], 0.0) + light.uniform
+    horizon = np.clip(light.horizon, _HORIZON_RANGE[0] * light.uniform, _HORIZON_RANGE[1] * light.uniform)
+    dull = 0.5 * light.uniform + horizon + 0.5 * albedo * horizontal
+    cosines = (sun[..., 1], sun[..., 0], -sun[..., 1])
+    return np.stack([*(light.beam * np.maximum(cosine, 0.0) + dull for cosine in cosines), horizontal], axis=-1)

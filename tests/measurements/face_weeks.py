@@ -1,0 +1,162 @@
+"""What a face that lies costs: weeks of measured weather with each fault, energy against chronometric and the bound.
+
+Usage: python tests/measurements/face_weeks.py FOLDER [--law LAW ...] [--month M ...] [--kind KIND ...] [--scan SECONDS]
+
+FOLDER holds the months of a year at Lyngby. Of each month the 8th to the 14th are replayed through the service's own
+code under Perez' sky, with a real sensor's noise. A fault is there from the first midnight; what stands still does so
+from the first noon. `held` stands still but for its noise, `stuck` does so at 300 W/m2; `shaded` has no beam while the
+sun is within 30 deg of where the face looks; `soiled` keeps 80 % of its light. By default June and December of
+`optimal`; --month 4 6 10 12 --law optimal mu-prime is the whole, 20 minutes.
+"""
+
+import argparse
+import csv
+import logging
+import tempfile
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from daemon.base.records import FACES
+from daemon.rigs.measured import measured_weather
+from daemon.studies.inputs import settings_for
+from daemon.studies.recorded import RecordedScan
+from daemon.studies.replay import replay
+from solar.energy import best_possible, build_sky, faces_under, lay_out
+from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.frames import Limits, angles_within, normal_from_angles
+
+LYNGBY = Site(55.79064, 12.52505, 50.0)
+LIMITS = Limits()
+ALBEDO = 0.2
+NOISE_SHARE, NOISE_W_M2 = 0.002, 0.3
+NIGHT_SCAN_S = 60.0
+FIRST_DAY, DAYS = 8, 7
+STUCK_W_M2, SOILED, SHADE_DEG = 300.0, 0.8, 30.0
+KINDS = ("dead", "frozen", "held", "stuck", "shaded", "soiled")
+PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+
+
+class Week:
+    """A week's light, what the faces read in it, and what chronometric and the bound collect a day [Wh/m2]."""
+
+    def __init__(self, folder: Path, month: int, scan_s: float) -> None:
+        (path,) = folder.glob(f"*-{month:02d}.csv*")
+        weather = measured_weather(path)
+        year = datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
+        begin = datetime(year, month, FIRST_DAY, tzinfo=UTC).timestamp()
+        utc_s = np.arange(begin, begin + DAYS * DAY_S, scan_s)
+        utc_s = utc_s[weather.covers(utc_s)]
+        now = weather.at(utc_s)
+        self.light = lay_out(utc_s, now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s)
+        # A cube reads through the night, if only to be told from one that sleeps.
+        resting = ~np.isin(utc_s, self.light.utc_s) & (
+            np.arange(len(utc_s)) % max(round(NIGHT_SCAN_S / scan_s), 1) == 0
+        )
+        self.utc_s = np.concatenate([self.light.utc_s, utc_s[resting]])
+        self.order = np.argsort(self.utc_s)
+        self.utc_s = self.utc_s[self.order]
+        self.sky = build_sky(self.light, "perez1990")
+        dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, LYNGBY, scan_s), "perez1990")
+        self.noon_s = begin + DAY_S / 2.0
+        ideal = normal_from_angles(*angles_within(self.light.sun, LIMITS))
+        self.chronometric = self.light.by_day(self.sky.irradiance_on(ideal, ALBEDO))
+        self.bound = self.light.by_day(best_possible(self.light, self.sky, LIMITS, ALBEDO))
+        random = np.random.default_rng(month)
+        self.noise = random.standard_normal((2, len(self.utc_s), 4))
+        self.faces, self.dull = (self.read(faces_under(sky, ALBEDO)) for sky in (self.sky, dull))
+        self.sun = sun_direction(self.utc_s, *LYNGBY)
+
+    def read(self, faces):
+        """Return the faces [W/m2] as sensors read them by day and by night."""
+        lit = np.concatenate([faces, np.zeros((len(self.utc_s) - len(faces), 4))])[self.order]
+        return lit * (1.0 + NOISE_SHARE * self.noise[0]) + NOISE_W_M2 * self.noise[1]
+
+    def spoilt(self, kind, face):
+        """Return the readings with one face as the fault makes it; a pair of faces is swapped."""
+        faces = self.faces.copy()
+        if kind == "swapped":
+            faces[:, list(face)] = faces[:, list(face[::-1])]
+            return faces
+        noise = NOISE_W_M2 * self.noise[1, :, face]
+        later = self.utc_s >= self.noon_s
+        at_noon = faces[np.argmax(later), face]
+        if kind == "dead":
+            faces[:, face] = noise
+        elif kind == "frozen":
+            faces[later, face] = at_noon
+        elif kind == "held":
+            faces[later, face] = at_noon + noise[later]
+        elif kind == "stuck":
+            faces[:, face] = STUCK_W_M2 + noise
+        elif kind == "soiled":
+            faces[:, face] *= SOILED
+        elif kind == "shaded":
+            azimuth_deg = np.degrees(np.arctan2(self.sun[:, 1], -self.sun[:, 0])) % 360.0
+            # North is 0; the frame's first axis looks to the equator, its second to the east.
+            towards = (90.0, 180.0, 270.0, 180.0)[face]
+            behind = np.abs((azimuth_deg - towards + 180.0) % 360.0 - 180.0) < SHADE_DEG
+            faces[behind, face] = self.dull[behind, face]
+        return faces
+
+    def driven(self, law, readings):
+        """Return the share of the headroom [%], the worst day against chronometric [%], travel [deg/day] and modes."""
+        rows = [RecordedScan(at, tuple(row)) for at, row in zip(self.utc_s.tolist(), readings.tolist(), strict=True)]
+        site = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), LYNGBY, strict=True))
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder, "out.csv")
+            replay(settings_for(None, law=law, site=site), rows, out, lambda _share: None)
+            with out.open(newline="") as file:
+                found = list(csv.DictReader(file))
+        day = np.isin(self.utc_s, self.light.utc_s)
+        a_deg, b_deg = (np.array([float(row[name]) for row in found])[day] for name in ("a", "b"))
+        energy = self.light.by_day(self.sky.irradiance_on(normal_from_angles(a_deg, b_deg), ALBEDO))
+        gain = energy - self.chronometric
+        travel = (np.abs(np.diff(a_deg)) + np.abs(np.diff(b_deg))).sum() / DAYS
+        tracking = np.mean(np.array([row["mode"] == "tracking" for row in found])[day])
+        share = 100.0 * gain.sum() / (self.bound - self.chronometric).sum()
+        return share, 100.0 * gain / self.chronometric, travel, 100.0 * tracking
+
+
+def cases(kinds) -> Iterator[tuple[str, str, int | tuple[int, int]]]:
+    """Yield name, kind and face of every fault."""
+    for kind in kinds:
+        if kind == "swapped":
+            for one, other in PAIRS:
+                yield f"{FACES[one]} and {FACES[other]} swapped", kind, (one, other)
+        else:
+            for face, name in enumerate(FACES):
+                yield f"{kind}: {name}", kind, face
+
+
+def main() -> None:
+    """Print a row for each fault, one table for each month and law."""
+    logging.disable()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--law", nargs="+", default=["optimal"])
+    parser.add_argument("--month", nargs="+", type=int, default=[6, 12])
+    parser.add_argument("--kind", nargs="+", choices=(*KINDS, "swapped"), default=[*KINDS, "swapped"])
+    parser.add_argument("--scan", type=float, default=30.0)
+    arguments = parser.parse_args()
+    for month in arguments.month:
+        week = Week(arguments.folder, month, arguments.scan)
+        for law in arguments.law:
+            share, days, travel, tracking = week.driven(law, week.faces)
+            print(f"\nmonth {month}, {law}: share of the bound [%], of the healthy week's [%], worst day over")
+            print("chronometric [%], most that a day lost against the healthy one [%], deg/day, tracking [%]\n")
+            print(f"{'healthy':24}{share:8.1f}{100:8.0f}{days.min():8.2f}{0:8.2f}{travel:7.0f}{tracking:5.0f}")
+            for name, kind, face in cases(arguments.kind):
+                found, gains, travel, tracking = week.driven(law, week.spoilt(kind, face))
+                lost = (gains - days).min()
+                of_healthy = 100.0 * found / share
+                print(
+                    f"{name:24}{found:8.1f}{of_healthy:8.0f}{gains.min():8.2f}{lost:8.2f}{travel:7.0f}{tracking:5.0f}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

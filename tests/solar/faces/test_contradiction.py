@@ -1,0 +1,81 @@
+"""Four faces that no light explains, and which of them is wrong."""
+
+import numpy as np
+import pytest
+
+from solar.energy import build_sky, faces_under, lay_out
+from solar.ephemeris import Site
+from solar.faces.contradiction import PAIRS, misfits
+
+SITE = Site(48.7176, 2.2090, 156.0)
+MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
+
+
+def half_hour(model="perez1990", beam_w_m2=700.0, albedo=0.2, at_utc_s=MORNING_UTC_S):
+    """Return faces with gains 2 % off, with a cloud, and the sun's directions."""
+    utc_s = at_utc_s + 60.0 * np.arange(30)
+    beam = beam_w_m2 * np.where(np.abs(np.arange(30) - 15) < 4, 0.3, 1.0)
+    weather = lay_out(utc_s, beam, np.full(30, 150.0), SITE, 60.0)
+    gains = np.array([1.02, 0.98, 1.02, 0.98])
+    return gains * faces_under(build_sky(weather, model), albedo), weather.sun
+
+
+@pytest.mark.parametrize("albedo", [0.05, 0.2, 0.8])
+@pytest.mark.parametrize("beam_w_m2", [0.0, 300.0, 800.0])
+@pytest.mark.parametrize("model", ["isotropic", "haydavies", "perez1990", "perez1993"])
+def test_sound_faces_agree_under_every_sky_and_over_every_ground(model, beam_w_m2, albedo):
+    found = misfits(*half_hour(model, beam_w_m2, albedo))
+    assert found.whole < 0.11
+    assert not found.contradict
+    assert found.accused == ()
+
+
+@pytest.mark.parametrize(("face", "at_w_m2"), [(0, 60.0), (1, 900.0), (2, 700.0), (3, 150.0)])
+def test_the_face_that_others_contradict_is_named(face, at_w_m2):
+    faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 3600.0)
+    faces[:, face] = at_w_m2
+    found = misfits(faces, sun)
+    assert found.contradict
+    assert found.accused == (face,)
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_two_faces_that_are_swapped_are_named_or_nobody_is(pair):
+    named = set()
+    for hours in range(-3, 7):
+        faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 3600.0 * hours)
+        one, other = pair
+        faces[:, [one, other]] = faces[:, [other, one]]
+        found = misfits(faces, sun)
+        assert not found.in_order(pair)
+        named.add(found.accused)
+    assert pair in named
+    assert len([each for each in named if each not in (pair, ())]) <= 1
+
+
+def test_faces_in_order_are_told_from_faces_of_which_nothing_can_be_said():
+    sound = misfits(*half_hour())
+    assert sound.in_order((0, 1))
+    assert not sound.in_order((0, 3)), "the sun stands as much in the east as it stands high"
+    assert not sound.in_order((0, 1, 3))
+    assert not misfits(*half_hour(beam_w_m2=0.0)).in_order((0, 1)), "an even sky lights vertical faces alike"
+
+
+def test_a_fault_of_the_last_minutes_only_is_no_contradiction_yet():
+    faces, sun = half_hour()
+    faces[15:, 3] = 20.0
+    found = misfits(faces, sun)
+    assert found.whole > 0.15
+    assert not found.contradict
+
+
+@pytest.mark.parametrize(("share", "missing", "known"), [(1.0, 6, True), (1.0, 7, False), (0.02, 0, False)])
+def test_gaps_and_dusk_tell_nothing(share, missing, known):
+    faces, sun = half_hour()
+    faces[:missing, 1] = np.nan
+    assert (misfits(share * faces, sun) is not None) is known
+
+
+def test_a_sun_at_the_horizon_tells_nothing():
+    faces, sun = half_hour()
+    assert misfits(faces, sun * [1.0, 1.0, 0.05]) is None
