@@ -192,6 +192,8 @@ def knock_hard(port, seconds):
     ends_s = time.monotonic() + seconds
     while time.monotonic() < ends_s:
         with socket.socket() as knocking:
+            # From another address each time: one has no more than some 28,000 ports.
+            knocking.bind((f"127.{random.randrange(256)}.{random.randrange(256)}.1", 0))
             knocking.setblocking(False)
             knocking.connect_ex(("127.0.0.1", port))
 
