@@ -155,7 +155,8 @@ class BusSensor:
         self._misses += 1
         self._flaw = flaw
         if self._misses >= _PATIENCE:
-            pause_s = _FIRST_PAUSE_S * 2.0 ** (self._misses - _PATIENCE) if self._misses < 10 else _LONGEST_PAUSE_S
+            # Bounded before the power: a sensor may be dead for years.
+            pause_s = _FIRST_PAUSE_S * 2.0 ** min(self._misses - _PATIENCE, 8)
             self._ask_again_s = self._now() + min(pause_s, _LONGEST_PAUSE_S)
         if at_once or self._misses >= _WORTH_A_WORD:
             self.note = self._sentence(why)

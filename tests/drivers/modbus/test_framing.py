@@ -201,6 +201,12 @@ def test_an_answer_is_found_behind_noise_wherever_it_is_cut():
         assert registers_of(framing.feed(ANSWER[cut:])) == (7,)
 
 
+def test_what_comes_behind_an_answer_does_not_hide_it():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    assert registers_of(framing.feed(ANSWER + b"\x00")) == (7,)
+
+
 def test_over_tcp_questions_are_counted_from_one_and_never_bear_the_number_of_nobody():
     client = TcpClient()
     numbers = [int.from_bytes(client.begin(ASKED)[:2], "big") for _ in range(0x10001)]
