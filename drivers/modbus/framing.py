@@ -150,7 +150,7 @@ class RtuServer:
         self._last_s = now_s
         self._buffer += data
         found = []
-        while (length := _request_length(self._buffer)) <= len(self._buffer):
+        while (length := _request_length(self._buffer)) is not None and length <= len(self._buffer):
             frame = self._buffer[:length]
             if crc16(frame[:-2]) == frame[-2:]:
                 found.append(Asked(ModbusRequest(frame[0], frame[1:-2])))
@@ -202,11 +202,11 @@ def _tcp_taken(buffer: bytes) -> tuple[int, ModbusRequest, bytes] | None:
     return transaction, ModbusRequest(unit, buffer[_TCP_HEAD.size : end]), buffer[end:]
 
 
-def _request_length(buffer: bytes) -> int:
-    """Return how long the frame of RTU at the beginning is if it is a question; more than there is while unknown."""
+def _request_length(buffer: bytes) -> int | None:
+    """Return how long the frame of RTU at the beginning is if it is a question; None while that cannot be told."""
     if len(buffer) < 2:
-        return len(buffer) + 1
+        return None
     if buffer[1] in (WRITE_COILS, WRITE_REGISTERS):
-        return 9 + buffer[6] if len(buffer) > 6 else len(buffer) + 1
+        return 9 + buffer[6] if len(buffer) > 6 else None
     # A function whose length is not known here can only be one without data, and is refused.
     return 8 if READ_COILS <= buffer[1] <= WRITE_REGISTER else 4
