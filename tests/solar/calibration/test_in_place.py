@@ -44,6 +44,11 @@ def clear(site, days=4, model="perez1990"):
     return readings(site, ClearSky(site), begin_utc_s, days, model=model)
 
 
+@cache
+def calibrated(site, days=4):
+    return calibrate_in_place(*clear(site, days), site)
+
+
 @given(angles, st.floats(0.01, 20), st.floats(0, 359.99), st.sampled_from([-50.0, 50.0]))
 def test_the_zenith_face_leans_where_it_is_said_to(yaw_deg, tilt_deg, azimuth_deg, latitude_deg):
     azimuth, tilt = face_orientations(attitude(yaw_deg, tilt_deg, azimuth_deg, latitude_deg), latitude_deg)
@@ -80,7 +85,7 @@ def test_the_jackknife_by_hand():
 
 @pytest.mark.parametrize("site", [SIRTA, CANBERRA], ids=["north", "south"])
 def test_attitude_albedo_and_relative_gains_are_found_in_both_hemispheres(site):
-    found = calibrate_in_place(*clear(site), site)
+    found = calibrated(site)
     truth = attitude(2.0, 1.0, 140.0, site.latitude_deg)
     relative = found.response / GAINS
     np.testing.assert_allclose(relative[:3] / relative[:3].mean(), 1.0, atol=0.006)
@@ -104,7 +109,7 @@ def test_ten_mixed_days_of_measured_weather_give_gains_yaw_tilt_and_albedo(measu
 
 def test_a_face_that_reads_more_has_that_much_more_response_and_nothing_else_changes():
     utc_s, faces = clear(SIRTA)
-    before = calibrate_in_place(utc_s, faces, SIRTA)
+    before = calibrated(SIRTA)
     after = calibrate_in_place(utc_s, faces * [1.04, 1.0, 1.0, 1.0], SIRTA)
     ratios = after.response / before.response
     assert ratios[0] / ratios[1] == pytest.approx(1.04, abs=1e-3)
@@ -139,8 +144,7 @@ def test_haze_from_which_the_level_cannot_be_told_is_refused():
 
 
 def test_more_days_are_surer_but_never_surer_than_a_percent():
-    few = calibrate_in_place(*clear(SIRTA, days=3), SIRTA)
-    more = calibrate_in_place(*clear(SIRTA, days=8), SIRTA)
+    few, more = calibrated(SIRTA, days=3), calibrated(SIRTA, days=5)
     assert (more.errors.response > 0.01).all()
     assert (more.errors.response < few.errors.response).all()
     assert more.errors.albedo < few.errors.albedo
@@ -199,5 +203,5 @@ def test_readings_without_a_number_are_left_out():
     utc_s, faces = clear(SIRTA)
     holed = faces.copy()
     holed[::7, 0] = np.nan
-    found, whole = calibrate_in_place(utc_s, holed, SIRTA), calibrate_in_place(utc_s, faces, SIRTA)
+    found, whole = calibrate_in_place(utc_s, holed, SIRTA), calibrated(SIRTA)
     np.testing.assert_allclose(found.response, whole.response, rtol=0.005)
