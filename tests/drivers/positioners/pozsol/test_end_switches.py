@@ -1,0 +1,99 @@
+"""What counts as a movement of B and as a switch that cannot be closed, look by look and at the bounds."""
+
+import pytest
+
+from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+FIRST, SECOND, THIRD = (1 << B_OUT_BIT_STM + place for place in range(3))
+OPEN, LOW = parse_status("0"), parse_status(str(1 << 19))
+
+
+def found(*looks, word=FIRST, late_s=0.0):
+    """Return where B's bits are after looks of a time [s] and a position each; the status is so much older."""
+    layout = BLayout(None)
+    for time_s, position in looks:
+        layout.update(position, time_s, word, time_s - late_s)
+    return layout.bit
+
+
+OUT, IN = ((5.0, 10.0), (5.2, 11.0), (5.4, 12.0)), ((5.0, 12.0), (5.2, 11.0), (5.4, 10.0))
+
+
+@pytest.mark.parametrize(("looks", "word", "bit"), [
+    (OUT, FIRST, B_OUT_BIT_STM),
+    (OUT, FIRST | THIRD, B_OUT_BIT_STM),
+    (OUT, SECOND, B_OUT_BIT_LPC),
+    (OUT, FIRST | SECOND, None),
+    (OUT, THIRD, None),
+    (IN, SECOND, B_OUT_BIT_STM),
+    (IN, SECOND | THIRD, B_OUT_BIT_STM),
+    (IN, THIRD, B_OUT_BIT_LPC),
+    (IN, FIRST | SECOND, None),
+    (IN, FIRST | THIRD, None),
+    (IN, 0, None),
+])  # fmt: skip
+def test_each_way_tells_by_its_own_bit(looks, word, bit):
+    assert found(*looks, word=word) == bit
+
+
+@pytest.mark.parametrize(("looks", "told"), [
+    (OUT[:2], False),
+    (((5.0, 10.0), (5.2, 11.0), (5.4, 10.0)), False),
+    (((5.0, 10.0), (5.2, 11.0), (5.4, 10.0), (5.6, 9.0)), True),
+    (((0.0, 0.0), (0.5, 0.1), (1.0, 0.2)), False),
+    (((0.0, 0.0), (0.5, 0.15), (1.0, 0.3)), True),
+    # What is slow counts from where it was seen last to have moved.
+    (((0.0, 0.0), (0.5, 0.06), (0.9, 0.12), (1.4, 0.24)), True),
+    (((1.0, 10.0), (2.0, 11.0), (3.0, 12.0)), True),
+    (((1.0, 10.0), (2.1, 11.0), (3.2, 12.0)), False),
+    (((1.0, 10.0), (2.1, 11.0), (2.3, 12.0)), False),
+    (((5.0, 10.0), (5.2, 11.0), (5.2, 12.0)), False),
+    (((5.0, 10.0), (5.2, 11.0), (5.1, 12.0)), False),
+])  # fmt: skip
+def test_two_steps_the_same_way_within_a_second_each_are_a_movement(looks, told):
+    word = FIRST if looks[-1][1] > looks[0][1] else SECOND
+    assert (found(*looks, word=word) is not None) == told
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(0.69, True), (0.71, False), (-0.69, True), (-0.71, False)])
+def test_a_status_of_another_time_tells_nothing(late_s, told):
+    assert (found(*OUT, late_s=late_s) is not None) == told
+
+
+def test_what_was_set_stays_until_something_else_is_seen():
+    layout = BLayout(B_OUT_BIT_LPC)
+    layout.update(1.0, 1.0, FIRST, 1.0)
+    assert layout.bit == B_OUT_BIT_LPC
+
+
+FAR = A.units(4.0)
+
+
+def texts(*looks):
+    check = SwitchCheck("a", A)
+    return [bool(check.update(position, status, status_s)) for position, status, status_s in looks]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_closed_switch_does_not_fit_from_four_degrees_on(side):
+    near, far = side * 0.99 * FAR, side * 1.01 * FAR
+    assert texts((near, LOW, 1.0), (near, LOW, 2.0), (near, LOW, 3.0)) == [False] * 3
+    assert texts((far, LOW, 1.0), (far, LOW, 2.0), (far, LOW, 3.0)) == [False, True, True]
+
+
+def test_it_takes_two_statuses_one_after_the_other():
+    far = 2 * FAR
+    assert texts((far, LOW, 1.0), (far, LOW, 1.0), (far, LOW, 0.9)) == [False] * 3
+    assert texts((far, LOW, 1.0), (far, OPEN, 2.0), (far, LOW, 3.0), (far, LOW, 4.0)) == [False, False, False, True]
+    assert texts((far, LOW, 1.0), (0.0, LOW, 2.0), (far, LOW, 3.0)) == [False] * 3
+
+
+def test_between_the_two_it_is_suspected():
+    check, seen = SwitchCheck("a", A), []
+    for status, status_s in ((OPEN, 1.0), (LOW, 2.0), (LOW, 2.0), (OPEN, 3.0)):
+        check.update(2 * FAR, status, status_s)
+        seen.append(check.suspects)
+    assert seen == [False, True, True, False]

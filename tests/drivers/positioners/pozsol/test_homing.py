@@ -1,0 +1,72 @@
+"""A reference run at the bounds of what begins it, ends it and contradicts it."""
+
+import pytest
+
+from drivers.positioners.pozsol.wire import parse_status
+from tests.drivers.positioners.pozsol.test_standstill import HOMING, LOW, QUIET, UNDER_WAY, A, run
+
+COAST, SLIP = A.units(0.4), A.units(0.5)
+A_HIGH_TOO, B_HOMING = parse_status(str(1 << 19 | 1 << 20)), parse_status(str(1 << 17), 15)
+
+
+def ended(place, aim=None, remain=0.0, status=LOW, rest_s=0.5, **how):
+    at = place if aim is None else aim
+    return run(*UNDER_WAY, (40.0, place, at, remain, status), (40.0 + rest_s, place, at, remain, status), **how)
+
+
+@pytest.mark.parametrize(("look", "begun"), [
+    ((1.2, 100.0, 100.0, 0.0, QUIET), False),
+    ((1.2, 100.0, 100.0, 0.0, HOMING), True),
+    ((1.0, 100.0, 90.0, 0.0, HOMING), False),
+    ((1.2, 100.0, 98.1, 0.0, QUIET), False),
+    ((1.2, 100.0, 97.9, 0.0, QUIET), True),
+    ((1.2, 99.1, 99.1, 0.0, QUIET), False),
+    ((1.2, 98.9, 98.9, 0.0, QUIET), True),
+    ((1.2, 101.1, 101.1, 0.0, QUIET), True),
+    ((1.2, 100.0, 110.0, 0.0, QUIET), False),
+    ((1.2, 100.0, 100.0, 0.0, B_HOMING), False),
+])  # fmt: skip
+def test_a_run_has_begun_when_bit_aim_or_place_say_so(look, begun):
+    assert run(look).begun == begun
+
+
+def test_who_stands_on_the_switch_is_home_before_anybody_can_look():
+    for place, home in ((0.99 * COAST, True), (1.01 * COAST, False)):
+        assert run((1.2, place, place, 0.0, LOW), before=place).begun == home
+
+
+@pytest.mark.parametrize(("rest_s", "over"), [(0.49, False), (0.5, True)])
+def test_it_is_over_after_half_a_second_at_rest(rest_s, over):
+    assert ended(0.0, rest_s=rest_s).over == over
+
+
+@pytest.mark.parametrize(("aim", "over"), [(0.99, True), (1.01, False), (-1.01, False)])
+def test_it_is_not_over_while_it_aims_elsewhere(aim, over):
+    assert ended(0.0, aim=aim).over == over
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_count_that_was_not_set_on_the_switch_fails_it(side):
+    assert ended(side * 0.99 * COAST).failure == ""
+    place = side * 1.01 * COAST
+    assert ended(place).failure == f"the reference run of A ended at {place:g}, not on its end switch"
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_trusted_count_may_slip_by_half_a_degree(side):
+    assert ended(0.0, remain=side * 0.99 * SLIP).mismatch == ""
+    told = ended(0.0, remain=side * 1.01 * SLIP).mismatch
+    assert told.startswith(f"axis A met its end switch where its count was {side * 1.01 * SLIP:g}, not 0")
+
+
+def test_an_axis_that_stood_within_half_a_degree_need_not_have_moved():
+    for place, suspicious in ((0.99 * SLIP, False), (1.01 * SLIP, True), (-1.01 * SLIP, True)):
+        looks = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
+        assert ("did not move" in run(*looks, before=place).mismatch) == suspicious
+
+
+def test_what_is_over_stays_as_it_was_judged():
+    good = ended(0.0)
+    assert (good.over, good.travelled) == (True, True)
+    again = run(*UNDER_WAY, *((at_s, 0.0, 0.0, 0.0, LOW) for at_s in (40.0, 41.0)), (50.0, 80.0, 70.0, 9.0, HOMING))
+    assert (again.over, again.failure, again.mismatch) == (True, "", "")
