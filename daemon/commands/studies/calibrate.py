@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.studies.inputs import instant
 
@@ -72,6 +73,7 @@ def cube(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate the four sensors, lying horizontally beside a reference pyranometer, in the manner of ISO 9847."""
+    _check_there(reference, sensors)
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
     from daemon.studies.calibrate.beside import compare
@@ -138,6 +140,7 @@ def field(
     as_json: JsonOption = False,
 ) -> None:
     """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
+    _check_there(sensors)
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
     from daemon.studies.calibrate.in_field import calibrate_field
@@ -156,6 +159,13 @@ def field(
         print_json(report.field_page(found, made_on) | {"calibration": calibration, "written": out})
         return
     _print(lines, calibration.identifier, out)
+
+
+def _check_there(*paths: Path | None) -> None:
+    """Refuse a missing file before the science is imported."""
+    for path in paths:
+        if path is not None and not path.exists():
+            raise UserError(f"there is no file at {path}")
 
 
 def _print(lines: list[str], identifier: str, out: Path) -> None:

@@ -117,12 +117,12 @@ def energy(
 def _prices(
     peak_kw: float | None, price: float | None, drive_price: float | None, drive_life_deg: float | None
 ) -> "Prices | None":
-    from daemon.studies.energy_worth import Prices
-
     if peak_kw is None or price is None or drive_price is None or drive_life_deg is None:
         if any(given is not None for given in (peak_kw, price, drive_price, drive_life_deg)):
             raise UserError("what a law is worth takes all of --peak-kw, --price, --drive-price and --drive-life-deg")
         return None
+    from daemon.studies.energy_worth import Prices
+
     return Prices(peak_kw=peak_kw, per_kwh=price, drive=drive_price, life_deg=drive_life_deg)
 
 

@@ -110,18 +110,20 @@ def plot(
     paths = picture_paths(out, what)
     if tables is not None:
         format_of_tables(tables)
-    from daemon.studies.report.plot import draw, material_of_tables
+        if store is not None:
+            raise UserError("plot needs either --store or --tables, not both")
     from daemon.studies.report.span import Wanted
+
+    whole = tables is not None and day is None and start is None and end is None
+    wanted = None if whole else Wanted(day, start, end)
+    # Slow to import, and what is above refuses most mistakes without them.
+    from daemon.studies.report.plot import draw, material_of_tables
     from daemon.studies.report.write import check_output, with_settings, zone_of
 
     local, settings = zone_of(zone), _settings(config)
     check_output(out.parent, [path.name for path in paths], "--out", force=force)
-    whole = day is None and start is None and end is None
     with progress_bar(Console(stderr=True), "reading") as progress:
         if tables is not None:
-            if store is not None:
-                raise UserError("plot needs either --store or --tables, not both")
-            wanted = None if whole else Wanted(day, start, end)
             material = material_of_tables(tables, site, settings, wanted, tracker)
         else:
             place, asked = store_directory("plot", store, config), Wanted(day, start, end)

@@ -5,8 +5,10 @@ from typing import Annotated
 
 import typer
 
+from daemon.base.errors import UserError
 from daemon.commands.answers import say
 from daemon.commands.options import ForceOption
+from daemon.store.outputs import check_outputs
 
 
 def samples(
@@ -15,11 +17,14 @@ def samples(
     """Copy three sample days: what a cube reads and the weather, clear, mixed and overcast (simulated; CC0)."""
     import shutil
 
-    from daemon.studies.report.write import check_output
     from daemon.studies.samples import DAYS, LICENCE, SITE, sample
 
     sources = [*map(sample, DAYS), LICENCE]
-    check_output(out, [source.name for source in sources], "--out", force=force)
+    check_outputs([out / source.name for source in sources], "--out", force=force)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be a folder: {error.strerror}") from None
     for source in sources:
         shutil.copyfile(source, out / source.name)
     say(f"written to {out}: {', '.join(source.name for source in sources)}")
