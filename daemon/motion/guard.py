@@ -123,6 +123,11 @@ class Guard:
         return self._telemetry
 
     @property
+    def judged(self) -> Telemetry | None:
+        """The newest look as it was read: it shows what `telemetry` does, and its times may be 5 s older."""
+        return self._telemetry
+
+    @property
     def pose(self) -> Pose | None:
         """Where the tracker was seen last."""
         self._take_over()

@@ -69,7 +69,7 @@ class MotionState:
     @property
     def blocked(self) -> str | None:
         """Why nothing at all can be moved, or None; also None before the first contact."""
-        telemetry = self.telemetry
+        telemetry = self._guard.judged
         if telemetry is None:
             return self.outage.reason if self.outage.is_down else None
         if self.unexplained:
@@ -94,7 +94,8 @@ class MotionState:
     @property
     def concerns(self) -> tuple[str, ...]:
         """Every fault and doubt that is shown at present; `clear_faults` forgives what of it a person was shown."""
-        faults = self.telemetry.faults if self.telemetry else ()
+        telemetry = self._guard.judged
+        faults = telemetry.faults if telemetry else ()
         failed = (self._retries.text,) if self._retries.text else ()
         conflicts = self.identity.setup_conflicts if self.identity else ()
         return (*(fault_text(name) for name in faults), *self._guard.doubts.texts, *failed, *conflicts)
@@ -102,7 +103,7 @@ class MotionState:
     @property
     def connected(self) -> bool:
         """Whether telemetry is coming in."""
-        return self.telemetry is not None
+        return self._guard.judged is not None
 
     @property
     def moving(self) -> bool:
@@ -112,7 +113,8 @@ class MotionState:
     @property
     def pressed(self) -> bool:
         """Whether a button is pressed at the unit, by its latest status: somebody is there."""
-        return self.telemetry is not None and self.telemetry.button_pressed
+        telemetry = self._guard.judged
+        return telemetry is not None and telemetry.button_pressed
 
     @property
     def stands_since_s(self) -> float | None:
