@@ -39,6 +39,7 @@ _WHY = {
 }
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
+_HARD_TO_FORGIVE = (*_MUST_FOLLOW, Doubt.SWAPPED)
 
 
 def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
@@ -179,7 +180,8 @@ class FaceWatch:
         if doubt is not Doubt.NONE:
             self._bad[face] += 1
             self._good[face] = 0
-            if self._bad[face] >= BAD_LOOKS:
+            # What has to follow the light again, or to stand in order, does so whatever else it reads meanwhile.
+            if self._bad[face] >= BAD_LOOKS and not (doubt is Doubt.OVER and self._whys[face] in _HARD_TO_FORGIVE):
                 self._whys[face] = doubt
         elif sound:
             self._bad[face] = 0

@@ -231,6 +231,8 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     assert [minutes is not None for minutes in found] == [False, True, True, False]
     (alarm,) = day.alarms.active
     assert "the south, west faces read each what the other should" in alarm.text
+    day.minutes(10, frozen=2, at_w_m2=1400.0)
+    assert [each.text for each in day.alarms.active] == [alarm.text], "what is too much besides makes it no better"
     day.order = [0, 1, 2, 3]
     day.minutes(60)
     assert day.doubted() == []
