@@ -2,12 +2,15 @@
 
     python -m tests.measurements.archive rate
     python -m tests.measurements.archive kill --trackers 50 --minutes 10
+    python -m tests.measurements.archive hour --trackers 50
 
 `rate` writes pages of 1,000 installations, as they come over a broker, into a PostgreSQL of its own as fast as it takes
 them, and then a day of it to Parquet; from bytes a row and rows a day of one tracker it computes the sizes of plants.
 `kill` runs a broker, a PostgreSQL, two `heliocube archive` and as many stores with their feeds as trackers are asked
 for, at the service's own pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute), kills
-broker and database with SIGKILL twice each and one of the archive's processes once, and then counts.
+broker and database with SIGKILL twice each and one of the archive's processes once, and then counts. `hour` does with
+the same processes what an hour without a database is: the stores take in as many records as in an hour, within half a
+minute, while it is away.
 """
 
 import argparse
@@ -40,6 +43,7 @@ ROWS_A_DAY = {"scans": 17_280, "poses": 9_480, "decisions": 288, "moves": 61, "m
 PLANTS = (10, 1_000, 100_000)
 INSTALLATIONS = 1_000
 DAY_S = 86_400
+SCANS_AN_HOUR = 720
 
 
 def machine():
@@ -172,55 +176,99 @@ async def pace(sender, place, end_s):
         await asyncio.sleep(5.0)
 
 
+class Plant:
+    """A broker, a PostgreSQL, two archive processes, and stores with their feeds."""
+
+    def __init__(self, trackers, folder):
+        self.folder = folder
+        self.server, self.broker = Postgres(durable=True), Broker(folder).start()
+        config = f"[mqtt]\nport = {self.broker.port}\n[archive]\ndatabase = '{self.server.url()}'\n"
+        (folder / "archive.toml").write_text(config)
+        self.archives = []
+        names = [f"t{n}" for n in range(trackers)]
+        self.senders = [Sender(folder / name, self.broker.port, name, prefix="plant", every_s=10.0) for name in names]
+
+    def start_archive(self):
+        command = [sys.executable, "-m", "daemon.commands.main", "archive", "--config", self.folder / "archive.toml"]
+        with (self.folder / "archive.log").open("a") as log:
+            self.archives.append(subprocess.Popen(command, stdout=log, stderr=log))
+
+    @contextlib.asynccontextmanager
+    async def at_work(self):
+        try:
+            self.start_archive()
+            self.start_archive()
+            async with contextlib.AsyncExitStack() as stack:
+                for sender in self.senders:
+                    await stack.enter_async_context(sender.sending())
+                yield
+        finally:
+            for process in self.archives:
+                process.kill()
+                process.wait()
+            for sender in self.senders:
+                sender.store.close()
+            self.broker.close()
+            self.server.close()
+
+    async def catch_up(self):
+        """Wait until the database has all; return how long it took [s]."""
+        began = time.monotonic()
+        while not all_there(self.server, self.senders) and time.monotonic() - began < 600:  # noqa: ASYNC110 - by looking
+            await asyncio.sleep(2.0)
+        return time.monotonic() - began
+
+
 async def kill(trackers, minutes, folder):
-    logging.getLogger("heliocube").setLevel(logging.ERROR)
-    server, broker = Postgres(durable=True), Broker(folder).start()
-    config = folder / "archive.toml"
-    config.write_text(f"[mqtt]\nport = {broker.port}\n[archive]\ndatabase = '{server.url()}'\n")
-    processes = []
-
-    def start_archive():
-        with (folder / "archive.log").open("a") as log:
-            command = [sys.executable, "-m", "daemon.commands.main", "archive", "--config", config]
-            processes.append(subprocess.Popen(command, stdout=log, stderr=log))
-
-    start_archive()
-    start_archive()
-    senders = [Sender(folder / f"t{n}", broker.port, f"t{n}", prefix="plant", every_s=10.0) for n in range(trackers)]
+    plant = Plant(trackers, folder)
     whole_s = minutes * 60.0
     end_s = time.monotonic() + whole_s
     down_s = min(20.0, whole_s / 15)
-    try:
-        async with contextlib.AsyncExitStack() as stack:
-            for sender in senders:
-                await stack.enter_async_context(sender.sending())
-            tasks = [asyncio.create_task(pace(sender, place, end_s)) for place, sender in enumerate(senders)]
-            for what in ("broker", "database", "archive", "broker", "database"):
-                await asyncio.sleep(whole_s / 6 - down_s)
-                print(f"{datetime.now(UTC):%H:%M:%S} kill -9 of the {what}, away for {down_s:.0f} s", flush=True)
-                if what == "archive":
-                    processes[0].send_signal(signal.SIGKILL)
-                    await asyncio.sleep(down_s)
-                    start_archive()
-                else:
-                    peer = broker if what == "broker" else server
-                    peer.kill()
-                    await asyncio.sleep(down_s)
-                    await asyncio.to_thread(peer.start)
-            await asyncio.gather(*tasks)
-            ended = time.monotonic()
-            while not all_there(server, senders) and time.monotonic() - ended < 600:  # noqa: ASYNC110 - by looking
-                await asyncio.sleep(2.0)
-            caught_up_s = time.monotonic() - ended
-        return report(server, senders, caught_up_s)
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-        for sender in senders:
-            sender.store.close()
-        broker.close()
-        server.close()
+    async with plant.at_work():
+        tasks = [asyncio.create_task(pace(sender, place, end_s)) for place, sender in enumerate(plant.senders)]
+        for what in ("broker", "database", "archive", "broker", "database"):
+            await asyncio.sleep(whole_s / 6 - down_s)
+            print(f"{datetime.now(UTC):%H:%M:%S} kill -9 of the {what}, away for {down_s:.0f} s", flush=True)
+            if what == "archive":
+                plant.archives[0].send_signal(signal.SIGKILL)
+                await asyncio.sleep(down_s)
+                plant.start_archive()
+            else:
+                peer = plant.broker if what == "broker" else plant.server
+                peer.kill()
+                await asyncio.sleep(down_s)
+                await asyncio.to_thread(peer.start)
+        await asyncio.gather(*tasks)
+        caught_up_s = await plant.catch_up()
+        return report(plant.server, plant.senders, caught_up_s)
+
+
+async def hour(trackers, folder):
+    """Let the stores take in an hour of records while the database is away, in half a minute."""
+    plant = Plant(trackers, folder)
+    async with plant.at_work():
+        for sender in plant.senders:
+            sender.keep(event(0, "before"))
+        await asyncio.sleep(10.0)
+        await plant.catch_up()
+        plant.server.kill()
+        away_s, began = time.time(), time.monotonic()
+        for count in range(SCANS_AN_HOUR):
+            for sender in plant.senders:
+                at_s = away_s + 5.0 * count
+                sender.keep(scan(count, session=sender.origin.id, utc_s=at_s))
+                if count % 2 == 0:
+                    sender.keep(pose(count, at_s))
+                if count % 12 == 0:
+                    sender.keep(event(count, "a minute is over"))
+                if count % 60 == 0:
+                    sender.keep(decision(at_s))
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(max(0.0, 30.0 - (time.monotonic() - began)))
+        print(f"an hour of records in {time.monotonic() - began:.0f} s without a database", flush=True)
+        await asyncio.to_thread(plant.server.start)
+        caught_up_s = await plant.catch_up()
+        return report(plant.server, plant.senders, caught_up_s)
 
 
 def all_there(server, senders):
@@ -243,7 +291,7 @@ def report(server, senders, caught_up_s):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("rate", "kill"))
+    parser.add_argument("what", choices=("rate", "kill", "hour"))
     parser.add_argument("--trackers", type=int, default=50)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rounds", type=int, default=20, help="of 50,000 rows")
@@ -252,7 +300,13 @@ def main():
         rate(asked.rounds)
         return 0
     with tempfile.TemporaryDirectory(prefix="heliocube-archive-") as folder:
-        return 1 if asyncio.run(kill(asked.trackers, asked.minutes, Path(folder))) else 0
+        logging.getLogger("heliocube").setLevel(logging.ERROR)
+        work = (
+            kill(asked.trackers, asked.minutes, Path(folder))
+            if asked.what == "kill"
+            else hour(asked.trackers, Path(folder))
+        )
+        return 1 if asyncio.run(work) else 0
 
 
 if __name__ == "__main__":

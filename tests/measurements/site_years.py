@@ -1,14 +1,17 @@
 """The energy study of many site-years by one process, by several and by a cluster: wall times, and whether bytes agree.
 
 Usage: python tests/measurements/site_years.py [SITE_YEARS [JOBS [HOST:PORT of a dask scheduler]]]
+       python tests/measurements/site_years.py days [SITES]
 
 Sites lie on a grid between 45 deg south and 60 deg north, each under the built-in weather `broken`; 64 by default.
-Needs as many idle cores as there are jobs.
+Needs as many idle cores as there are jobs. `days` runs a thousand sites, or so many, with a day of light each by one
+process, and prints its processor time and memory, which a busy machine leaves alone.
 """
 
 import csv
 import os
 import platform
+import resource
 import subprocess
 import sys
 import tempfile
@@ -16,6 +19,7 @@ import time
 from pathlib import Path
 
 LAWS = "mu-prime,optimal,bound"
+DAY_LAWS = "flat,mu-prime"
 YEARS = (2020, 2021, 2022, 2023)
 
 
@@ -28,6 +32,24 @@ def write_table(path: Path, lines: int) -> None:
             site, year = divmod(number, len(YEARS))
             place = (-45 + 35 * (site % 4), -120 + 60 * (site // 4 % 5) + site // 20)
             writer.writerow([f"site {site}", *place, "broken", YEARS[year]])
+
+
+def many_days(sites: str = "1000") -> None:
+    """Run the study of many sites with one measured day each."""
+    with tempfile.TemporaryDirectory() as folder:
+        light = [(minute, max(0, 700 - abs(minute - 720) * 2)) for minute in range(0, 1440, 5)]
+        rows = [
+            f"2016-06-05T{minute // 60:02d}:{minute % 60:02d}:00Z,{150 + dni / 2},{dni},150" for minute, dni in light
+        ]
+        Path(folder, "day.csv").write_text("\n".join(["time,ghi,dni,dhi", *rows]), encoding="utf-8")
+        lines = [f"site {number},{-50 + 100 * number / int(sites):.4f},0,day.csv" for number in range(int(sites))]
+        table = Path(folder, "sites.csv")
+        table.write_text("\n".join(["name,latitude,longitude,weather", *lines]), encoding="utf-8")
+        command = [str(Path(sys.executable).with_name("heliocube")), "energy", "--sites", str(table), "--out", folder]
+        subprocess.run([*command, "--laws", DAY_LAWS], check=True, capture_output=True)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(f"{sites} sites of one day, laws {DAY_LAWS}: {used.ru_utime + used.ru_stime:.0f} s of a processor,"
+          f" {used.ru_maxrss / 1024:.0f} MB")  # fmt: skip
 
 
 def main(lines: str = "64", jobs: str = "2", cluster: str = "") -> None:
@@ -54,4 +76,7 @@ def main(lines: str = "64", jobs: str = "2", cluster: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if sys.argv[1:2] == ["days"]:
+        many_days(*sys.argv[2:])
+    else:
+        main(*sys.argv[1:])

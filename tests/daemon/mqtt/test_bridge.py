@@ -14,19 +14,22 @@ TOPIC = "site/cube/bridge"
 KEYED = {"transport": "mqtt", "topic": TOPIC, "insecure": False, "key_file": "bridge.key"}
 
 
-def broker_rig(port, role, **bridge):
-    settings = settings_for(port, bridge=KEYED | bridge)
+def broker_rig(port, role, mqtt=(), **bridge):
+    settings = settings_for(port, bridge=KEYED | bridge, mqtt=dict(mqtt))
     return BrokerRig(asyncio.get_running_loop(), settings, SPEED, role)
 
 
-def test_a_tracker_follows_a_cube_over_the_broker_and_refuses_what_was_sent_before(broker, scaled):
+def test_trackers_follow_a_cube_over_the_broker_and_refuse_what_was_sent_before(broker, scaled):
     async def scenario():
         cube, tracker = broker_rig(broker.port, Role.CUBE), broker_rig(broker.port, Role.TRACKER)
+        field = broker_rig(broker.port, Role.TRACKER, mqtt={"name": "field"})
         async with observer(broker.port) as lab:
-            async with serving(cube, tracker):
+            async with serving(cube, tracker, field):
                 await tracker.until_mode(Mode.TRACKING, 500)
                 assert len(tracker.of(Scan)) >= 3
                 assert tracker.of(Scan)[0].session == cube.of(Scan)[0].session
+                await field.until_mode(Mode.TRACKING, 500)
+                assert {scan.session for scan in field.of(Scan)} == {cube.of(Scan)[0].session}
                 assert cube.service.sender is None
                 sent = lab.on(TOPIC)
                 assert all(message.payload.count(b".") == 2 and not message.retain for message in sent)
