@@ -1,0 +1,91 @@
+"""What the laws may move in a day, to the last move and the last degree."""
+
+import pytest
+
+from daemon.base.alarms.alarms import Alarms
+from daemon.base.clock import SystemClock
+from daemon.base.files import StateFolder
+from daemon.config.sections import MotionSettings
+from daemon.tracker.budget import DayBudget
+
+DAY_S = 86400.0
+# The sun's midnight at 90 deg east is 18:00 UTC.
+EAST_DEG, MIDNIGHT_UTC_S = 90.0, 19_000 * DAY_S - 21_600.0
+SETTINGS = MotionSettings(moves_per_day=100, travel_per_day_deg=400.0)
+
+
+class Budget(DayBudget):
+    """With its alarms in hand."""
+
+    def __init__(self, folder=None, utc_s=MIDNIGHT_UTC_S):
+        self.told = Alarms(SystemClock(), lambda _record: None)
+        super().__init__(SETTINGS, EAST_DEG, StateFolder(folder), self.told, utc_s)
+
+    @property
+    def texts(self):
+        return [alarm.text for alarm in self.told.active]
+
+    def spend(self, moves, each_deg):
+        for _ in range(moves):
+            self.book(each_deg)
+        return self
+
+
+def left(budget):
+    return budget.moves_left, budget.travel_left_deg
+
+
+def test_moves_and_degrees_are_counted_down_to_nothing_and_not_below():
+    budget = Budget()
+    assert left(budget) == (100, 400.0)
+    assert left(budget.spend(10, 2.5)) == (90, 375.0)
+    assert left(budget.spend(91, 5.0)) == (0, 0.0)
+
+
+@pytest.mark.parametrize(("moves", "each_deg", "next_deg", "refused"), [
+    (99, 1.0, 1.0, False),
+    (100, 1.0, 0.5, True),
+    (10, 30.0, 100.0, False),
+    (10, 30.0, 100.5, True),
+    (10, 40.0, 0.5, True),
+])  # fmt: skip
+def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_deg, next_deg, refused):
+    budget = Budget().spend(moves, each_deg)
+    account = f"{moves} moves of 100, {moves * each_deg:.0f} deg of 400; see motion.moves_per_day"
+    why = budget.refusal(next_deg)
+    assert (why is not None) == refused
+    if refused:
+        assert why.startswith(f"the laws have used up what they may move in a day: {account}")
+        assert budget.texts == [why]
+
+
+@pytest.mark.parametrize(("moves", "each_deg", "kept"), [
+    (75, 1.0, False), (76, 1.0, True), (10, 30.0, False), (10, 30.1, True),
+])  # fmt: skip
+def test_the_last_quarter_of_either_is_kept_for_the_sun_and_that_is_told(moves, each_deg, kept):
+    budget = Budget().spend(moves, each_deg)
+    assert budget.is_for_the_sun == kept
+    assert [text[:37] for text in budget.texts] == ["the sun is followed by the clock for "] * kept
+
+
+def test_a_day_is_the_suns_and_begins_with_nothing_used():
+    budget = Budget().spend(80, 1.0)
+    budget.turn(MIDNIGHT_UTC_S + DAY_S - 1.0)
+    assert left(budget) == (20, 320.0)
+    budget.turn(MIDNIGHT_UTC_S + DAY_S)
+    assert left(budget) == (100, 400.0)
+    assert budget.texts == []
+
+
+def test_what_was_used_is_kept_over_a_restart_and_so_is_that_a_day_has_begun(tmp_path):
+    Budget(tmp_path).spend(30, 2.0)
+    again = Budget(tmp_path, MIDNIGHT_UTC_S + 3600.0)
+    assert left(again) == (70, 340.0)
+    again.turn(MIDNIGHT_UTC_S + DAY_S)
+    assert left(Budget(tmp_path)) == (100, 400.0)
+
+
+def test_what_cannot_be_read_is_counted_anew_and_said(tmp_path, caplog):
+    (tmp_path / "day.json").write_text('{"day": 19000, "moves": -1}')
+    assert left(Budget(tmp_path)) == (100, 400.0)
+    assert "the moves of the day are counted anew" in caplog.text
