@@ -1,5 +1,6 @@
 """A change of a function is put into the function that is there, wherever it is held."""
 
+import gc
 import importlib
 import sys
 
@@ -51,6 +52,8 @@ def program(tmp_path, monkeypatch):
     (tmp_path / "changed_while_it_runs.py").write_bytes(SOURCE)
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("changed_while_it_runs")
+    # As it is once the tests have been read.
+    gc.freeze()
     yield module, Program(tmp_path)
     del sys.modules["changed_while_it_runs"]
 

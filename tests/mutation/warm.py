@@ -215,6 +215,8 @@ class Program:
         self._tree = tree
         self._functions = defaultdict(list)
         self._caches = []
+        # What somebody has frozen, the collector does not name.
+        gc.unfreeze()
         for found in gc.get_objects():
             if type(found) is types.FunctionType:
                 self._functions[found.__code__.co_filename].append(found)
