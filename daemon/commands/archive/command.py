@@ -43,10 +43,14 @@ def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = 
     from daemon.base.clock import SystemClock
     from daemon.config.links import ArchiveSettings, MqttSettings
     from daemon.config.section import beside, one_section, read_tables
+    from daemon.mqtt.credentials import load_user
 
     raw = read_tables(config)
     own = one_section(config, raw, "archive", ArchiveSettings)
     mqtt = beside(config, one_section(config, raw, "mqtt", MqttSettings))
+    if mqtt.credentials_file is not None:
+        # It is read at each connection; one that is missing now would be told of only once the database answers.
+        load_user(mqtt.credentials_file)
     address = database(config, to)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     asyncio.run(serve(mqtt, own, address, SystemClock(), process.Notifier(os.environ, os.getpid())))

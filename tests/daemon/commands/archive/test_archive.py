@@ -117,6 +117,14 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     assert counts["plant/both"] == counts["plant/roof"] == counts["plant/late"] > 0
 
 
+def test_a_file_of_the_broker_that_is_missing_is_told_before_the_database_is_asked(heliocube, tmp_path):
+    config = tmp_path / "archive.toml"
+    config.write_text("[mqtt]\ncredentials_file = 'none'\n[archive]\ndatabase = 'postgresql://a@127.0.0.1:1/x'\n")
+    code, _, err = heliocube("archive", "--config", config)
+    missing = f"there is no file {tmp_path / 'none'}: write user:password into it, mode 0600"
+    assert (code, err) == (2, f"heliocube: mqtt.credentials_file: {missing}\n")
+
+
 def test_a_day_that_is_not_there_or_not_over_is_a_sentence(database, heliocube, tmp_path):
     run = ("archive", "parquet", "--to", database, "--out", tmp_path)
     assert heliocube(*run)[::2] == (2, f"heliocube: {database} holds no archive: is it the right database?\n")
