@@ -14,16 +14,16 @@ from daemon.studies.spread.workers import Workers
 _HEAD = """# Reliability: every fault, what is declared for it, and the worst seen
 
 Written by `heliocube campaign --reliability docs/reliability.md`. The figures are those of the simulated rig under
-virtual time, with the real drivers and the service itself: the same on every machine, and a model's, not a rig's.
+virtual time, with the real drivers and the service itself. They are the same on every machine, and no rig was measured.
 Here each fault falls alone, {runs} times, at rest or in mid-move, at other moments of the unit's screens and of the
 service's decisions each time; then every two of them fall together, once. Every promise of the campaign is watched
 meanwhile. In [the campaign](campaign.md) they fall at random.
 
 ## One fault at a time
 
-The tracker has to be in the declared mode within the first bound after the fault began. "Back" is from the end of the
-fault, or from the last thing that a person has to say, to work; the second bound holds for it. "Goes on": the fault is
-met without a change of mode. {broken}
+"Mode" is what the tracker must go to, and the first "Bound" how soon after the fault began; "goes on" means that it
+keeps its mode. "Back by" is what brings it back to work: itself, or commands that a person has to give. The second
+bound is for the time from the end of the fault, or from the last of those commands, until it works again. {broken}
 
 | Fault | For | When | Mode | Bound | Worst | Back by | Bound | Worst |
 |---|---|---|---|---|---|---|---|---|
@@ -31,9 +31,9 @@ met without a change of mode. {broken}
 _PAIRS = """
 ## Two faults at once
 
-Every two of the faults above, at rest with the second 7 s after the first began, or in mid-move with 0.2 s between.
-The tracker has to be in the stronger of the two declared modes within the longer of the two bounds, and must work
-again within the sum of the two after a person has come to it, when both are over.
+Each pair of the faults above is tried once: at rest the second begins 7 s after the first, in mid-move 0.2 s after it.
+The tracker must be in the stronger of the two declared modes within the longer of their two bounds. When both faults
+are over and a person has given the commands, it must work again within the sum of the two bounds for coming back.
 
 {left_out}
 
