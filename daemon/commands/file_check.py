@@ -82,8 +82,15 @@ def check_file(
         found = lacking_by_role(settings)
         asked = list(found) if role is None else [role]
         if all(found[each] for each in asked):
-            missing = [(f"as {each}: ", sentence) for each in asked for sentence in found[each]]
-            problems += [f"{who}{sentence}" for who, sentence in missing if not _told(sentence, problems)]
+            roles: dict[str, list[str]] = {}
+            for each in asked:
+                for sentence in found[each]:
+                    roles.setdefault(sentence, []).append(each)
+            problems += [
+                f"as {' or '.join(names)}: {sentence}"
+                for sentence, names in roles.items()
+                if not _told(sentence, problems)
+            ]
     if look is not None:
         problems += [sentence for sentence in look(settings) if not _told(sentence, problems)]
     if problems:

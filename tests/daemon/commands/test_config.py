@@ -143,8 +143,10 @@ def test_a_file_is_good_if_one_role_can_run_with_it_and_says_which(heliocube, tm
     path.write_text('[instruments]\nkind = "real"\n')
     code, _, err = heliocube("config", "check", path)
     assert code == 2
-    for lack in ("both: instruments.voltmeter.resource", "both: instruments.positioner.port", "cube: bridge.key_file"):
-        assert f"as {lack}" in err
+    for role, lack in (("cube", "instruments.voltmeter.resource"), ("tracker", "instruments.positioner.port")):
+        assert f"as both or {role}: {lack}" in err
+        assert err.count(f"{lack} is missing") == 1
+    assert "as cube: bridge.key_file" in err
 
 
 def test_a_role_that_needs_the_shared_key_is_refused_without_it(heliocube, tmp_path):
