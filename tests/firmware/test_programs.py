@@ -116,12 +116,12 @@ def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both
         until_state(config, lambda seen: seen["tracker"]["connected"], 40, "the connection")
         assert heliocube("hold", "-c", config).returncode == 0
         firmware.control("count 0 4500")
-        until_state(config, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 20, "the doubt")
+        until_state(config, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 60, "the doubt")
         assert heliocube("auto", "-c", config).returncode == 0
-        until_state(config, lambda seen: seen["mode"]["name"] == "fault", 20, "the fault")
+        until_state(config, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
         homed = heliocube("home", "-c", config)
         assert homed.returncode == 0, homed.stderr
-        until_state(config, lambda seen: seen["tracker"]["homing"], 20, "the reference run")
+        until_state(config, lambda seen: seen["tracker"]["homing"], 60, "the reference run")
         seen = until_state(config, lambda seen: not seen["tracker"]["homing"], 120, "its end")
         assert seen["tracker"]["concerns"] == []
         assert "reference" not in [alarm["name"] for alarm in seen["alarms"]]
