@@ -28,10 +28,12 @@ class Reached:
     def __init__(self, kept: Path | None = None) -> None:
         noted = json.loads(kept.read_text()) if kept else {"tests": {}, "sources": {}}
         self._sources = noted["sources"]
-        self._seconds = {test: entry["seconds"] for test, entry in noted["tests"].items()}
+        # What has moved since would be asked for in vain.
+        there = {test: entry for test, entry in noted["tests"].items() if (ROOT / _file(test)).is_file()}
+        self._seconds = {test: entry["seconds"] for test, entry in there.items()}
         self._files = {_file(test) for test in self._seconds}
         self._tests: dict[str, set[str]] = defaultdict(set)
-        for test, entry in noted["tests"].items():
+        for test, entry in there.items():
             for block in entry["blocks"]:
                 self._tests[block].add(test)
 

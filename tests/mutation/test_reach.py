@@ -86,6 +86,10 @@ def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_t
         tests = {
             near: {"seconds": 2.0, "blocks": [blocks[mutant.line]]},
             far: {"seconds": 1.0, "blocks": [blocks[mutant.line]]},
+            "tests/solar/test_gone.py::test_of_a_file_that_was_renamed": {
+                "seconds": 0.1,
+                "blocks": [blocks[mutant.line]],
+            },
             "tests/solar/test_sky.py::test_elsewhere": {"seconds": 0.1, "blocks": [], **of_block},
         }
         notes.write_text(json.dumps({"sources": sources, "tests": tests}))

@@ -88,7 +88,11 @@ def _serve(warm: "_Warm", work: list[Work], folder: Path) -> None:
     begin_afresh()
     sys.dont_write_bytecode = True
     files = sorted({test.partition("::")[0] for _, tests in work for test in tests})
-    kept = [f"--timeout={_ONE_TEST_S}", f"--basetemp={folder / f'{os.getpid()}-tests'}"]
+    kept = [
+        "--continue-on-collection-errors",
+        f"--timeout={_ONE_TEST_S}",
+        f"--basetemp={folder / f'{os.getpid()}-tests'}",
+    ]
     with (folder / f"{os.getpid()}.txt").open("w") as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)

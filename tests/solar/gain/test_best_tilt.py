@@ -69,3 +69,14 @@ def test_one_percent_is_eight_degrees_wide_at_every_latitude():
 def test_a_loss_is_a_share():
     with pytest.raises(ValueError, match=r"a loss is a share in 0\.\.1, not nan"):
         gain.tilt_tolerance_deg(float("nan"))
+
+
+@pytest.mark.parametrize(("loss", "tolerance_deg"), [(0.0, 0.0), (0.5, 60.0), (1.0, 90.0)])
+def test_a_loss_of_nothing_and_of_all_have_their_tolerance(loss, tolerance_deg):
+    assert gain.tilt_tolerance_deg(loss) == pytest.approx(tolerance_deg)
+
+
+@pytest.mark.parametrize("loss", [-0.01, 1.01])
+def test_what_is_no_share_is_no_loss(loss):
+    with pytest.raises(ValueError, match=r"0\.\.1"):
+        gain.tilt_tolerance_deg(loss)
