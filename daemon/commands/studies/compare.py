@@ -244,7 +244,7 @@ def paper(
     skies: Annotated[
         str, typer.Option(metavar="SKY,SKY", help="Models of diffuse light: haydavies, perez1990, isotropic.")
     ] = "haydavies,perez1990",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="How many weathers for each of them.")] = 9,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="How many weathers for each of them.")] = 30,
     afternoon: Annotated[
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
@@ -269,7 +269,7 @@ def paper(
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
     from daemon.commands.studies.simulate import progress_bar
     from daemon.config.settings import Settings
-    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, verdicts, write_paper
+    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, spreads, write_paper
     from daemon.studies.spread.workers import check_workers
 
     workers, settings = chosen_workers(jobs, cluster), Settings()
@@ -278,7 +278,7 @@ def paper(
         correction = find_correction(settings, progress)
     with progress_bar(Console(stderr=True), "repeating") as progress:
         runs, ended = run_paper(settings, chosen, seeds, weather, cube_law, correction.found, workers, progress)
-    found, paragraphs = verdicts(runs, cube_law), notes(settings, weather, cube_law, seeds)
+    found, paragraphs = spreads(runs, cube_law), notes(settings, weather, cube_law, seeds)
     write_paper(runs, correction, found, paragraphs, settings.site.place(), out)
     if as_json:
         page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from daemon.commands.main import main
-from daemon.studies.compare.paper import ceilings
+from daemon.studies.compare.paper import PRINTED, Spread, as_text, ceilings
 from solar.ephemeris import Site
 from solar.frames import Limits
 
@@ -58,3 +58,12 @@ def test_the_ceiling_of_an_overcast_noon_by_hand():
     # Moon & Spencer's sky: 4/(7 pi) (0.831 - 0.981 x 0.556 - 0.697) = -0.075 less.
     assert found["overcast", "Moon & Spencer"] == pytest.approx(100 / (0.8225 - 0.0748) - 100, abs=1.0)
     assert found["overcast day", "isotropic"] > found["overcast", "isotropic"]
+
+
+def test_weathers_are_told_by_their_spread_and_judged_by_none():
+    *_, variable, _overcast_day = PRINTED
+    shown = Spread(variable, "haydavies", (-6.0, -3.0, -1.5, 0.5, 20.0), asked=True)
+    assert (shown.median_pct, shown.quartiles_pct, shown.of_all) == (-1.5, (-3.0, 0.5), "2 of 5")
+    first, second = (line for line in as_text([shown]).splitlines() if line.startswith("variable"))
+    assert all(text in f"{first} {second}" for text in ("-1.00", "-2..+1", "2 of 5", "-3.00..+0.50", "-6.00..+20.00"))
+    assert Spread(variable, "haydavies", shown.gains_pct, asked=False).of_all == ""
