@@ -250,13 +250,25 @@ def settled(raw: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[tuple[str, st
 @lru_cache
 def _open(kind: type[BaseModel]) -> type[BaseModel]:
     """Return a settings class that keeps what belongs to other plug-ins."""
-    return create_model(
+    opened = create_model(
         kind.__name__,
         __base__=kind,
         __module__=kind.__module__,
         __doc__=kind.__doc__,
         __cls_kwargs__={"extra": "allow"},
     )
+    # By its name another process would find the class that it was made from.
+    setattr(opened, "__reduce__", _reduced)  # noqa: B010
+    return opened
+
+
+def _reduced(settings: BaseModel) -> tuple[Any, ...]:
+    return _blank, (type(settings).__bases__[0],), settings.__getstate__()
+
+
+def _blank(kind: type[BaseModel]) -> BaseModel:
+    opened = _open(kind)
+    return opened.__new__(opened)
 
 
 def _known_to(kind: type[BaseModel], values: dict[str, Any]) -> dict[str, Any]:

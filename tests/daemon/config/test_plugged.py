@@ -1,11 +1,13 @@
 """Sections whose keys belong to a plug-in that is chosen by name."""
 
+import pickle
 import subprocess
 import sys
 
 import pytest
 
 from daemon.config.file import ConfigError, load_settings, override
+from daemon.config.plugged import said
 from daemon.config.settings import Settings
 
 
@@ -78,3 +80,11 @@ def test_settings_made_in_a_program_are_checked_alike():
     assert Settings(law={"driver": "optimal", "thrift": 2.0}).law.thrift == 2.0
     with pytest.raises(ValueError, match="thrift = 500"):
         Settings(law={"driver": "optimal", "thrift": 500.0})
+
+
+def test_settings_reach_another_process_as_they_are():
+    given = Settings.model_validate({"law": {"driver": "flat", "thrift": 2.0}, "simulation": {"seed": 7}})
+    there = pickle.loads(pickle.dumps(given))
+    assert there == given
+    assert said(there.law) == said(given.law) == {"driver": "flat", "thrift": 2.0}
+    assert override(there, {"law": {"driver": "optimal"}}).law.thrift == 2.0
