@@ -13,9 +13,9 @@ from pathlib import Path
 
 import psutil
 
-# A third of the share of the others where all want to compute: simulated instruments keep their deadlines beside it,
-# and on a machine that is busy with something else it still gets on.
-POLITE = 5
+# A thirtieth of the share of the others where all want to compute, or emulated and simulated instruments miss their
+# deadlines beside it; they mostly wait, and what they leave is enough.
+POLITE = 15
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _RESULTS = re.compile(r"=+ (FAILURES|ERRORS|warnings summary|short test summary info|no tests ran|\d+ )")
 # As pytest has them.

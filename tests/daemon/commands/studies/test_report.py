@@ -183,7 +183,7 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
         (("--from", "2022-10-15", "--to", "2022-10-14"), "--from 2022-10-15 is not before --to 2022-10-14"),
         (("--from", "2021-10-15", "--to", "2022-10-14"), "that is 364 days and a report has 62 at most"),
         (("--day", "2922-10-14"), "2922-10-14 is in the future"),
-        (("--day", "2022-10-12"), "no record from 2022-10-12 00:00 UTC to 2022-10-13 00:00 UTC; it has records from"),
+        (("--day", "2022-10-12"), "no record from 2022-10-12 00:00 UTC to 2022-10-13 00:00 UTC in "),
         (("--day", "2022-10-14", "--tracker", "cellar"), "--tracker 'cellar': that store has roof in that time"),
         (("--day", "2022-10-14", "--zone", "Moon/Base"), "there is no time zone 'Moon/Base'"),
         (("--day", "2022-10-14", "--out", "/dev/null/x"), "--out: /dev/null/x cannot be a folder"),
@@ -257,7 +257,7 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
             "'moon'; choose from light, angles, received, motion, wind, power",
         ),
         (("light", "--out", "x.gif"), "must end in .png or .svg"),
-        (("power", "--out", "x.png"), "power: the store"),
+        (("power", "--out", "x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in the store "),
     ],
 )
 def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
