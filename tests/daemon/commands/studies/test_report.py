@@ -257,7 +257,7 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
             "'moon'; choose from light, angles, received, motion, wind, power",
         ),
         (("light", "--out", "x.gif"), "must end in .png or .svg"),
-        (("power", "--out", "x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in the store "),
+        (("power", "--out", "x.png"), "power: no I-V curve from 2022-10-14 00:00 UTC to 2022-10-15 00:00 UTC in "),
     ],
 )
 def test_a_picture_that_cannot_be_drawn_is_one_sentence(heliocube, store, tmp_path, monkeypatch, arguments, message):
