@@ -20,7 +20,7 @@ LEVELS = (36.0, 31.5, 10.0)
 NUMBER = re.compile(rb"[+-]?\d+\.\d+(E[+-]\d\d)?")
 
 
-def load_on(link, make="chroma63600", *, channel=1, deadline_s=0.5, least_v=3.0, settle_s=0.02):
+def load_on(link, make="chroma63600", *, channel=1, deadline_s=5.0, least_v=3.0, settle_s=0.02):
     where = VisaSettings(f"ASRL{link}::INSTR", device="load", section="load")
     line = ThreadedLine("load", partial(VisaLine, where))
     settings = SweepSettings(settle_s, least_v, deadline_s)
