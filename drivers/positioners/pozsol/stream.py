@@ -12,12 +12,10 @@ from drivers.positioners.pozsol.wire import TokenStream
 # What comes first may be an old screen that has waited in the unit since its last listener left.
 _IGNORE_FIRST_S = 0.1
 _LOOK_AT_ECHO_EVERY_S = 1.0
-# A read costs its thread's waking, whatever comes, so screens of 20 ms are let come together: for a turn of
-# the fast ones on a way, for two turns at rest, and not at all where a command is about to show its effect.
-_GATHER_MOVING_S = 0.12
-_GATHER_AT_REST_S = 0.25
+# A read costs its thread's waking, whatever comes, so screens of 20 ms are let come together: for two turns of those
+# that tell of the axes, and not at all where a command is about to show its effect.
+_GATHER_S = 0.25
 _ATTENDS_FOR_S = 1.0
-_AT_REST_AFTER_S = 5.0
 
 
 class Port(Protocol):
@@ -54,8 +52,7 @@ class TelemetryReader:
     banner
         What the unit prints when it has restarted; empty if nothing is known of that.
     gather_s
-        How long screens are let come together before they are read, of a unit on its way and of one at rest, where
-        neither was sent anything lately.
+        How long screens are let come together before they are read, of a unit that was sent nothing lately.
 
     Attributes
     ----------
@@ -77,7 +74,7 @@ class TelemetryReader:
         boot_s: float = 0.0,
         banner: bytes = b"",
         table: FieldTable | None = None,
-        gather_s: tuple[float, float] = (_GATHER_MOVING_S, _GATHER_AT_REST_S),
+        gather_s: float = _GATHER_S,
     ) -> None:
         self._port = port
         self._now = now
@@ -155,10 +152,8 @@ class TelemetryReader:
             self._bell.acquire(blocking=False)
         if now_s - self._attended_s < _ATTENDS_FOR_S:
             return 0.0
-        rests = now_s - max(self._attended_s, self.table.travelled_s) > _AT_REST_AFTER_S
-        gather_s = self._gather_s[rests]
-        self._bell.acquire(timeout=gather_s)
-        return gather_s
+        self._bell.acquire(timeout=self._gather_s)
+        return self._gather_s
 
     def _has_banner(self, data: bytes) -> bool:
         """Tell whether these bytes complete the banner, in whatever pieces it comes."""

@@ -15,7 +15,6 @@ _JUMP_WITHIN_S = 1.0
 # not fit is lost.
 _PAUSE_S = 0.15
 _BACKLOG_S = 0.5
-_TRAVEL = frozenset((Field.A_POSITION, Field.A_DESTINATION, Field.B_POSITION, Field.B_DESTINATION))
 _ANGLES: dict[int, float] = {Field.A_ANGLE: _JUMP_DEG, Field.B_ANGLE: _JUMP_DEG}
 # What one screen says of an axis holds together, by the code of the angle that it begins with.
 _SCREENS: dict[int, int] = {
@@ -54,15 +53,12 @@ class FieldTable:
     ----------
     jumped_s
         When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
-    travelled_s
-        When a position or destination has last changed; -inf before it did.
     """
 
     def __init__(self, jumps: Mapping[int, float] = _ANGLES) -> None:
         self._jumps = jumps
         self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
-        self.travelled_s = -math.inf
         self.forget()
 
     def get(self, field: int) -> Value | None:
@@ -176,8 +172,6 @@ class FieldTable:
             return None
         if code in self._jumps and not self._plausible(code, number, now_s):
             return None
-        if code in _TRAVEL:
-            self.travelled_s = now_s
         return Value(text, now_s, number)
 
     def _plausible(self, code: int, number: float, now_s: float) -> bool:
