@@ -307,18 +307,7 @@ def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
 
 async def call_until(every_s: float, call: Callable[[], bool]) -> None:
     """Call back every `every_s` until that returns True: what a task costs that sleeps between, virtual time saves."""
-    over = asyncio.Event()
-
-    def beat() -> bool:
-        if call():
-            over.set()
-        return over.is_set()
-
-    end = call_every(every_s, beat)
-    try:
-        await over.wait()
-    finally:
-        end()
+    await look_until(asyncio.Event(), every_s, call)
 
 
 async def look_until(event: asyncio.Event, every_s: float, call: Callable[[], bool]) -> None:
