@@ -190,6 +190,8 @@ class Shadow:
             self._axes.go_on(now_s, active.pose)
             if now_s >= self._due_s:
                 self._decide(now_s, active.mean(), utc_s)
+                next_s = self._phase.next_s(now_s, self._named.law.decide_every_s)
+                self._due_s = max(next_s, self._moved_s + self._settings.motion.minimum_interval_s)
         else:
             self._axes.stand(now_s, active.pose)
         self._count_moves(active)
@@ -200,7 +202,6 @@ class Shadow:
 
     def _decide(self, now_s: float, mean: Irradiances | None, utc_s: float) -> None:
         law, motion, heading = self._named.law, self._settings.motion, self._axes.heading
-        self._due_s = max(self._phase.next_s(now_s, law.decide_every_s), self._moved_s + motion.minimum_interval_s)
         if heading is None:
             return
         whereabouts = Whereabouts(self._axes.pose(utc_s), Target(*heading, ""))
@@ -218,7 +219,6 @@ class Shadow:
             self._law_file.save(law.to_dict())
             self._axes.send(there)
             self._moved_s = now_s
-            self._due_s = max(self._phase.next_s(now_s, law.decide_every_s), now_s + motion.minimum_interval_s)
             self._travel = travel.plus(shadow=(distance_deg, 1))
 
     def _count_moves(self, active: Active) -> None:
