@@ -17,7 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from daemon.api.refusals import ApiRefusals
 
 _MOST = 384
-_MOST_OF_AN_ADDRESS = 32
+MOST_OF_AN_ADDRESS = 32
 _CHECK_EVERY_S = 1.0
 # To the end of the first request's head; a later one is waited for for five seconds, and its head as long again.
 _HEAD_WITHIN_S = 5.0
@@ -59,8 +59,8 @@ class Connections:
         """Take a new connection in, at the cost of an idle one if need be; return whether there was room."""
         own = [one for one in self._open if one.address == new.address]
         # All that comes through a tunnel or a proxy on this machine comes from one address: it has no limit of its own.
-        crowd = own if len(own) >= _MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
-        if len(crowd) >= (_MOST_OF_AN_ADDRESS if crowd is own else _MOST):
+        crowd = own if len(own) >= MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
+        if len(crowd) >= (MOST_OF_AN_ADDRESS if crowd is own else _MOST):
             idle = next((one for one in crowd if one.is_idle), None)
             whose = f"from {new.address}" if crowd is own else "in all"
             self.refusals.note("crowded", f"more than {len(crowd)} connections {whose}: the longest idle one is closed")

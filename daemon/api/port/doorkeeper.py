@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from daemon.api.gate import Token
+from daemon.api.port.connections import MOST_OF_AN_ADDRESS
 from daemon.api.refusals import ApiRefusals
 from daemon.base.recurrence import RateLimit
 
@@ -24,7 +25,6 @@ _QUEUE = 4096
 _AT_ONCE = 64
 _IN_PER_S, _IN_AT_ONCE = 200.0, 100
 _MOST_SILENT, _MOST_WAITING = 192, 128
-_MOST_OF_AN_ADDRESS = 32
 _SILENT_FOR_S, _LOOK_EVERY_S = 5.0, 1.0
 _AGAIN_AFTER_S = 1.0
 _LONGEST_LOOK = 4096
@@ -128,7 +128,7 @@ class Doorkeeper:
 
     def _too_many_from(self, address: str) -> bool:
         # All that comes through a tunnel or a proxy on this machine comes from loopback.
-        return self._of_address[address] >= _MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
+        return self._of_address[address] >= MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
 
     def _listen_to(self, caller: _Caller) -> None:
         said = _look(caller)
