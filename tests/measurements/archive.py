@@ -159,19 +159,23 @@ def decision(at_s):
     )
 
 
+def keep_one(sender, count, utc_s):
+    """Keep the records of one scan's time as a service does."""
+    sender.keep(scan(count, session=sender.origin.id, utc_s=utc_s))
+    if count % 2 == 0:
+        sender.keep(pose(count, utc_s))
+    if count % 12 == 0:
+        sender.keep(event(count, "a minute is over"))
+    if count % 60 == 0:
+        sender.keep(decision(utc_s))
+
+
 async def pace(sender, place, end_s):
     """Keep records as a service does, the phase spread by tracker."""
     await asyncio.sleep(5.0 * (place % 50) / 50)
     count = 0
     while time.monotonic() < end_s:
-        now = time.time()
-        sender.keep(scan(count, session=sender.origin.id, utc_s=now))
-        if count % 2 == 0:
-            sender.keep(pose(count, now))
-        if count % 12 == 0:
-            sender.keep(event(count, "a minute is over"))
-        if count % 60 == 0:
-            sender.keep(decision(now))
+        keep_one(sender, count, time.time())
         count += 1
         await asyncio.sleep(5.0)
 
@@ -255,14 +259,7 @@ async def hour(trackers, folder):
         away_s, began = time.time(), time.monotonic()
         for count in range(SCANS_AN_HOUR):
             for sender in plant.senders:
-                at_s = away_s + 5.0 * count
-                sender.keep(scan(count, session=sender.origin.id, utc_s=at_s))
-                if count % 2 == 0:
-                    sender.keep(pose(count, at_s))
-                if count % 12 == 0:
-                    sender.keep(event(count, "a minute is over"))
-                if count % 60 == 0:
-                    sender.keep(decision(at_s))
+                keep_one(sender, count, away_s + 5.0 * count)
             await asyncio.sleep(0.01)
         await asyncio.sleep(max(0.0, 30.0 - (time.monotonic() - began)))
         print(f"an hour of records in {time.monotonic() - began:.0f} s without a database", flush=True)
