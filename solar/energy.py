@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from solar.allweather import all_weather_sky
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
-from solar.frames import Array, Limits, normal_from_angles
+from solar.frames import FACE_NORMALS, Array, Limits, normal_from_angles
 from solar.sky import SKY_MODELS, sky
 
 ALL_WEATHER = "perez1993"
 SKIES = (*SKY_MODELS, ALL_WEATHER)
 DAY_TYPES = ("clear", "variable", "cloudy", "overcast")
 _DAY_TYPE_BOUNDS = (0.3, 0.8, 0.97)
-_FACE_NORMALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 _NIGHT_A_DEG, _NIGHT_B_DEG = 0.0, 90.0
 
 
@@ -127,7 +126,7 @@ def build_sky(weather: DaylightWeather, model: str) -> Shining:
 
 def faces_under(light: Shining, albedo: float) -> Array:
     """Return what the cube's faces east, south, west, zenith read [W/m2], shape (n, 4)."""
-    return np.stack([light.irradiance_on(normal[None, :], albedo) for normal in _FACE_NORMALS], axis=-1)
+    return np.stack([light.irradiance_on(normal[None, :], albedo) for normal in FACE_NORMALS], axis=-1)
 
 
 def best_possible(weather: DaylightWeather, light: Shining, limits: Limits, albedo: float) -> Array:

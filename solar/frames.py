@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+FACE_NORMALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+"""Of an upright cube's faces east, south, west and zenith, shape (4, 3)."""
+
 
 class Angles(NamedTuple):
     """A pair of tracker angles [deg]."""

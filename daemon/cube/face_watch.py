@@ -14,7 +14,7 @@ from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
 from solar.ephemeris import SunDirection
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
-from solar.frames import Array
+from solar.frames import FACE_NORMALS, Array
 from solar.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
@@ -22,7 +22,6 @@ BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 BAD_LOOKS = 3
 _GOOD_LOOKS = 10
-_CUBE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 _UPRIGHT = 0.05
 _ZENITH = FACES.index("zenith")
 
@@ -79,7 +78,7 @@ class FaceWatch:
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
         # The light is known from the faces of an upright cube only.
-        self._is_upright = bool(np.abs(self._normals - _CUBE).max() < _UPRIGHT)
+        self._is_upright = bool(np.abs(self._normals - FACE_NORMALS).max() < _UPRIGHT)
         self._minutes: deque[tuple[Array, Array]] = deque(maxlen=MINUTES)
         self._contradictions = Contradictions()
         self._begin()

@@ -9,10 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solar.frames import Array, azimuth_from_direction
-
-FACE_NORMALS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-"""Normals of east, south, west and zenith on a cube that stands as it was meant to, shape (4, 3)."""
+from solar.frames import FACE_NORMALS, Array, azimuth_from_direction
 
 
 class Attitude(NamedTuple):

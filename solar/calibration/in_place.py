@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.calibration.anchor import Anchor, clear_sky_anchor
-from solar.calibration.attitude import FACE_NORMALS, Attitude
+from solar.calibration.attitude import Attitude
 from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
 from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
 from solar.ephemeris import DAY_S, Site, sun_direction
-from solar.frames import Array
+from solar.frames import FACE_NORMALS, Array
 from solar.sky import SkyModel
 
 _BLOCK_S = 900.0

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from solar.calibration.attitude import FACE_NORMALS, Attitude, face_normals
+from solar.calibration.attitude import Attitude, face_normals
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
-from solar.frames import Array
+from solar.frames import FACE_NORMALS, Array
 from solar.sky import SkyModel, sky
 
 # Within this of grazing incidence (80 deg) the cosine error of a face exceeds the 1 % that its maker promises.

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.faces.plausible import LOWEST_SINE
-from solar.frames import Array
+from solar.frames import FACE_NORMALS, Array
 from solar.laws.light import Light, light_from_faces
+from solar.received import irradiance_on
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 """Places of two faces that may be swapped."""
@@ -125,8 +126,6 @@ def _left_over(faces: Array, sun: Array, used: NDArray[np.bool_]) -> Array:
 
 def faces_of(light: Light, sun: Array, albedo: Array | float) -> Array:
     """Return what the faces of a cube read [W/m2] in a light whose horizon is no darker than any is, shape (..., 4)."""
-    horizontal = light.beam * np.maximum(sun[..., 2], 0.0) + light.uniform
     horizon = np.clip(light.horizon, _HORIZON_RANGE[0] * light.uniform, _HORIZON_RANGE[1] * light.uniform)
-    dull = 0.5 * light.uniform + horizon + 0.5 * albedo * horizontal
-    cosines = (sun[..., 1], sun[..., 0], -sun[..., 1])
-    return np.stack([*(light.beam * np.maximum(cosine, 0.0) + dull for cosine in cosines), horizontal], axis=-1)
+    bounded = light._replace(horizon=horizon)
+    return np.stack([irradiance_on(bounded, sun, albedo, normal) for normal in FACE_NORMALS], axis=-1)

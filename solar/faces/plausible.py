@@ -10,8 +10,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array
+from solar.frames import FACE_NORMALS, Array
 from solar.laws.light import light_from_faces
+from solar.received import irradiance_on
 
 _SOLAR_CONSTANT_W_M2 = 1361.0
 LOWEST_SINE = float(np.sin(np.radians(5.0)))
@@ -174,12 +175,7 @@ def _by_the_others(faces: Array, sun: Array, face: int) -> Array:
     usable = np.ones(faces.shape, dtype=np.bool_)
     usable[:, face] = False
     light = light_from_faces(faces, sun, _ALBEDO, usable)
-    horizontal: Array = light.beam * sun[:, 2] + light.uniform
-    if face == 3:
-        return horizontal
-    cosine = np.maximum((sun[:, 1], sun[:, 0], -sun[:, 1])[face], 0.0)
-    result: Array = light.beam * cosine + 0.5 * light.uniform + light.horizon + 0.5 * _ALBEDO * horizontal
-    return result
+    return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[face])
 
 
 def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
