@@ -83,7 +83,9 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
 def notify(
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", envvar="HELIOCUBE_CONFIG", help="For its sections notify and api."),
+        typer.Option(
+            "--config", "-c", metavar="FILE", envvar="HELIOCUBE_CONFIG", help="For its sections notify and api."
+        ),
     ] = None,
     api: Annotated[
         list[str] | None,

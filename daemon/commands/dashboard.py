@@ -23,7 +23,11 @@ def dashboard(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", "-c", envvar="HELIOCUBE_CONFIG", help="Configuration, for its sections dashboard and api."
+            "--config",
+            "-c",
+            metavar="FILE",
+            envvar="HELIOCUBE_CONFIG",
+            help="Configuration, for its sections dashboard and api.",
         ),
     ] = None,
     api: Annotated[

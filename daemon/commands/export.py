@@ -30,7 +30,7 @@ class KindChoice(StrEnum):
 
 @app.command(rich_help_panel=FILES)
 def export(
-    out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; made if it is not there.")],
     start: Annotated[
         str | None, typer.Option("--from", metavar="UTC", help="First instant, such as 2022-10-14.")
     ] = None,
@@ -46,7 +46,7 @@ def export(
         str | None, typer.Option(metavar="DIR|URL", help="Folder of the store, without a configuration, or an archive.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Configuration file, for its section store.")
+        Path | None, typer.Option("--config", "-c", metavar="FILE", help="Configuration file, for its section store.")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -32,6 +32,7 @@ from daemon.commands.options import (
     RoleChoice,
     TableFormat,
     ZoneOption,
+    show_values_in_words,
 )
 from daemon.commands.setup import command as setup_command
 from daemon.commands.status import command as status_command
@@ -68,6 +69,7 @@ class _Commands(TyperGroup):
             raise InterruptedEarlyError("interrupted before its end; no result was written") from None
 
 
+show_values_in_words()
 app = typer.Typer(
     cls=_Commands,
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
@@ -94,7 +96,8 @@ app.add_typer(store.app, name="store", rich_help_panel=FILES)
 
 
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="Configuration file. Without one: the simulated rig.")
+    Path | None,
+    typer.Option("--config", "-c", metavar="FILE", help="Configuration file. Without one: the simulated rig."),
 ]
 WeatherOption = Annotated[
     str | None,
@@ -175,7 +178,7 @@ def run(
 
 @app.command(rich_help_panel=SERVICE)
 def simulate(
-    out: Annotated[Path, typer.Option(help="Folder for the tables; made if it is not there.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; made if it is not there.")],
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],
     days: Annotated[float, typer.Option(min=0.01, max=366, metavar="DAYS", help="How many days.")] = 1.0,
     weather: WeatherOption = None,
@@ -191,7 +194,10 @@ def simulate(
     ] = None,
     table_format: Annotated[TableFormat, typer.Option("--format", help="Kind of tables.")] = TableFormat.csv,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw light, angles and insolation too: their names are added to this one's.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw light, angles and insolation too: their names are added to this one's."
+        ),
     ] = None,
     report_to: ReportOption = None,
     zone: ZoneOption = None,
@@ -247,7 +253,7 @@ app.command(rich_help_panel=SCIENCE)(samples.samples)
 @app.command(rich_help_panel=BENCH)
 def bench(
     directory: Annotated[
-        Path, typer.Option("--dir", help="Folder for the ports, the control socket and heliocube.toml.")
+        Path, typer.Option("--dir", metavar="DIR", help="Folder for the ports, the control socket and heliocube.toml.")
     ],
     weather: WeatherOption = None,
     start: Annotated[str | None, typer.Option(metavar="UTC", help="Start of the simulated clock.")] = None,

@@ -12,7 +12,9 @@ app = typer.Typer()
 
 TokenOption = Annotated[
     Path | None,
-    typer.Option("--token-file", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."),
+    typer.Option(
+        "--token-file", metavar="FILE", help="The service's token, without a configuration; or set HELIOCUBE_TOKEN."
+    ),
 ]
 WhyOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, for the records.")]
 _AN_OPERATOR = "an operator asked"

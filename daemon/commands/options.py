@@ -2,9 +2,10 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperArgument, TyperOption
 
 from daemon.base.errors import UserError
 
@@ -38,7 +39,13 @@ PositionerOption = Annotated[
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", envvar=CONFIG_VARIABLE, help="The service's configuration, for its section api."),
+    typer.Option(
+        "--config",
+        "-c",
+        metavar="FILE",
+        envvar=CONFIG_VARIABLE,
+        help="The service's configuration, for its section api.",
+    ),
 ]
 ApiOption = Annotated[
     str | None,
@@ -61,6 +68,25 @@ ClusterOption = Annotated[
     typer.Option("--cluster", metavar="HOST:PORT", help="On the workers of this dask scheduler, in place of --jobs."),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+def show_values_in_words() -> None:
+    """Let help pages say FILE or NUMBER for the value of an option, where the library shows ``<list[Path]>``."""
+    TyperOption.display_type_rich = _value_in_words  # type: ignore[method-assign,assignment]
+    # An argument is known by its name, which stands before this.
+    TyperArgument.display_type_rich = lambda *_args, **_known: None  # type: ignore[method-assign]
+
+
+def _value_in_words(option: TyperOption, ctx: Any) -> str | None:
+    """Return what stands for an option's value; None for a switch, which has none."""
+    kind = option.type_descriptor
+    if option.is_flag or option.metavar is not None:
+        return None if option.is_flag else option.metavar
+    if kind.is_choice:
+        return option.display_type(ctx).strip("<>").removeprefix("list[").removesuffix("]")
+    if kind.is_path or kind.annotation in (Path, list[Path]):
+        return "PATH"
+    return "NUMBER" if kind.is_ranged or kind.annotation in (int, float) else "TEXT"
 
 
 def chosen_workers(jobs: int, cluster: str | None) -> "Workers":

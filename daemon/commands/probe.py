@@ -23,7 +23,8 @@ app = typer.Typer(
 )
 
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="Configuration file that says where the instrument is.")
+    Path | None,
+    typer.Option("--config", "-c", metavar="FILE", help="Configuration file that says where the instrument is."),
 ]
 RecordOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write all bytes sent and received to this file.")

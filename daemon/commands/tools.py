@@ -24,10 +24,12 @@ def send_csv(
     ],
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration, for the targets and key of its section bridge."),
+        typer.Option(
+            "--config", "-c", metavar="FILE", help="Configuration, for the targets and key of its section bridge."
+        ),
     ] = None,
     to: Annotated[list[str] | None, typer.Option(metavar="HOST:PORT", help="Target instead. May be repeated.")] = None,
-    key: Annotated[Path | None, typer.Option(help="Key file instead of the configuration's.")] = None,
+    key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key file instead of the configuration's.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="Send unsigned.")] = False,
     speed: Annotated[
         float, typer.Option(min=0.001, metavar="FACTOR", help="How many times the pace of the file.")

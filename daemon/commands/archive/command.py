@@ -23,7 +23,7 @@ app = typer.Typer(
 
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", envvar=CONFIG_VARIABLE, help="For its sections archive and mqtt."),
+    typer.Option("--config", "-c", metavar="FILE", envvar=CONFIG_VARIABLE, help="For its sections archive and mqtt."),
 ]
 ToOption = Annotated[
     str | None,

@@ -26,14 +26,16 @@ SiteOption = Annotated[
 ]
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="Configuration under which the readings were made: site and old gains."),
+    typer.Option(
+        "--config", "-c", metavar="FILE", help="Configuration under which the readings were made: site and old gains."
+    ),
 ]
 StoreOption = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Take the readings from the store in this folder.")
 ]
 FromOption = Annotated[str | None, typer.Option("--from", metavar="UTC", help="First instant to take from the store.")]
 ToOption = Annotated[str | None, typer.Option("--to", metavar="UTC", help="End, itself not included.")]
-OutOption = Annotated[Path, typer.Option(help="Calibration file to write; never overwritten.")]
+OutOption = Annotated[Path, typer.Option(metavar="FILE", help="Calibration file to write; never overwritten.")]
 SerialOption = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=NUMBER", help="Serial number of east, south, west, zenith or reference; repeat it."),
@@ -67,7 +69,9 @@ def cube(
     valid_days: Annotated[
         float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
     ] = 730,
-    plot: Annotated[Path | None, typer.Option(help="Draw scatter and residuals too: .png, .svg or .pdf.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw scatter and residuals too: .png, .svg or .pdf.")
+    ] = None,
     out: OutOption = Path("calibration.toml"),
     force: Annotated[bool, typer.Option("--force", help="Overwrite the figure; never the calibration.")] = False,
     as_json: JsonOption = False,

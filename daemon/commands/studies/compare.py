@@ -41,7 +41,7 @@ StoreOption = Annotated[
 ]
 CubeOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker in question.")]
 ChronoOption = Annotated[str, typer.Option(metavar="NAME", help="The tracker it is compared with.")]
-ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", metavar="FILE", help="Configuration file.")]
 LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube and T-Chrono.")]
 
 
@@ -49,7 +49,8 @@ LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube
 def simulate(
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-12.")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for powers.csv, computed from the true poses; made if missing.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for powers.csv, computed from the true poses; made if missing."),
     ] = None,
     store: Annotated[
         Path | None,
@@ -140,7 +141,9 @@ def simulate(
 
 @app.command()
 def fit(
-    out: Annotated[Path, typer.Option(help="JSON file for the bias; figures of the same name beside it.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="JSON file for the bias; figures of the same name beside it.")
+    ],
     data: DataArgument = None,
     store: StoreOption = None,
     start: Annotated[str | None, typer.Option("--from", metavar="UTC", help="Both lay flat from here on.")] = None,
@@ -179,13 +182,13 @@ def fit(
 
 @app.command()
 def report(
-    out: Annotated[Path, typer.Option(help="Folder for report.html, gains.csv and the figures.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, gains.csv and the figures.")],
     data: DataArgument = None,
     store: StoreOption = None,
     site: Annotated[
         str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where the trackers stand; a store knows it.")
     ] = None,
-    bias: Annotated[Path | None, typer.Option(help="File of 'heliocube compare fit'.")] = None,
+    bias: Annotated[Path | None, typer.Option(metavar="FILE", help="File of 'heliocube compare fit'.")] = None,
     period: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=FROM/TO", help="A period by the clock, in place of those by the sky; repeat it."),
@@ -240,7 +243,9 @@ def report(
 
 @app.command()
 def paper(
-    out: Annotated[Path, typer.Option(help="Folder for paper.html, paper.txt, paper.csv and the figures.")],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for paper.html, paper.txt, paper.csv and the figures.")
+    ],
     skies: Annotated[
         str, typer.Option(metavar="SKY,SKY", help="Models of diffuse light: haydavies, perez1990, isotropic.")
     ] = "haydavies,perez1990",

@@ -24,7 +24,8 @@ _ENDINGS = ("txt", "csv", "png")
 
 def energy(
     out: Annotated[
-        Path, typer.Option(help="Folder for energy.txt, energy.csv and energy.png; made if it is not there.")
+        Path,
+        typer.Option(metavar="DIR", help="Folder for energy.txt, energy.csv and energy.png; made if it is not there."),
     ],
     weather: Annotated[
         list[Path] | None,

@@ -55,9 +55,10 @@ def gain(
         bool, typer.Option("--printed", help="Add what the paper's own formulas and scripts give.")
     ] = False,
     points: Annotated[
-        Path | None, typer.Option(help="CSV with phi_deg, beta_deg, n, lambda_deg: answer row by row instead.")
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV with phi_deg, beta_deg, n, lambda_deg: answer row by row instead."),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw a figure too: .png, .svg or .pdf.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a figure too: .png, .svg or .pdf.")] = None,
     plot_kind: Annotated[
         PlotKind | None,
         typer.Option(help="Kind of figure."),
@@ -65,7 +66,9 @@ def gain(
     table_format: Annotated[
         AnswerFormat | None, typer.Option("--format", help="Without it a table, but CSV for --points.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="File for CSV or Parquet instead of standard output.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for CSV or Parquet instead of standard output.")
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -41,7 +41,9 @@ StoreOption = Annotated[
 ]
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="Configuration file, for its store, its limits and its budget of motion."),
+    typer.Option(
+        "--config", "-c", metavar="FILE", help="Configuration file, for its store, its limits and its budget of motion."
+    ),
 ]
 
 
@@ -50,7 +52,7 @@ def report(
     day: DayOption = None,
     start: FromOption = None,
     end: ToOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for the pages; made if it is not there.")] = Path(),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pages; made if it is not there.")] = Path(),
     store: StoreOption = None,
     config: ConfigOption = None,
     tracker: TrackerOption = None,
@@ -88,7 +90,10 @@ def plot(
         list[str],
         typer.Argument(metavar="PICTURE...", help="light, angles, received, motion, wind or power; one or more."),
     ],
-    out: Annotated[Path, typer.Option(help="PNG or SVG file; with several pictures their names are added to its own.")],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="PNG or SVG file; with several pictures their names are added to its own."),
+    ],
     day: DayOption = None,
     start: FromOption = None,
     end: ToOption = None,

@@ -147,7 +147,7 @@ def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:
 
 
 def replay(
-    out: Annotated[Path, typer.Option(help="CSV file for the positions, one line per reading.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="CSV file for the positions, one line per reading.")],
     faces: Annotated[
         Path | None,
         typer.Argument(metavar="FACES.csv", help="Readings: time,east,south,west,zenith; or .gz."),
@@ -158,7 +158,7 @@ def replay(
     ] = None,
     law: LawOption = None,
     store: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of a store, instead of FACES.csv.")] = None,
-    config: Annotated[Path | None, typer.Option("--config", "-c", help="Configuration file.")] = None,
+    config: Annotated[Path | None, typer.Option("--config", "-c", metavar="FILE", help="Configuration file.")] = None,
     tracker: TrackerOption = None,
     report_to: ReportOption = None,
     zone: ZoneOption = None,

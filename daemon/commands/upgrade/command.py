@@ -107,7 +107,11 @@ def rollback(
     config: Annotated[
         list[Path] | None,
         typer.Option(
-            "--config", "-c", help="A configuration whose service goes back; once for each.", show_default=False
+            "--config",
+            "-c",
+            metavar="FILE",
+            help="A configuration whose service goes back; once for each.",
+            show_default=False,
         ),
     ] = None,
     to: Annotated[

@@ -28,6 +28,7 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
     shown = CliRunner(env={"COLUMNS": str(columns)}).invoke(app, [*path, "--help"])
     assert shown.exit_code == 0
     assert max(len(line) for line in shown.output.splitlines()) <= columns
+    assert not re.search(r"<[a-z]|list\[", shown.output), "a type of Python where a person looks for a word"
     told = words(shown.output)
     for parameter in command.params:
         about = getattr(parameter, "help", None)
