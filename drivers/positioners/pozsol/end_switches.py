@@ -29,7 +29,7 @@ class BLayout:
             if self._position is not None and time_s - self._time_s <= 1.0:
                 step = position - self._position
                 way = (step > _MOVES) - (step < -_MOVES)
-            if way and way == self._way and abs(time_s - status_s) <= _OF_NOW_S:
+            if way == self._way and abs(time_s - status_s) <= _OF_NOW_S:
                 self._conclude(way, word)
             if way or self._position is None or time_s - self._time_s > 1.0:
                 self._way, self._position, self._time_s = way, position, time_s

@@ -82,7 +82,7 @@ class HomingRun:
         self.begun = self.begun or self._begins(seen, fresh)
         rested = seen.time_s - self._changed_s >= _STILL_S and seen.status_s >= self._changed_s
         aims_here = abs(seen.destination - seen.position) <= _MOVED
-        if self.begun and fresh and rested and aims_here and not self._bit(seen.status):
+        if self.begun and rested and aims_here and not self._bit(seen.status):
             self.over = True
             self._judge(seen)
 

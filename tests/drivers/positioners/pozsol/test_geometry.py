@@ -63,6 +63,20 @@ def test_a_holder_and_either_sense_of_extension_turn_into_angles_and_back(sense)
     assert 0 < setup.destination(-50.0 if sense == "raises" else 50.0) < 20
 
 
+@pytest.mark.parametrize(
+    ("length_mm", "angle_deg"),
+    [(600.0, 90.0), (600.1, math.nan), (900.0, math.nan), (1.0, -89.809), (0.0, -90.0), (300.0, -30.0)],
+)
+def test_a_length_that_two_arms_cannot_span_has_no_angle(length_mm, angle_deg):
+    assert A.geometry.angle_at_length(length_mm) == pytest.approx(angle_deg, abs=1e-3, nan_ok=True)
+
+
+def test_an_actuator_may_be_folded_to_nothing_beside_its_holder_and_no_further():
+    stretched = Triangle(300.0, 300.0, 90.0, 90.0, 600.0)
+    assert stretched.low_length_mm == 0.0
+    assert math.isnan(stretched.position(89.0))
+
+
 def test_an_offset_of_the_unit_is_taken_off_what_is_sent():
     assert replace(A, zero_offset=2.5).destination(0.0) == round(A.geometry.position(0.0) - 2.5)
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.wire import parse_status
 from tests.drivers.positioners.pozsol.test_standstill import HOMING, LOW, QUIET, UNDER_WAY, A, run
 
@@ -70,3 +71,45 @@ def test_what_is_over_stays_as_it_was_judged():
     assert (good.over, good.travelled) == (True, True)
     again = run(*UNDER_WAY, *((at_s, 0.0, 0.0, 0.0, LOW) for at_s in (40.0, 41.0)), (50.0, 80.0, 70.0, 9.0, HOMING))
     assert (again.over, again.failure, again.mismatch) == (True, "", "")
+    assert run(*UNDER_WAY, *((at_s, 0.0, 0.0, 0.0, LOW) for at_s in (40.0, 41.0)), *STANDS_ABROAD).failure == ""
+
+
+STANDS_ABROAD = ((50.0, 80.0, 80.0, 0.0, QUIET), (51.0, 80.0, 80.0, 0.0, QUIET))
+
+
+def test_who_never_began_is_not_over_and_who_stopped_where_he_began_has_failed():
+    quiet = run((1.2, 100.0, 100.0, 0.0, QUIET), (2.0, 100.0, 100.0, 0.0, QUIET))
+    assert (quiet.begun, quiet.over) == (False, False)
+    stopped = run((1.2, 100.0, 100.0, 0.0, HOMING), (5.0, 100.0, 100.0, 0.0, QUIET), (6.0, 100.0, 100.0, 0.0, QUIET))
+    assert stopped.failure == "the reference run of A ended at 100, not on its end switch"
+
+
+def late(status_s, place, aim, status, time_s, homing):
+    homing.update(AxisObservation(place, aim, 0.0, time_s, status, status_s))
+    return homing
+
+
+def test_a_status_from_before_the_command_or_from_before_it_stood_says_nothing():
+    homing = HomingRun("a", A, 100.0, 1.0, trusted=True)
+    assert not late(0.9, 100.0, 100.0, HOMING, 1.2, homing).begun
+    assert not late(1.0, 100.0, 100.0, HOMING, 1.2, homing).begun
+    assert late(1.1, 100.0, 100.0, HOMING, 1.3, homing).begun
+    late(40.0, 0.0, 0.0, LOW, 40.1, homing)
+    assert not late(40.0, 0.0, 0.0, LOW, 41.0, homing).over
+    assert late(40.1, 0.0, 0.0, LOW, 41.0, homing).over
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("place", "aim"), [(1.05, 0.95), (0.95, 1.05)])
+def test_place_and_aim_both_have_to_be_on_the_switch(side, place, aim):
+    assert ended(side * place * COAST, aim=side * aim * COAST).failure.startswith("the reference run of A ended at")
+
+
+def test_on_the_switch_but_aimed_elsewhere_nothing_has_begun():
+    assert not run((1.2, 0.0, 50.0, 0.0, LOW), before=0.0).begun
+
+
+def test_a_fault_of_the_other_axis_is_not_this_one_s():
+    status = parse_status(str(1 << 19 | 1 << 5))
+    assert [fault[0] for fault in status.faults] == ["b"]
+    assert ended(0.0, status=status).failure == ""

@@ -1,0 +1,375 @@
+"""The driver of rotators on a simulated rotctld, in virtual time: what is sent, and what is believed."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.timeloop import VirtualTimeLoop
+from drivers.errors import ConnectError, IdentityError, LinkLostError, ProtocolError, RefusedError, StillMovingError
+from drivers.positioners.rotctld.driver import RotctldSettings, build
+from drivers.positioners.rotctld.protocol import ReplyStream
+from drivers.settings import PositionerSurroundings
+from drivers.transcript import no_tap
+from sim_drivers.rotctld.core import RotatorCore
+from sim_drivers.transports import InMemoryRotctld
+from solar.frames import Limits
+
+INFO = b"get_info:\nInfo: SPID\nRPRT 0\n"
+STATE = (
+    b"dump_state:\nrotctld Protocol Ver: 1\nRotor Model: 603\nMinimum Azimuth: 0.000000\nMaximum Azimuth: 360.000000\n"
+    b"Minimum Elevation: 0.000000\nMaximum Elevation: 90.000000\nSouth Zero: 0\nrot_type=AzEl\ndone\nRPRT 0\n"
+)
+
+
+def at(azimuth, elevation):
+    return f"get_pos:\nAzimuth: {azimuth}\nElevation: {elevation}\nRPRT 0\n".encode()
+
+
+def ends_with(name, error):
+    return f"{name}:\nRPRT {error}\n".encode()
+
+
+class Told:
+    """A line to a rotctld that answers each command by name with what it is told to say."""
+
+    simulated = False
+
+    def __init__(self, **says):
+        fine = {name: ends_with(name, 0) for name in ("set_pos", "stop")}
+        self.says = {"get_info": INFO, "dump_state": STATE, "get_pos": at(180, 45)} | fine | says
+        self.sent = []
+        self.is_open = False
+
+    async def open(self):
+        self.is_open = True
+
+    async def close(self):
+        self.is_open = False
+
+    async def ask(self, command, within_s):
+        self.sent.append(command.decode().strip("+\\\n"))
+        (reply,) = ReplyStream().feed(self.says[self.sent[-1].partition(" ")[0]])
+        return reply
+
+
+def driver_on(line, now, stow=(0.0, 90.0), **settings):
+    around = PositionerSurroundings(limits=Limits(), monotonic=now, tap=no_tap, stow=stow, equator_azimuth_deg=180.0)
+    return build(RotctldSettings(driver="rotctld", **settings), around, line)
+
+
+def run(scenario):
+    """Run what is given the time, in virtual time."""
+
+    async def scene():
+        return await scenario(asyncio.get_running_loop().time)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(scene())
+
+
+def told(act, stow=(0.0, 90.0), settings=None, **says):
+    """Run what is done with an open driver, and return what came of it with the line."""
+    line = Told(**says)
+
+    async def scenario(now):
+        driver = driver_on(line, now, stow, **(settings or {}))
+        await driver.open()
+        line.sent.clear()
+        return await act(driver, line)
+
+    return run(scenario), line
+
+
+def opened(**says):
+    line = Told(**says)
+
+    async def scenario(now):
+        return await driver_on(line, now).open()
+
+    return run(scenario), line
+
+
+def on_rotator(scenario, **settings):
+    """Run a scenario with an open driver, its rotator that stands at south, 45 deg, and the time."""
+
+    async def scene(now):
+        rotator = RotatorCore(now(), start=(180.0, 45.0))
+        driver = driver_on(InMemoryRotctld(rotator, now), now, **settings)
+        await driver.open()
+        await scenario(driver, rotator, now)
+
+    run(scene)
+
+
+def test_it_is_known_by_what_its_server_says_of_it_and_nothing_is_sent_that_moves_it():
+    identity, line = opened()
+    assert (identity.board, identity.firmware, identity.serial) == ("SPID", "Hamlib model 603", "")
+    assert (identity.simulated, identity.setup_conflicts) == (False, ())
+    assert line.sent == ["get_info", "dump_state", "get_pos"]
+    assert opened(get_info=ends_with("get_info", 0))[0].board == "rotator"
+    assert opened(dump_state=STATE.replace(b"603", b"1"))[0].simulated
+
+
+@pytest.mark.parametrize(("says", "error", "sentence"), [
+    ({"dump_state": ends_with("dump_state", -8)}, ConnectError, r"dump_state with protocol error of the rotator"),
+    ({"dump_state": STATE.replace(b"603", b"?")}, ConnectError, "dump_state cannot be read"),
+    ({"get_pos": at("nan", 0)}, ConnectError, "says no position that can be read"),
+    ({"get_pos": ends_with("get_pos", -6)}, ConnectError, "get_pos with no connection to the rotator"),
+    ({"get_info": at(0, 0)}, ConnectError, "answers get_pos to get_info: is it rotctld"),
+    ({"get_info": b"RPRT 0\n"}, ConnectError, "answers without a name to get_info"),
+])  # fmt: skip
+def test_who_cannot_be_read_is_not_opened_and_not_kept(says, error, sentence):
+    line = Told(**says)
+    with pytest.raises(error, match=sentence):
+        run(lambda now: driver_on(line, now).open())
+    assert not line.is_open
+
+
+def test_another_model_than_the_one_that_is_set_is_refused_and_that_one_is_not():
+    line = Told()
+    with pytest.raises(IdentityError, match=r"model 603, and instruments\.positioner\.model is 604"):
+        run(lambda now: driver_on(line, now, model=604).open())
+    assert not line.is_open
+    assert run(lambda now: driver_on(line, now, model=603).open()).firmware == "Hamlib model 603"
+
+
+@pytest.mark.parametrize(("place", "believed"), [
+    ((720, 45), True), ((-720, 45), True), ((720.1, 45), False), ((-720.1, 45), False),
+    ((180, -90), True), ((180, 180), True), ((180, -90.1), False), ((180, 180.1), False),
+])  # fmt: skip
+def test_a_place_where_no_rotator_points_is_no_position(place, believed):
+    async def look(driver, line):
+        line.says["get_pos"] = at(*place)
+        if believed:
+            assert (await driver.read_telemetry()).position_b == place[1]
+        else:
+            with pytest.raises(ProtocolError, match=f"says azimuth {place[0]:g}, elevation {place[1]:g} deg"):
+                await driver.read_telemetry()
+
+    told(look)
+
+
+@pytest.mark.parametrize(("a_deg", "b_deg", "goes"), [
+    (-50.0, 45.0, True), (50.0, 45.0, True), (0.0, 15.0, True), (0.0, 90.0, True),
+    (-50.1, 45.0, False), (50.1, 45.0, False), (0.0, 14.9, False), (0.0, 90.1, False),
+    (float("nan"), 45.0, False), (0.0, float("nan"), False), (float("inf"), 45.0, False), (0.0, float("inf"), False),
+])  # fmt: skip
+def test_nothing_is_sent_beyond_the_limits_and_all_within_is(a_deg, b_deg, goes):
+    async def move(driver, _):
+        if goes:
+            await driver.move_to(a_deg, b_deg)
+        else:
+            with pytest.raises(ValueError, match=r"outside the limits \(A -50 to 50, B 15 to 90 deg\)"):
+                await driver.move_to(a_deg, b_deg)
+
+    _, line = told(move)
+    assert [sent.partition(" ")[0] for sent in line.sent] == (["get_pos", "set_pos"] if goes else [])
+
+
+def test_a_target_is_shown_until_a_stop_or_a_refusal_takes_it_away():
+    async def move(driver, line):
+        async def aims_at():
+            seen = await driver.read_telemetry()
+            return seen.destination_a, seen.destination_b
+
+        assert await aims_at() == (180.0, 45.0)
+        await driver.move_to(0.0, 60.0)
+        assert await aims_at() == pytest.approx((180.0, 60.0))
+        await driver.stop()
+        assert await aims_at() == (180.0, 45.0)
+        line.says["set_pos"] = ends_with("set_pos", -1)
+        sentence = r"did not take azimuth 180\.00, elevation 60\.00 deg: invalid parameter \(RPRT -1\)"
+        with pytest.raises(RefusedError, match=sentence):
+            await driver.move_to(0.0, 60.0)
+        assert await aims_at() == (180.0, 45.0)
+
+    told(move)
+
+
+def test_a_place_beyond_its_range_is_refused_with_the_range_and_nothing_is_sent():
+    async def move(driver, line):
+        with pytest.raises(
+            RefusedError, match=r"the target A 0\.0, B 75\.0 deg: it lies at azimuth 180\.0, elevation 75"
+        ):
+            await driver.move_to(0.0, 75.0)
+        assert line.sent == ["get_pos"]
+
+    told(move, (0.0, 50.0), {"elevation_max_deg": 60.0})
+
+
+def test_a_stop_that_comes_while_a_target_is_made_ready_lets_it_not_go_out():
+    class Slow(Told):
+        async def ask(self, command, within_s):
+            await asyncio.sleep(0.1)
+            return await super().ask(command, within_s)
+
+    line = Slow()
+
+    async def scenario(now):
+        driver = driver_on(line, now)
+        await driver.open()
+        move = asyncio.ensure_future(driver.move_to(0.0, 60.0))
+        await asyncio.sleep(0.05)
+        await driver.stop()
+        with pytest.raises(RefusedError, match="a stop came in between"):
+            await move
+
+    run(scenario)
+    assert "set_pos 180.00 60.00" not in line.sent
+
+
+@pytest.mark.parametrize("error", [-4, -11])
+def test_a_rotator_without_a_stop_is_sent_to_where_it_is(error):
+    _, line = told(lambda driver, _: driver.stop(), stop=ends_with("stop", error))
+    assert line.sent == ["stop", "get_pos", "set_pos 180.00 45.00"]
+
+
+def test_a_stop_that_does_not_reach_the_rotator_is_said_with_the_remedy():
+    sentence = r"rotctld answers stop with time-out of the rotator \(RPRT -5\): .* then restart rotctld"
+    with pytest.raises(LinkLostError, match=sentence):
+        told(lambda driver, _: driver.stop(), stop=ends_with("stop", -5))
+
+
+def test_an_answer_to_something_else_ends_the_connection():
+    async def ask(driver, line):
+        line.says["get_pos"] = line.says["stop"]
+        with pytest.raises(ProtocolError, match="answers stop to get_pos: is it rotctld"):
+            await driver.read_telemetry()
+        assert not line.is_open
+
+    told(ask)
+
+
+def test_who_is_silent_is_lost_at_the_deadline_and_has_to_be_opened_anew():
+    async def scenario(now):
+        line = InMemoryRotctld(RotatorCore(now(), start=(180.0, 45.0)), now)
+        driver = driver_on(line, now, telemetry_stale_s=1.5)
+        with pytest.raises(LinkLostError):
+            await driver.read_telemetry()
+        await driver.open()
+        line.frozen, begin_s = True, now()
+        with pytest.raises(LinkLostError, match=r"within 1\.5 s: is it rotctld, and does its rotator answer"):
+            await driver.read_telemetry()
+        assert now() - begin_s == pytest.approx(1.5)
+        line.frozen = False
+        with pytest.raises(LinkLostError):
+            await driver.read_telemetry()
+        with pytest.raises(LinkLostError, match="has to be opened first"):
+            await driver_on(line, now).move_to(0.0, 45.0)
+        await driver.open()
+        assert (await driver.read_telemetry()).b_deg == pytest.approx(45.0)
+
+    run(scenario)
+
+
+def test_before_the_first_opening_its_range_is_not_known():
+    async def scenario(now):
+        driver = driver_on(Told(), now)
+        assert driver.mount is None
+        with pytest.raises(LinkLostError, match="has to be opened first"):
+            await driver.read_telemetry()
+        await driver.open()
+        assert (driver.mount.azimuth_min_deg, driver.mount.azimuth_max_deg) == (0.0, 360.0)
+
+    run(scenario)
+
+
+def test_telemetry_is_of_when_it_was_asked_for():
+    async def scenario(driver, rotator, now):
+        await asyncio.sleep(3.0)
+        seen = await driver.read_telemetry()
+        assert seen.time_monotonic_s == seen.status_monotonic_s == now()
+        assert (seen.a_deg, seen.b_deg) == pytest.approx((0.0, 45.0))
+        assert seen.details == {"azimuth_deg": 180.0, "elevation_deg": 45.0}
+        rotator.turn(200.0, 45.0, now())
+
+    on_rotator(scenario)
+
+
+def test_a_halt_of_one_that_stands_is_quick_and_of_one_that_turns_lasts_until_it_stands():
+    async def scenario(driver, rotator, now):
+        begin_s = now()
+        await driver.halt()
+        assert 0.6 <= now() - begin_s < 0.9
+        assert rotator.received["stop"] == 1
+        await driver.move_to(-30.0, 45.0)
+        await asyncio.sleep(2.0)
+        await driver.halt()
+        stands = rotator.position(now())
+        await asyncio.sleep(30.0)
+        assert rotator.position(now()) == stands
+
+    # 0.6 s is the shortest time that counts as standing, at these settings.
+    on_rotator(scenario, slowest_deg_per_s=1.0)
+
+
+@pytest.mark.parametrize(("resolution_deg", "slowest_deg_per_s", "stands_for_s"), [
+    (0.1, 1.0, 0.6), (0.5, 0.5, 1.8), (0.001, 0.02, 2.625),
+])  # fmt: skip
+def test_who_turns_slowly_or_is_rounded_coarsely_is_watched_for_longer(resolution_deg, slowest_deg_per_s, stands_for_s):
+    async def scenario(driver, _, now):
+        begin_s = now()
+        await driver.halt()
+        assert stands_for_s - 1e-6 <= now() - begin_s <= stands_for_s + 0.16
+
+    on_rotator(scenario, resolution_deg=resolution_deg, slowest_deg_per_s=slowest_deg_per_s)
+
+
+@pytest.mark.parametrize(
+    ("way_deg", "stands"), [((0.11, 0), True), ((0, 0.11), True), ((0.13, 0), False), ((0, -0.13), False)]
+)
+def test_what_differs_by_more_than_its_resolution_moves(way_deg, stands):
+    class Trembling(Told):
+        async def ask(self, command, within_s):
+            there = self.sent.count("get_pos") % 2
+            self.says["get_pos"] = at(180 + there * way_deg[0], 45 + there * way_deg[1])
+            return await super().ask(command, within_s)
+
+    line = Trembling()
+
+    async def scenario(now):
+        driver = driver_on(line, now, slowest_deg_per_s=1.0)
+        await driver.open()
+        begin_s = now()
+        if stands:
+            await driver.halt()
+            assert now() - begin_s == pytest.approx(0.6)
+            return
+        with pytest.raises(StillMovingError, match=r"keeps moving after 13 s of stops, at azimuth 180\.\d, elev"):
+            await driver.halt()
+        # Within 12 s and the 0.6 s that count as standing, at the next look.
+        assert 12.6 <= now() - begin_s <= 12.9
+        # At once, and at each look that comes 0.5 s after the last one.
+        assert 20 <= line.sent.count("stop") <= 23
+
+    run(scenario)
+
+
+def test_it_has_no_reference_run_no_own_tracking_and_no_faults_to_clear():
+    async def scenario(driver, rotator, now):
+        with pytest.raises(RefusedError, match="has no reference run of axis B"):
+            await driver.home("b")
+        await driver.disable_autonomy()
+        assert "stop" not in rotator.received
+        await driver.move_to(-30.0, 45.0)
+        seen = await driver.clear_faults()
+        assert rotator.received["stop"] >= 1
+        assert (seen.position_a, seen.position_b) == pytest.approx(rotator.position(now()), abs=0.01)
+
+    on_rotator(scenario)
+
+
+@pytest.mark.parametrize(("state", "stow", "sentences"), [
+    (STATE.replace(b"AzEl", b"Az"), (0.0, 90.0), ["of the kind Az: azimuth and elevation are needed"]),
+    (STATE.replace(b"rot_type=AzEl\n", b""), (0.0, 90.0), []),
+    (STATE.replace(b"360.0", b"0.0"), (0.0, 90.0), ["a range is empty: the rotator would turn azimuth 0 to 0"]),
+    (STATE.replace(b"90.000000", b"0.000000"), (0.0, 90.0), ["a range is empty: the rotator would turn azimuth 0"]),
+    (STATE.replace(b"90.0", b"60.0"), (0.0, 90.0), ["the stow position A 0, B 90 deg lies at azimuth"]),
+    (STATE.replace(b"90.0", b"60.0").replace(b"AzEl", b"Az"), (0.0, 90.0), ["the kind Az", "the stow position A 0"]),
+    (STATE.replace(b"90.0", b"60.0"), (0.0, 50.0), []),
+])  # fmt: skip
+def test_what_speaks_against_a_rotator_is_said_at_once(state, stow, sentences):
+    line = Told(dump_state=state)
+    found = run(lambda now: driver_on(line, now, stow).open()).setup_conflicts
+    assert len(found) == len(sentences)
+    assert all(sentence in said for said, sentence in zip(found, sentences, strict=True))
