@@ -14,7 +14,7 @@ from tests.firmware.peer import missing
 from tests.support import SHARED
 from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
-from tests.support.dealing import dealt, long_first
+from tests.support.dealing import dealt, long_first, names_any
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
@@ -47,6 +47,7 @@ _TIER_OF_FIXTURE = {
     "broker": "broker",
     "make_broker": "broker",
     "postgres": "system",
+    "database": "system",
     "load_host": "protocol",
     "positioner_host": "protocol",
     "voltmeter_host": "protocol",
@@ -58,6 +59,11 @@ _TIER_OF_FIXTURE = {
 _TIER_OF_FOLDER = {"campaign": "campaign", "system": "system"}
 _LIVE = {"broker", "protocol", "system"}
 _TAKES_LONG = {"rig", "campaign", "firmware", "shared_data"}
+# What a file has to name, or a folder on its way, for one of its tests to pass real time.
+_WAITS = [
+    *(f"mark.{tier}" for tier in (*_LIVE, "live")),
+    *(fixture for fixture, tier in _TIER_OF_FIXTURE.items() if tier in {*_LIVE, "live"}),
+]
 
 
 def pytest_addoption(parser):
@@ -68,6 +74,17 @@ def pytest_addoption(parser):
         help="tests that pass real time: with the others (default), only those, or all others",
     )
     parser.addoption("--quick", action="store_true", help="only tests of one part, without a rig, live or slow ones")
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out, before it is imported, a file in which nothing waits where only that is asked for."""
+    if config.getoption("--live") != "only" or not collection_path.match("test_*.py"):
+        return None
+    return None if _may_wait(collection_path) else True
+
+
+def _may_wait(file):
+    return any(_TIER_OF_FOLDER.get(part) in _LIVE for part in file.parts) or names_any(file, _WAITS)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -97,6 +114,8 @@ def pytest_collection_modifyitems(config, items):
         marks = {mark.name for mark in item.iter_markers()}
         if marks & _LIVE and "computes" not in marks:
             item.add_marker("live")
+        if item.get_closest_marker("live") and not _may_wait(item.path):
+            raise pytest.UsageError(f"{item.nodeid} waits, and `--live only` would not find it: see {__file__}")
     left_out = [item for item in items if not _is_asked_for(config, item)]
     if left_out:
         gone = set(left_out)

@@ -1,5 +1,8 @@
 """Which of the tests that wait runs where: the longest first, and dear ones not everywhere."""
 
+import functools
+import re
+
 LONG_S, DEAR_S, SHORT_S = 40, 12, 2
 """What a test is taken to last: by its mark `long`; with processes or firmware of its own; on a port or a broker."""
 
@@ -34,3 +37,13 @@ def dealt(items, workers, length_s=lasts_s):
         pieces[worker].append(item)
         spent_s[worker] += length_s(item)
     return [item for piece in pieces for item in piece]
+
+
+@functools.cache
+def _whole_words(words):
+    return re.compile(rf"\b(?:{'|'.join(map(re.escape, words))})\b")
+
+
+def names_any(file, words):
+    """Return whether a file has one of the words in it, as a word of its own."""
+    return _whole_words(tuple(words)).search(file.read_text(encoding="utf-8")) is not None

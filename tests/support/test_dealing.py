@@ -1,6 +1,6 @@
 import pytest
 
-from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt, long_first
+from tests.support.dealing import DEAR_S, LONG_S, SHORT_S, dealt, long_first, names_any
 
 
 def pieces_of(order, workers):
@@ -38,3 +38,10 @@ def test_of_those_that_compute_the_long_ones_begin_and_the_others_keep_their_ord
 
     items = [Item("a"), Item("b", "long"), Item("c", "slow"), Item("d", "long")]
     assert "".join(item.name for item in long_first(items)) == "bdac"
+
+
+def test_a_word_is_found_in_a_file_where_it_stands_by_itself(tmp_path):
+    file = tmp_path / "test_it.py"
+    file.write_text("def test_it(scaled_figure, unit):\n    pass\n")
+    assert names_any(file, ["unit", "scaled"])
+    assert not names_any(file, ["scaled", "figure"])
