@@ -6,6 +6,7 @@ also starts from nothing is shown where that is the point, with subprocess: in t
 test_operation.py, test_deploy.py and others.
 """
 
+import atexit
 import contextlib
 import gc
 import importlib
@@ -258,6 +259,20 @@ def _become(order, files):
     sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr
 
 
+def _run_to_the_end(call):
+    """End as an interpreter does, but leave what is in memory to the system: freeing it takes most of a short copy."""
+    try:
+        call()
+    except SystemExit as end:
+        if not isinstance(end.code, int | None):
+            raise
+        threading._shutdown()
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit((end.code or 0) & 0xFF)
+
+
 def _main():
     # A person's Ctrl-C at the tests is theirs.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -272,7 +287,7 @@ def _main():
     orders.close()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     _become(order, files)
-    main()
+    _run_to_the_end(main)
 
 
 if __name__ == "__main__":
