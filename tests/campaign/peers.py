@@ -4,6 +4,7 @@ import ast
 import contextlib
 import http.client
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -82,13 +83,12 @@ class SimulatedUnit:
     def __init__(self, folder, config):
         self._folder = folder / "bench"
         with (folder / "bench.log").open("w") as log:
-            self._process = subprocess.Popen(
-                [HELIOCUBE, "bench", "--dir", self._folder, "--config", config],
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-            )
-        if self._process.stdout.readline() != "ready\n":
+            told, tells = os.pipe()
+            # It stays open: the bench may say more.
+            self._said = os.fdopen(told, encoding="utf-8")
+            with os.fdopen(tells, "wb") as stream:
+                self._process = forks.start(["bench", "--dir", self._folder, "--config", config], stream, log)
+        if self._said.readline() != "ready\n":
             raise NotThereError(f"the bench did not start: {(folder / 'bench.log').read_text()}")
         self.config = self._folder / "heliocube.toml"
 
@@ -102,9 +102,9 @@ class SimulatedUnit:
             request(self._folder, words[0], words[1:])
 
     def close(self):
+        self._said.close()
         self._process.terminate()
         self._process.wait(ENDS_WITHIN_S)
-        self._process.stdout.close()
 
 
 class FirmwareUnit:
@@ -152,13 +152,13 @@ class Tracker:
     """The service in the tracker's role, and the shell's and the programs' way to it."""
 
     def __init__(self, config, port, log):
-        self._port, self._config, self._log = port, config, log
+        self._port, self.config, self._log = port, config, log
         self._process = None
         self.start()
 
     def start(self):
         with self._log.open("a") as log:
-            self._process = forks.start(["run", "--role", "tracker", "--config", self._config], stdout=log, stderr=log)
+            self._process = forks.start(["run", "--role", "tracker", "--config", self.config], stdout=log, stderr=log)
 
     def kill(self):
         self._process.kill()
@@ -201,7 +201,7 @@ class Tracker:
 
     def shell(self, *words):
         """Start a command of the command line."""
-        arguments = [HELIOCUBE, *words, "--config", self._config]
+        arguments = [HELIOCUBE, *words, "--config", self.config]
         return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
     def until_it_takes(self, a_deg, b_deg, within_s=90.0):

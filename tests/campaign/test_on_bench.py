@@ -6,6 +6,7 @@ import time
 import pytest
 
 from tests.campaign.peers import unit_and_tracker
+from tests.support import forks
 
 MOVED_DEG = 0.05
 IN_THE_SHELL = (("goto", "10", "60"), ("stow",), ("clear",))
@@ -15,9 +16,8 @@ WRONG = (("goto", "nan", "60"), ("goto", "0", "14.9"), ("stow", "--why", "two\nl
 
 def says(tracker, *words):
     """Give a command in the shell and return its exit code and what it printed."""
-    with tracker.shell(*words) as process:
-        text = process.communicate(timeout=60)[0]
-    return process.returncode, " ".join(text.split())
+    done = forks.run(*words, "--config", tracker.config)
+    return done.returncode, " ".join((done.stdout + done.stderr).split())
 
 
 def turned(one, other):

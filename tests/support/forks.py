@@ -3,7 +3,7 @@
 To import it takes one or two seconds of a processor, and the tests start some two hundred. A copy is a process of its
 own in every other respect: its arguments, its surroundings, its files, its signals, its exit code. That the program
 also starts from nothing is shown where that is the point, with subprocess: in tests/system/test_run.py,
-test_operation.py, test_deploy.py and others.
+test_deploy.py and others.
 """
 
 import atexit

@@ -4,19 +4,14 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
-from tests.support import ROOT
+from tests.support import ROOT, forks
 from tests.system.processes import BenchProcess, Process
 from tests.system.rig import HIGH_SUN, Rig, brisk
-
-PROGRAM = Path(sys.executable).with_name("heliocube")
 
 
 class Unit:
@@ -33,7 +28,7 @@ class Unit:
         }
         self.log = folder / f"{name}.log"
         with self.log.open("w") as log:
-            self.process = subprocess.Popen([PROGRAM, *arguments], env=environment, stdout=log, stderr=log)
+            self.process = forks.start(arguments, log, log, environment)
 
     def wait_for(self, message, within_s):
         """Take messages in until one begins with `message`; return it and the seconds that it took."""

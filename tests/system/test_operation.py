@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -16,7 +17,6 @@ from tests.support import ROOT, forks
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
-PROGRAM = [sys.executable, "-c", "from daemon.entry import main; main()"]
 
 
 def heliocube(*arguments, **environment):
@@ -48,21 +48,18 @@ def service(tmp_path):
         "[api]\nlisten = '127.0.0.1:0'\ntoken_file = 'api.token'\n"
     )
     write_token(tmp_path / "api.token", generate_token())
-    process = subprocess.Popen(
-        [*PROGRAM, "run", "--config", str(config), "--speed", "60"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        cwd=ROOT,
-    )
-    line = process.stdout.readline()
+    told, tells = os.pipe()
+    with os.fdopen(tells, "wb") as output, Path(os.devnull).open("wb") as nowhere:
+        process = forks.start(["run", "--config", config, "--speed", "60"], output, nowhere, cwd=ROOT)
+    said = os.fdopen(told, encoding="utf-8")
+    line = said.readline()
     found = re.match(r"local interface at http://(.*); the token of commands is in (.*)\n", line)
     assert found, line
     assert found[2] == str(tmp_path / "api.token")
     yield config, process, found[1]
     process.kill()
     process.wait()
-    process.stdout.close()
+    said.close()
 
 
 def test_a_person_at_a_terminal_sees_and_commands_the_service(service, tmp_path):

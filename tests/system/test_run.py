@@ -9,23 +9,20 @@ import sys
 
 import pytest
 
-from tests.support import ROOT
+from tests.support import ROOT, forks
 
 pytestmark = pytest.mark.system
 
 
-def heliocube(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "daemon.commands.main", *arguments],
+def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated(tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-m", "daemon.commands.main", "run", "--for", "6"],
         capture_output=True,
         text=True,
         timeout=240,
-        **options,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-
-
-def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated(tmp_path):
-    result = heliocube("run", "--for", "6", cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert result.returncode == 0, result.stderr
     assert "SIMULATED" in result.stdout
     assert "Traceback" not in result.stderr
@@ -59,23 +56,23 @@ def test_a_port_in_use_is_one_sentence(tmp_path):
         address = f"127.0.0.1:{holder.getsockname()[1]}"
         config = tmp_path / "heliocube.toml"
         config.write_text(f'[bridge]\nlisten = "{address}"\nsend_to = ["{address}"]\n')
-        result = heliocube("run", "--config", str(config), "--for", "1")
+        result = forks.run("run", "--config", str(config), "--for", "1")
     assert result.returncode == 2
     assert f"{address} is in use" in result.stderr
     assert "Traceback" not in result.stderr
 
 
 def test_a_key_that_others_can_read_is_refused_with_the_remedy(tmp_path):
-    assert heliocube("config", "init", str(tmp_path)).returncode == 0
+    assert forks.run("config", "init", str(tmp_path)).returncode == 0
     (tmp_path / "bridge.key").chmod(0o644)
-    result = heliocube("run", "--config", str(tmp_path / "heliocube.toml"), "--for", "1")
+    result = forks.run("run", "--config", str(tmp_path / "heliocube.toml"), "--for", "1")
     assert result.returncode == 2
     assert "chmod 600" in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
 
 
 def test_a_role_of_its_own_needs_a_key():
-    result = heliocube("run", "--role", "cube", "--for", "1")
+    result = forks.run("run", "--role", "cube", "--for", "1")
     assert result.returncode == 2
     assert "heliocube config init" in result.stderr
 

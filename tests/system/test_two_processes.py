@@ -1,16 +1,14 @@
 """Cube and tracker as two processes with UDP between them, killed and restarted in any order."""
 
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from datetime import UTC, datetime
 
 import pytest
 
 from daemon.bridge.signing import generate_key, write_key
+from tests.support import forks
 
 pytestmark = pytest.mark.system
 
@@ -43,18 +41,8 @@ class Process:
     def __init__(self, folder, role):
         self.log = folder / f"{role}-{time.monotonic_ns()}.log"
         self._file = self.log.open("wb")
-        command = [
-            sys.executable,
-            "-m",
-            "daemon.commands.main",
-            "run",
-            "--role",
-            role,
-            "--config",
-            str(folder / "heliocube.toml"),
-        ]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        self.process = subprocess.Popen(command, stdout=self._file, stderr=subprocess.STDOUT, env=environment)
+        words = ["run", "--role", role, "--config", folder / "heliocube.toml"]
+        self.process = forks.start(words, self._file, self._file)
 
     def text(self):
         return self.log.read_text()

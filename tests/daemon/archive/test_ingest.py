@@ -3,14 +3,13 @@
 import asyncio
 import contextlib
 import signal
-import subprocess
-import sys
 import threading
 
 import pytest
 
 from daemon.archive.address import ArchiveAwayError, parse_archive
 from daemon.archive.writer import ArchiveWriter, SentPage
+from tests.support import forks
 from tests.support.archive import Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 
@@ -25,9 +24,8 @@ def start_archive(tmp_path, database):
     def start(port, *arguments):
         path = tmp_path / "archive.toml"
         path.write_text(f"[mqtt]\nport = {port}\nkeepalive_s = 2\n[archive]\ndatabase = '{database}'\n")
-        command = [sys.executable, "-m", "daemon.commands.main", "archive", "--config", path, *arguments]
         with (tmp_path / "archive.log").open("a") as log:
-            started.append(subprocess.Popen(command, stdout=log, stderr=log))
+            started.append(forks.start(["archive", "--config", path, *arguments], log, log))
         return started[-1]
 
     yield start

@@ -8,13 +8,12 @@ import subprocess
 import sys
 import time
 from importlib.metadata import distribution, version
-from pathlib import Path
 
 import pytest
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.studies.spread.workers import Workers, gather
-from tests.support import ROOT
+from tests.support import ROOT, forks
 
 psutil = pytest.importorskip("psutil", reason="the extra 'cluster' is not installed")
 
@@ -28,7 +27,6 @@ pytestmark = [
 SITES = 6
 STARTS_WITHIN_S = 60.0
 ENDS_WITHIN_S = 120.0
-PROGRAM = Path(sys.executable).with_name("heliocube")
 
 
 def begin(module, *words, log):
@@ -68,12 +66,8 @@ def wait_for(found, within_s=STARTS_WITHIN_S):
     return answer
 
 
-def energy(table, out, *words, path=""):
-    command = [PROGRAM, "energy", "--sites", table, "--out", out, "--laws", "flat,mu-prime"]
-    known = {**os.environ, "PYTHONPATH": str(path)}
-    return subprocess.Popen(
-        [*command, *words], cwd=ROOT, env=known, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+def energy(table, out, *words):
+    return ["energy", "--sites", table, "--out", out, "--laws", "flat,mu-prime", *words]
 
 
 @pytest.fixture
@@ -95,16 +89,15 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
     wait_for(lambda: len(workers(nannies)) == 2)
     both = workers(nannies)
     before = [worker.cpu_times().user for worker in both]
-    study = energy(table, tmp_path / "far", "--cluster", address)
-    running.append(study)
+    with (tmp_path / "said").open("wb") as said, (tmp_path / "told").open("wb") as told:
+        study = forks.start(energy(table, tmp_path / "far", "--cluster", address), said, told)
     # One that has loaded the science for so long has a task in its hands.
     wait_for(lambda: any(one.cpu_times().user > 0.7 + then for one, then in zip(both, before, strict=True)))
     assert study.poll() is None
     both[0].kill()
-    output, errors = study.communicate(timeout=ENDS_WITHIN_S)
-    assert study.returncode == 0
-    here = energy(table, tmp_path / "here")
-    assert here.communicate(timeout=ENDS_WITHIN_S) == (output, errors)
+    assert study.wait(ENDS_WITHIN_S) == 0
+    here = forks.run(*energy(table, tmp_path / "here"))
+    assert (here.stdout, here.stderr) == ((tmp_path / "said").read_text(), (tmp_path / "told").read_text())
     for ending in ("txt", "csv", "png"):
         name = f"energy-sites.{ending}"
         assert (tmp_path / "far" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
@@ -118,8 +111,10 @@ def another_release_is_refused(address, table, tmp_path):
     known.mkdir()
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: heliocube\nVersion: 9.9\n")
     (known / "entry_points.txt").write_text(distribution("heliocube").read_text("entry_points.txt"))
-    study = energy(table, tmp_path / "never", "--cluster", address, path=tmp_path)
-    _, errors = study.communicate(timeout=ENDS_WITHIN_S)
+    study = forks.run(
+        *energy(table, tmp_path / "never", "--cluster", address), env=os.environ | {"PYTHONPATH": str(tmp_path)}
+    )
+    errors = study.stderr
     assert study.returncode == ExitCode.UNREACHABLE, errors
     both = f"has heliocube {version('heliocube')}, and 9.9 is at work here"
     assert re.fullmatch(rf"heliocube: --cluster: the worker at tcp://\S+ {re.escape(both)}: [^\n]+\n", errors)
