@@ -77,9 +77,13 @@ def send_csv(
 
 def serve(settings: "Settings", directory: Path) -> None:
     """Run the bench; raises `UserError` on a machine that cannot have one."""
-    from daemon.rigs.bench import serve_bench
+    from daemon.store.outputs import check_folder
 
     _require_terminals()
+    check_folder(directory, "--dir")
+    # Only now: a mistake is told before the simulators are loaded.
+    from daemon.rigs.bench import serve_bench
+
     serve_bench(settings, directory)
 
 
@@ -101,7 +105,7 @@ def control(
     arguments: Annotated[list[str] | None, typer.Argument(help="What the command takes.", show_default=False)] = None,
 ) -> None:
     """Change or ask the bench that runs in DIR."""
-    from daemon.rigs.simulated import ask_bench, bench_verbs
+    from daemon.rigs.bench_client import ask_bench, bench_verbs
 
     _require_terminals()
     if verb == "help":

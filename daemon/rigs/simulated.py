@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -375,20 +375,3 @@ async def run_bench(
             await bench.run(stop, served)
     except BenchError as error:
         raise UserError(str(error)) from error
-
-
-def ask_bench(directory: Path, verb: str, arguments: list[str]) -> Any:
-    """Send a command to the bench in a directory and return its answer; raises `UserError`."""
-    from sim_drivers.bench.client import BenchError, request  # noqa: PLC0415 - not needed by the service
-
-    try:
-        return request(directory, verb, arguments)
-    except BenchError as error:
-        raise UserError(str(error)) from error
-
-
-def bench_verbs() -> dict[str, tuple[str, str]]:
-    """Return the bench's commands by name: what each takes, and what it does."""
-    from sim_drivers.bench.client import VERBS  # noqa: PLC0415 - not needed by the service
-
-    return {name: (verb.usage, verb.meaning) for name, verb in VERBS.items()}

@@ -10,11 +10,12 @@ from typing import Any, Self, TypeVar
 
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench.bench import Bench
-from sim_drivers.bench.client import DEVICES, PYRANOMETER_CAN, SOCKET_NAME, VERBS, BenchError
+from sim_drivers.bench.client import SOCKET_NAME, BenchError
 from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.bench.rotator_host import RotatorHost
 from sim_drivers.bench.scanner_host import ScannerHost
+from sim_drivers.bench.verbs import DEVICES, PYRANOMETER_CAN, VERBS
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 from sim_drivers.rotctld.core import ROTATOR_FAULTS

@@ -51,8 +51,12 @@ def campaign(
         check_outputs([reliability], "--reliability", force=force)
     elif schedule is None:
         check_outputs([keep / f"seed-{seed}.json" for seed in range(first, first + seeds)], "--keep", force=force)
+    from daemon.studies.campaign.matrix import chosen_schedules
+
+    # Only what they name is looked at here: a mistake is told before the simulator is loaded.
+    schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
     from daemon.commands.studies.simulate import progress_bar
-    from daemon.studies.campaign.attack import Attack, chosen_schedules
+    from daemon.studies.campaign.attack import Attack
     from daemon.studies.campaign.reliability import write_reliability
 
     say, errors = teller(as_json=as_json), Console(stderr=True)
@@ -65,7 +69,6 @@ def campaign(
         if as_json:
             print_json({"beyond": beyond, "written": reliability})
         raise typer.Exit(1 if beyond else 0)
-    schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule)
     attack = Attack(schedules, workers, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
         code = attack.run(progress)

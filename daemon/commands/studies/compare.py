@@ -260,6 +260,7 @@ def paper(
     as_json: JsonOption = False,
 ) -> None:
     """Repeat the paper's experiment of 12 and 14 October 2022 on built-in weather, and print both results."""
+    workers = chosen_workers(jobs, cluster)
     check_outputs(list(_paper_files(out)), "--out", force=force)
     from typing import get_args
 
@@ -277,7 +278,7 @@ def paper(
     from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, spreads, write_paper
     from daemon.studies.spread.workers import check_workers
 
-    workers, settings = chosen_workers(jobs, cluster), Settings()
+    settings = Settings()
     check_workers(workers)
     with progress_bar(Console(stderr=True), "correcting") as progress:
         correction = find_correction(settings, progress)

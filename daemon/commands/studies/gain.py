@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
-from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind
+from daemon.studies.gain.choices import AnswerFormat, Device, PlotKind, check_plot
 from daemon.studies.inputs import check_weather_file
 
 if TYPE_CHECKING:
@@ -80,7 +80,10 @@ def gain(
     if out is not None:
         check_outputs([out], "--out", force=force)
     if plot is not None:
+        check_plot(plot)
         check_outputs([plot], "--plot", force=force)
+    elif plot_kind is not None:
+        raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     if weather not in (None, "clear") and lat_range is None:
         check_weather_file(Path(weather), or_built_in=False)
     from daemon.studies.gain import output, request
@@ -113,12 +116,6 @@ def gain(
         against=request.devices(against),
         printed=printed,
     )
-    if plot is not None:
-        from daemon.studies.gain import plots
-
-        plots.check_path(plot)
-    elif plot_kind is not None:
-        raise UserError("--plot-kind needs a file to draw in; add --plot FILE")
     sky = _sky(weather, asked, lon, altitude)
     if sky is not None and sky.warning:
         say(f"heliocube: warning: {sky.warning}", err=True)
@@ -127,6 +124,8 @@ def gain(
         along = track(along, "latitudes", console=errors, transient=True, disable=not errors.is_terminal)
     columns = evaluate(asked, sky, along)
     if plot is not None:
+        from daemon.studies.gain import plots
+
         kind = plot_kind or _fitting(asked)
         plots.draw(kind, asked, columns, sky, plot)
         say(f"figure in {plot}", err=True)

@@ -13,7 +13,7 @@ from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.studies.simulate import progress_bar, tell_pages
-from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths
+from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths, zone_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,9 +69,9 @@ def report(
     wanted = Wanted(day, start, end)
     place, settings = store_directory("report", store, config), _settings(config)
     check_readable(place)
-    from daemon.studies.report.write import check_output, with_settings, write_reports, zone_of
-
     local = zone_of(zone)
+    from daemon.studies.report.write import check_output, with_settings, write_reports
+
     with (
         _readable(place, wanted) as (directory, called),
         progress_bar(Console(stderr=True), "reading and drawing") as progress,
@@ -121,17 +121,20 @@ def plot(
 
     whole = tables is not None and day is None and start is None and end is None
     wanted = None if whole else Wanted(day, start, end)
+    local, place = zone_of(zone), "" if tables is not None else store_directory("plot", store, config)
+    if place:
+        check_readable(place)
     # Slow to import, and what is above refuses most mistakes without them.
     from daemon.studies.report.plot import draw, material_of_tables
-    from daemon.studies.report.write import check_output, with_settings, zone_of
+    from daemon.studies.report.write import check_output, with_settings
 
-    local, settings = zone_of(zone), _settings(config)
+    settings = _settings(config)
     check_output(out.parent, [path.name for path in paths], "--out", force=force)
     with progress_bar(Console(stderr=True), "reading") as progress:
         if tables is not None:
             material = material_of_tables(tables, site, settings, wanted, tracker)
         else:
-            place, asked = store_directory("plot", store, config), Wanted(day, start, end)
+            asked = Wanted(day, start, end)
             with _readable(place, asked) as (directory, called):
                 found = _materials(directory, called, asked, tracker, progress)
             names = ", ".join(each.tracker for each in found)

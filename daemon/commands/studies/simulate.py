@@ -129,12 +129,15 @@ def checked_report(
     """
     if out is None:
         return None
+    from daemon.studies.report.asked import zone_of
+
+    local = zone_of(zone)
     from daemon.studies.report.studies import span_of
-    from daemon.studies.report.write import check_output, file_name, zone_of
+    from daemon.studies.report.write import check_output, file_name
 
     names = [file_name(span_of(*span).name, name) for name, _ in settings.trackers]
     check_output(out, names, "--report", force=force)
-    return zone_of(zone)
+    return local
 
 
 def tell_pages(paths: "Sequence[Path]", *, as_json: bool = False) -> None:

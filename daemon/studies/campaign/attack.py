@@ -1,53 +1,16 @@
-"""What `heliocube campaign` does: chooses schedules, carries them out, and reduces what fails."""
+"""What `heliocube campaign` does: carries schedules out, and reduces what fails."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from pathlib import Path
 
 from daemon.base.errors import UserError
-from daemon.studies.campaign.door import DirectDoor
-from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
 from daemon.studies.campaign.many import CampaignSummary, run_many
-from daemon.studies.campaign.matrix import chosen_faults, refuse_unknown
-from daemon.studies.campaign.person import known
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import CampaignOutcome
 from daemon.studies.campaign.schedule import Schedule
 from daemon.studies.spread.workers import Workers
 
 _BROKEN, _INTERRUPTED = 1, 130
-
-
-def chosen_schedules(
-    seeds: int, first: int, hours: float, only: Collection[str], without: Collection[str], file: Path | None
-) -> list[Schedule]:
-    """Return the schedules that a person asks for.
-
-    Parameters
-    ----------
-    seeds, first, hours
-        How many seeds, from which on, of how many hours.
-    only, without
-        Names of faults, and of cells of the matrix; names of faults and commands.
-    file
-        A schedule that `reduce` has left, in place of all that.
-
-    Raises
-    ------
-    UserError
-        A name is not known, or cannot be done; the file cannot be read.
-    """
-    if file is not None:
-        try:
-            schedule = Schedule.from_json(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise UserError(f"--schedule: {file} cannot be used: {error}") from error
-        refuse_unknown(schedule.events, known(DirectDoor()))
-        return [schedule]
-    unknown = sorted(set(without) - {*SPANS, *COMMANDS})
-    if unknown:
-        raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
-    faults = chosen_faults(only)
-    return [draw(seed, hours, without, faults) for seed in range(first, first + seeds)]
 
 
 class Attack:

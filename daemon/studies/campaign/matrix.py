@@ -1,11 +1,11 @@
 """Component x fault: what each cell is called in a schedule, or why a simulator cannot do it."""
 
 from collections.abc import Collection, Iterable
+from pathlib import Path
 
 from daemon.base.errors import UserError
-from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.draw import SPANS
-from daemon.studies.campaign.schedule import Happening
+from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
+from daemon.studies.campaign.schedule import Happening, Schedule
 
 COMPONENTS = (
     "sensor", "multiplexer", "meter-link", "positioner-link", "positioner", "broker", "udp", "clock", "disk", "process",
@@ -158,8 +158,48 @@ def chosen_faults(words: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
+def chosen_schedules(
+    seeds: int, first: int, hours: float, only: Collection[str], without: Collection[str], file: Path | None
+) -> list[Schedule]:
+    """Return the schedules that a person asks for.
+
+    Parameters
+    ----------
+    seeds, first, hours
+        How many seeds, from which on, of how many hours.
+    only, without
+        Names of faults, and of cells of the matrix; names of faults and commands.
+    file
+        A schedule that `reduce` has left, in place of all that.
+
+    Raises
+    ------
+    UserError
+        A name is not known, or cannot be done; the file cannot be read.
+    """
+    if file is not None:
+        try:
+            schedule = Schedule.from_json(file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UserError(f"--schedule: {file} cannot be read: {error.strerror}") from None
+        except ValueError as error:
+            raise UserError(f"--schedule: {file} is not a schedule that the campaign has written: {error}") from None
+        from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415 - the whole service
+        from daemon.studies.campaign.person import known  # noqa: PLC0415 - as above
+
+        refuse_unknown(schedule.events, known(DirectDoor()))
+        return [schedule]
+    unknown = sorted(set(without) - {*SPANS, *COMMANDS})
+    if unknown:
+        raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
+    faults = chosen_faults(only)
+    return [draw(seed, hours, without, faults) for seed in range(first, first + seeds)]
+
+
 def refuse_unknown(events: Iterable[Happening], commands: Collection[str]) -> None:
     """Raise `UserError` for the first event that simulator or service does not know: to skip it would be a lie."""
+    from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: a wrong name does not wait for it
+
     for event in events:
         if event.what == "command" and event.name not in commands:
             raise UserError(f"the service has no command '{event.name}'; leave it out with --without {event.name}")

@@ -1,6 +1,11 @@
 """The choices of `heliocube gain`, apart from what they set off, so that `--help` answers at once."""
 
 from enum import StrEnum
+from pathlib import Path
+
+from daemon.base.errors import UserError
+
+_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 class Device(StrEnum):
@@ -26,3 +31,9 @@ class PlotKind(StrEnum):
     BEST_TILT = "best-tilt"
     DAILY = "daily"
     PRINTED = "printed"
+
+
+def check_plot(path: Path) -> None:
+    """Raise `UserError` for a figure's file that is none of the kinds there are."""
+    if path.suffix.lower() not in _PLOT_SUFFIXES:
+        raise UserError(f"--plot: {path} must end in {', '.join(_PLOT_SUFFIXES[:-1])} or {_PLOT_SUFFIXES[-1]}")

@@ -19,7 +19,6 @@ from solar.gain import printed
 from solar.gain.ratios import Energies
 from solar.gain.real_sky import best_tilt_vertical_sky
 
-SUFFIXES = (".png", ".svg", ".pdf")
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _COLOURS = {Device.STATIC: "#0072B2", Device.VERTICAL: "#D55E00", Device.HORIZONTAL: "#009E73"}
 # What is left of a colour in grey.
@@ -37,12 +36,6 @@ _MONTH_STARTS = np.cumsum([1, 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30])
 _HIGHEST_GAIN_PERCENT = 200.0
 _LOSS = 0.01
 _MOST_SKIES = 19
-
-
-def check_path(path: Path) -> None:
-    """Raise `UserError` for a file that is none of the kinds there are."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise UserError(f"--plot: {path} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
 
 
 def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | None, path: Path) -> None:

@@ -1,8 +1,10 @@
-"""What `heliocube plot` can be asked for, checked before the science is loaded."""
+"""What `heliocube plot` and `report` can be asked for, checked before the science is loaded."""
 
 from collections.abc import Sequence
+from datetime import tzinfo
 from pathlib import Path
 from typing import Literal
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from daemon.base.errors import UserError
 
@@ -36,3 +38,13 @@ def format_of_tables(directory: Path) -> Literal["csv", "parquet"]:
         f"--tables: {directory} has neither scans.csv nor scans.parquet: name a folder that simulate or"
         " export has written"
     )
+
+
+def zone_of(name: str | None) -> tzinfo | None:
+    """Return the time zone of that name, None for this machine's; raises `UserError`."""
+    if name is None:
+        return None
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise UserError(f"--zone: there is no time zone {ascii(name)[:60]}; write one such as Europe/Paris") from None

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
@@ -14,16 +13,6 @@ from daemon.studies.report.material import Material
 from daemon.studies.report.page import findings_of, page_of
 
 ENDING = ".html"
-
-
-def zone_of(name: str | None) -> tzinfo | None:
-    """Return the time zone of that name, None for this machine's; raises `UserError`."""
-    if name is None:
-        return None
-    try:
-        return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise UserError(f"--zone: there is no time zone {ascii(name)[:60]}; write one such as Europe/Paris") from None
 
 
 def check_output(out: Path, names: Sequence[str], option: str, *, force: bool) -> None:

@@ -64,7 +64,9 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
             _check_columns(path, [name.strip() for name in reader.fieldnames or []])
             reader.fieldnames = [name.strip() for name in reader.fieldnames or []]
             sites = [_site(path, reader.line_num, row, model) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise UserError(f"--sites: {path} cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"--sites: {path} cannot be read as CSV: {error}") from None
     if not sites:
         raise UserError(f"--sites: {path} has no line with a site below its heads")

@@ -9,9 +9,10 @@ import pytest
 
 from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.attack import Attack, chosen_schedules
+from daemon.studies.campaign.attack import Attack
 from daemon.studies.campaign.draw import COMMANDS, SPANS, draw
 from daemon.studies.campaign.many import run_many
+from daemon.studies.campaign.matrix import chosen_schedules
 from daemon.studies.campaign.reduce import reduce
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import Happening, Schedule

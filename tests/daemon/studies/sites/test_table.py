@@ -63,5 +63,5 @@ def test_a_year_beside_files_is_refused(table, tmp_path):
 
 
 def test_what_is_no_table_is_refused(tmp_path):
-    with pytest.raises(UserError, match="cannot be read as CSV"):
+    with pytest.raises(UserError, match="cannot be read: No such file"):
         read_sites(tmp_path / "none.csv", None)
