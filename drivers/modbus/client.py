@@ -1,6 +1,7 @@
 """The asking end of Modbus: one question at a time, a pause before each, nothing written unless allowed."""
 
 import asyncio
+import math
 from collections.abc import Callable
 
 from drivers.errors import DeadlineError, RefusedError
@@ -42,7 +43,7 @@ class ModbusBus:
         self._gap_s = gap_s
         self._now = monotonic_s
         self._writes = writes
-        self._quiet_since_s = -gap_s
+        self._quiet_since_s = -math.inf
         self._free = asyncio.Lock()
 
     async def open(self, within_s: float = 15.0) -> None:

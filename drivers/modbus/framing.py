@@ -22,6 +22,8 @@ _TCP_HEAD = struct.Struct(">HHHB")
 # Longest frame of each kind, by the standards.
 _LONGEST_PDU = 253
 _LONGEST_RTU = 256
+# Address, function and checksum.
+_SHORTEST_RTU = 4
 # A pause within a frame that ends it, for a server; the standard has 3.5 characters, which USB adapters do not keep.
 _BROKEN_AFTER_S = 0.1
 
@@ -204,9 +206,9 @@ def _tcp_taken(buffer: bytes) -> tuple[int, ModbusRequest, bytes] | None:
 
 def _request_length(buffer: bytes) -> int | None:
     """Return how long the frame of RTU at the beginning is if it is a question; None while that cannot be told."""
-    if len(buffer) < 2:
+    if len(buffer) < _SHORTEST_RTU:
         return None
     if buffer[1] in (WRITE_COILS, WRITE_REGISTERS):
         return 9 + buffer[6] if len(buffer) > 6 else None
     # A function whose length is not known here can only be one without data, and is refused.
-    return 8 if READ_COILS <= buffer[1] <= WRITE_REGISTER else 4
+    return 8 if READ_COILS <= buffer[1] <= WRITE_REGISTER else _SHORTEST_RTU

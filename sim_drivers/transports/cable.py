@@ -36,6 +36,9 @@ class Cabled:
     def _connect(self) -> None:
         if not self._is_up:
             raise ConnectError(self._device, "is not plugged in")
+        if self._is_open:
+            # As a real port has it: whoever opens anew closes first.
+            raise ConnectError(self._device, "is in use already")
         self._is_open = True
 
     def _disconnect(self) -> None:

@@ -14,6 +14,7 @@ lists what to check.
 """
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -89,7 +90,7 @@ class PozsolPositioner:
         self._sending = asyncio.Lock()
         self._identified = False
         self._nothing_sent = True
-        self._sent_s = now() - wire.COMMAND_SPACING_S
+        self._sent_s = -math.inf
         self._stops = 0
 
     async def open(self) -> PositionerIdentity:

@@ -1,5 +1,7 @@
 """Frames: bytes that others have published, late replies, garbage, and the other end."""
 
+import pickle
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
@@ -244,3 +246,21 @@ def test_over_tcp_a_head_says_at_once_whether_it_can_be_one(head, can_be):
 
 def test_a_request_knows_its_unit():
     assert read_registers(9, 3, 1, 1) == ModbusRequest(9, b"\x03\x00\x01\x00\x01")
+
+
+@pytest.mark.parametrize("pdu", [b"\x07", b"\x03\x00\x00\x00\x01", b"\x10\x00\x01\x00\x01\x02\x00\x07"])
+def test_a_server_finds_questions_of_every_length_byte_by_byte(pdu):
+    server, frame = RtuServer(), rtu(9, *pdu)
+    found = [server.feed(bytes((byte,)), 0.0) for byte in frame + frame]
+    assert [len(asked) for asked in found] == ([0] * (len(frame) - 1) + [1]) * 2
+    assert found[-1][0].request == ModbusRequest(9, pdu)
+
+
+def test_noise_is_not_kept_for_ever_and_hides_no_answer():
+    framing = RtuClient()
+    framing.begin(ASKED)
+    for _ in range(100):
+        assert framing.feed(b"\x55" * 300) is None
+    assert len(pickle.dumps(framing)) < 1500
+    assert framing.feed(b"\x55" * 300 + ANSWER[:5]) is None
+    assert registers_of(framing.feed(ANSWER[5:])) == (7,)

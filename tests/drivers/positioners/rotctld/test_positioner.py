@@ -41,6 +41,7 @@ class Told:
         self.is_open = False
 
     async def open(self):
+        assert not self.is_open
         self.is_open = True
 
     async def close(self):
@@ -268,6 +269,7 @@ def test_before_the_first_opening_its_range_is_not_known():
         assert driver.mount is None
         with pytest.raises(LinkLostError, match="has to be opened first"):
             await driver.read_telemetry()
+        await driver.open()
         await driver.open()
         assert (driver.mount.azimuth_min_deg, driver.mount.azimuth_max_deg) == (0.0, 360.0)
 

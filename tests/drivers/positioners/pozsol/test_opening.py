@@ -1,0 +1,282 @@
+"""What the positioner's driver makes of a unit that it opens, and what it sends first, in virtual time."""
+
+import asyncio
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.timeloop import VirtualTimeLoop
+from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
+from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from drivers.positioners.pozsol.table import Value
+from drivers.positioners.pozsol.unit_setup import missing_fields
+from drivers.positioners.pozsol.wire import Field, encode_command
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.transports import InMemoryStream
+from solar.frames import Angles
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
+STOP = encode_command(Field.ACTION, wire.STOP)
+
+
+class Unit(InMemoryStream):
+    """The simulated unit's line: some fields say something else, or come late or, at infinity, never."""
+
+    def __init__(self, core, now, says=None, comes_s=None):
+        super().__init__(core, now)
+        self.core, self.now = core, now
+        self.says, self.comes_s = says or {}, comes_s or {}
+        self.restarted_s = None
+        self.sent = []
+
+    async def send(self, packet):
+        self.sent.append((self.now(), packet))
+        await super().send(packet)
+
+    def state(self):
+        state, now_s = super().state(), self.now()
+        said = {code: Value(text, now_s, _number(text)) for code, text in self.says.items()}
+        values = {code: one for code, one in (dict(state.values) | said).items() if now_s >= self.comes_s.get(code, 0)}
+        return state._replace(values=values, restarted_s=self.restarted_s)
+
+
+def _number(text):
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def on_unit(scenario, a=A, setup=None, **unit):
+    """Run a scenario with a driver that is not open yet, its unit, and the time."""
+
+    async def scene():
+        now = asyncio.get_running_loop().time
+        line = Unit(PositionerCore(now(), setup), now, **unit)
+        await scenario(PozsolPositioner(line, now, a, B), line, now)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
+async def fails_after(action, now, seconds, error, match):
+    begin_s = now()
+    with pytest.raises(error, match=match):
+        await action
+    assert now() - begin_s == pytest.approx(seconds, abs=0.05)
+
+
+def test_another_board_is_told_and_nothing_is_ever_sent_to_it():
+    async def scenario(positioner, unit, now):
+        sentence = "says it is board '37B2', not 36A1: nothing is sent to it"
+        await fails_after(positioner.open(), now, 0.0, IdentityError, sentence)
+        for attempt in (positioner.stop, positioner.halt, positioner.read_telemetry):
+            with pytest.raises(LinkLostError):
+                await attempt()
+        assert unit.sent == []
+
+    on_unit(scenario, says={Field.BOARD: b"37B2"})
+
+
+def test_a_stop_while_it_is_not_known_who_it_is_is_not_sent():
+    async def scenario(positioner, unit, _):
+        opening = asyncio.ensure_future(positioner.open())
+        await asyncio.sleep(1.0)
+        with pytest.raises(LinkLostError, match="has not been identified, so nothing is sent to it"):
+            await positioner.stop()
+        assert unit.sent == []
+        identity = await opening
+        assert (identity.board, identity.simulated) == ("36A1", True)
+        await positioner.stop()
+        assert [packet for _, packet in unit.sent] == [STOP, STOP]
+
+    on_unit(scenario, comes_s={Field.SERIAL: 2.0})
+
+
+def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_little_later():
+    async def silent(positioner, unit, now):
+        unit.silent = True
+        await fails_after(positioner.open(), now, 2.54, ConnectError, "sends no telemetry: it is in its bootloader")
+        unit.boot_s = 3.0
+        await fails_after(positioner.open(), now, 5.54, ConnectError, "sends no telemetry")
+
+    async def lacking(positioner, unit, now):
+        sentence = "sends something, but not the fields 87, 136 of a positioner"
+        await fails_after(positioner.open(), now, 8.02, IdentityError, sentence)
+        unit.restarted_s = now() + 4.0
+        await fails_after(positioner.open(), now, 12.02, IdentityError, sentence)
+
+    on_unit(silent)
+    on_unit(lacking, comes_s={Field.SERIAL: math.inf, Field.STATUS: math.inf})
+
+
+@pytest.mark.parametrize(("comes_s", "seconds", "told"), [(3.0, 3.0, 1), (math.inf, 4.5, 0), (0.0, 0.0, 1)])
+def test_how_the_unit_is_set_is_waited_for_one_turn_of_its_screens(comes_s, seconds, told):
+    async def scenario(positioner, _, now):
+        identity = await positioner.open()
+        assert now() == pytest.approx(seconds, abs=0.05)
+        assert len([text for text in identity.setup_conflicts if "zero_offset" in text]) == told
+        assert missing_fields(positioner.fields()) == (() if told else (192,))
+
+    on_unit(scenario, replace(A, zero_offset=2.0), comes_s={192: comes_s})
+
+
+def test_each_opening_begins_anew():
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        await positioner.move_to(-30.0, 45.0)
+        await positioner.home("a")
+        await asyncio.sleep(2.0)
+        await positioner.close()
+        unit.restarted_s = now()
+        unit.sent.clear()
+        await positioner.open()
+        seen = await positioner.read_telemetry()
+        assert seen.reference_doubt == "the reference run of A did not end; the positioner has restarted"
+        await positioner.stop()
+        assert [packet for _, packet in unit.sent] == [STOP, STOP]
+        await positioner.open()
+        await positioner.move_to(0.0, 45.0)
+        assert unit.sent[2][1] == STOP
+
+    on_unit(scenario)
+
+
+def test_before_the_first_opening_nothing_is_sent():
+    async def scenario(positioner, unit, _):
+        for attempt in (positioner.stop(), positioner.halt(), positioner.move_to(0.0, 45.0), positioner.home("a")):
+            with pytest.raises(LinkLostError):
+                await attempt
+        assert unit.sent == []
+
+    on_unit(scenario)
+
+
+def test_commands_are_sent_a_pause_apart_with_a_stop_before_the_first():
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        await positioner.move_to(-30.0, 45.0)
+        await positioner.move_to(-20.0, 50.0, first="b")
+        times = [at_s for at_s, _ in unit.sent]
+        assert all(later - before >= wire.COMMAND_SPACING_S - 1e-6 for before, later in itertools.pairwise(times))
+        assert times[2] - times[0] < 3 * wire.COMMAND_SPACING_S
+        codes = [packet.strip(b"\x00")[:2] for _, packet in unit.sent]
+        assert unit.sent[0][1] == STOP
+        assert codes[1:3] == [unit.sent[1][1][:2], unit.sent[2][1][:2]]
+        assert codes[3:5] == codes[2:0:-1]
+        assert now() < 2.0
+
+    on_unit(scenario)
+
+
+def test_a_stop_is_sent_at_once_and_twice_only_where_the_first_packet_may_be_lost():
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        begin_s = now()
+        await positioner.stop()
+        assert [at_s - begin_s for at_s, _ in unit.sent] == pytest.approx([0.0, wire.COMMAND_SPACING_S], abs=1e-5)
+        await positioner.stop()
+        assert len(unit.sent) == 3
+
+    on_unit(scenario)
+
+
+@pytest.mark.parametrize("act", ["move", "home", "clear", "quieten"])
+def test_a_stop_ends_whatever_is_under_way_and_no_more_is_sent(act):
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        await positioner.stop()
+        if act == "quieten":
+            unit.core.inject("own_tracking", unit.now())
+            await asyncio.sleep(10.0)
+        started = {
+            "move": lambda: positioner.move_to(-30.0, 45.0),
+            "home": lambda: positioner.home("a"),
+            "clear": positioner.clear_faults,
+            "quieten": positioner.disable_autonomy,
+        }[act]()
+        task = asyncio.ensure_future(started)
+        await asyncio.sleep(0.01)
+        await positioner.stop()
+        count = len(unit.sent)
+        with pytest.raises(RefusedError, match="a stop came in between"):
+            await task
+        assert len(unit.sent) == count
+        assert unit.sent[-1][1] == STOP
+
+    on_unit(scenario, setup=Setup(own_target=lambda _now: Angles(-40.0, 20.0)))
+
+
+@pytest.mark.parametrize(("says", "fault", "why"), [
+    ({}, "a_ignores_targets", r"destinations \S+ and \S+ and no reason; is the geometry in instruments\.positioner"),
+    ({Field.SUPPLY: b"19.90"}, "a_ignores_targets", "its motor supply is 19.9 V"),
+    ({Field.SUPPLY: b"20.00"}, "a_ignores_targets", "and no reason"),
+    ({Field.MODE: b"wind"}, "a_ignores_targets", "and no reason|its own mode is on"),
+])  # fmt: skip
+def test_why_a_target_was_not_taken_is_said(says, fault, why):
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        unit.core.inject(fault, now())
+        begin_s = now()
+        with pytest.raises(RefusedError, match=f"did not take the target A -30.00, B 45.00 deg .*: .*{why}"):
+            await positioner.move_to(-30.0, 45.0)
+        assert 1.0 <= now() - begin_s < 1.4
+        assert unit.sent[-1][1] == STOP
+
+    on_unit(scenario, says=says)
+
+
+def test_angles_and_positions_that_do_not_go_together_are_given_no_target():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        with pytest.raises(
+            RefusedError, match=r"it shows \S+ deg at position \S+ of axis A, where instruments\.positioner"
+        ):
+            await positioner.move_to(-30.0, 45.0)
+        assert unit.sent == []
+
+    on_unit(scenario, says={Field.A_ANGLE: b"40.0"})
+
+
+def test_one_that_stands_but_aims_elsewhere_takes_no_stop():
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        sentence = r"takes no stop: it stands, but is still to go from A \S+ to 300, B \S+ to \S+"
+        await fails_after(positioner.halt(), now, 12.04, StillMovingError, sentence)
+        times = [at_s for at_s, _ in unit.sent]
+        assert times[1] - times[0] == pytest.approx(wire.COMMAND_SPACING_S, abs=0.05)
+        assert {round(later - before, 2) for before, later in itertools.pairwise(times[1:])} == {0.16}
+
+    on_unit(scenario, says={Field.A_DESTINATION: b"300.0000"})
+
+
+def test_what_trembles_by_a_hall_count_stands_as_the_unit_itself_tells():
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        at = float(unit.state().values[Field.A_POSITION].number)
+        begin_s = now()
+
+        async def tremble(counts):
+            while True:
+                for place in (at, at + counts / 75):
+                    unit.says[Field.A_POSITION] = unit.says[Field.A_DESTINATION] = f"{place:.4f}".encode()
+                    await asyncio.sleep(0.04)
+
+        trembling = asyncio.ensure_future(tremble(1.0))
+        await positioner.halt()
+        trembling.cancel()
+        assert now() - begin_s < 0.8
+        trembling = asyncio.ensure_future(tremble(1.5))
+        with pytest.raises(StillMovingError):
+            await positioner.halt()
+        trembling.cancel()
+
+    # What the unit says of its counts goes before what is set, and without a word of it that counts.
+    on_unit(scenario, replace(A, step=math.nan))
+    on_unit(scenario, replace(A, step=0.016), says={78: b"none"})
