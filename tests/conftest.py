@@ -12,6 +12,7 @@ from hypothesis import settings
 
 from tests.firmware.peer import missing
 from tests.support import SHARED
+from tests.support.addresses import free_port, take_block
 from tests.support.bad_network import without_namespaces
 from tests.support.broker import LEFT_OUT, MOSQUITTO
 from tests.support.dealing import dealt, long_first, names_any
@@ -64,6 +65,10 @@ _WAITS = [
     *(f"mark.{tier}" for tier in (*_LIVE, "live")),
     *(fixture for fixture, tier in _TIER_OF_FIXTURE.items() if tier in {*_LIVE, "live"}),
 ]
+
+
+def pytest_configure():
+    take_block()
 
 
 def pytest_addoption(parser):
@@ -157,7 +162,5 @@ def measured() -> Path:
 
 @pytest.fixture
 def free_udp_port() -> int:
-    """A UDP port on loopback that was free a moment ago."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """A UDP port on loopback that is free."""
+    return free_port(socket.SOCK_DGRAM)

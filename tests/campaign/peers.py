@@ -15,6 +15,7 @@ from pathlib import Path
 from sim_drivers.bench.client import request
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
 from tests.support import forks
+from tests.support.addresses import free_port
 
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 TOKEN = "t" * 43
@@ -225,9 +226,7 @@ def unit_and_tracker(folder, firmware=None, build="micro"):
     """
     (folder / "api.token").write_text(TOKEN + "\n")
     (folder / "api.token").chmod(0o600)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     config = folder / "config.toml"
     config.write_text(CONFIG.format(port=port, folder=folder))
     unit = FirmwareUnit(folder, config, firmware, build) if firmware else SimulatedUnit(folder, config)

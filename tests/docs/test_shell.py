@@ -19,6 +19,7 @@ from typer.main import get_command
 from daemon.commands.main import app, main
 from daemon.studies.samples import DAYS, sample
 from tests.support import DOCS, ROOT
+from tests.support.addresses import free_port
 from tests.support.stored_day import stored_days
 from tests.system.processes import Process, wait_until
 
@@ -216,9 +217,7 @@ def on_free_ports(config):
     """Let the service of a configuration take ports that nobody has."""
     text = config.read_text()
     for port, kind in ((20571, socket.SOCK_DGRAM), (20572, socket.SOCK_STREAM)):
-        with socket.socket(socket.AF_INET, kind) as probe:
-            probe.bind(("127.0.0.1", 0))
-            text = text.replace(f"127.0.0.1:{port}", f"127.0.0.1:{probe.getsockname()[1]}")
+        text = text.replace(f"127.0.0.1:{port}", f"127.0.0.1:{free_port(kind)}")
     config.write_text(re.sub(r"^#(listen = .*)", r"\1", text, flags=re.MULTILINE))
 
 

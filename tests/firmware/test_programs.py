@@ -3,12 +3,12 @@
 import contextlib
 import json
 import re
-import socket
 import time
 
 import pytest
 
 from tests.support import forks
+from tests.support.addresses import free_port
 
 TOKEN = "0123456789abcdef0123456789abcdef"
 
@@ -23,12 +23,6 @@ def configure(firmware, folder, more=""):
         f'[instruments]\nkind = "real"\n[instruments.positioner]\nport = "{firmware.link}"\n{more}', encoding="utf-8"
     )
     return config
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 @pytest.mark.long

@@ -12,6 +12,9 @@ import sys
 import time
 from pathlib import Path
 
+from tests.support import ROOT
+from tests.support.addresses import free_port
+
 _PATHS = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin"])
 MOSQUITTO = None if os.environ.get("HELIOCUBE_TEST_BROKER") == "amqtt" else shutil.which("mosquitto", path=_PATHS)
 LEFT_OUT = "wrong passwords, access lists, TLS and the takeover of a client id"
@@ -22,12 +25,14 @@ class Broker:
     """One broker on a loopback port of its own."""
 
     def __init__(self, folder, users=None, acl=None, tls=False):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.process = None
         self._folder = folder
-        self._arguments = self._mosquitto(users, acl, tls) if MOSQUITTO else [sys.executable, __file__, str(self.port)]
+        self._arguments = (
+            self._mosquitto(users, acl, tls)
+            if MOSQUITTO
+            else [sys.executable, "-m", "tests.support.broker", str(self.port)]
+        )
 
     def _mosquitto(self, users, acl, tls):
         lines = [f"listener {self.port} 127.0.0.1", "persistence false", f"user {getpass.getuser()}"]
@@ -57,7 +62,7 @@ class Broker:
 
     def start(self):
         with (self._folder / "broker.log").open("a") as log:
-            self.process = subprocess.Popen(self._arguments, stdout=log, stderr=log)
+            self.process = subprocess.Popen(self._arguments, cwd=ROOT, stdout=log, stderr=log)
         deadline = time.monotonic() + 20
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):

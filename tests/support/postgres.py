@@ -6,11 +6,12 @@ import pwd
 import shlex
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+from tests.support.addresses import free_port
 
 _FOUND = [Path(found) for found in [shutil.which("initdb")] if found]
 _FOUND += sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)
@@ -29,9 +30,7 @@ class Postgres:
         if _USER is not None:
             entry = pwd.getpwnam(_USER)
             os.chown(self.folder, entry.pw_uid, entry.pw_gid)
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self._data = self.folder / "data"
         self._run("initdb", "-D", self._data, "-U", OWNER, "-A", "trust", "-N", "-E", "UTF8", "--locale", "C")
         # Who starts the server again after each death is one process for all tests, of which none is left with a child.

@@ -7,6 +7,8 @@ import subprocess
 import time
 from pathlib import Path
 
+from tests.support.addresses import free_port
+
 ROTCTLD = shutil.which("rotctld")
 LEFT_OUT = "rotctld is not here (libhamlib-utils): the tests against Hamlib's own server are left out"
 _STARTS_WITHIN_S = 20.0
@@ -16,9 +18,7 @@ class Rotctld:
     """The dummy rotator of Hamlib, 6 deg/s on both axes, on a loopback port of its own."""
 
     def __init__(self, *options):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.options = options
         self.process = None
 

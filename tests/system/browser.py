@@ -3,13 +3,13 @@
 import contextlib
 import shutil
 import signal
-import socket
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 from playwright.sync_api import expect, sync_playwright
 
+from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process, wait_until
 from tests.system.rig import BRISK, HIGH_SUN
 
@@ -49,12 +49,6 @@ start_utc = 2022-09-21T11:50:00Z
 motor_speed_mm_s = 12.8
 """
 """A simulated rig at its own speed, which scans every two seconds; the sun is high, so that stow is near."""
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class Page:

@@ -10,6 +10,7 @@ import pytest
 
 from daemon.bridge.signing import generate_key, write_key
 from tests.support import ROOT, forks
+from tests.support.addresses import free_port
 from tests.system.processes import BenchProcess, Process
 from tests.system.rig import HIGH_SUN, Rig, brisk
 
@@ -70,16 +71,14 @@ def start_unit(tmp_path):
     write_key(tmp_path / "bridge.key", generate_key())
     (tmp_path / "api.token").write_text("t" * 40 + "\n")
     (tmp_path / "api.token").chmod(0o600)
-    port = _free_port(socket.SOCK_DGRAM)
+    port = free_port(socket.SOCK_DGRAM)
     units = []
 
     def start(role, watchdog_s):
         text = (ROOT / "deploy" / "examples" / f"{role}.toml").read_text()
         for old, new in {
             "127.0.0.1:20571": f"127.0.0.1:{port}",
-            {"cube": "127.0.0.1:20573", "tracker": "127.0.0.1:20572"}[role]: (
-                f"127.0.0.1:{_free_port(socket.SOCK_STREAM)}"
-            ),
+            {"cube": "127.0.0.1:20573", "tracker": "127.0.0.1:20572"}[role]: (f"127.0.0.1:{free_port()}"),
             f"/var/lib/heliocube/{role}": str(tmp_path / role),
         }.items():
             assert old in text
@@ -92,12 +91,6 @@ def start_unit(tmp_path):
     yield start
     for unit in units:
         unit.close()
-
-
-def _free_port(kind):
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture

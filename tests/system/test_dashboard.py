@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -311,7 +312,7 @@ def close(said, shown):
 
 
 def test_without_a_service_every_view_says_so(browser, tmp_path):
-    dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{browsers.free_port()}")
+    dashboard, url = browsers.run_dashboard(tmp_path, f"127.0.0.1:{free_port()}")
     try:
         with browser.new_context(viewport=browsers.PHONE) as context:
             page = browsers.Page(context, url)

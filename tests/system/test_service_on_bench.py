@@ -4,6 +4,7 @@ import os
 import socket
 import time
 
+import psutil
 import pytest
 import serial
 
@@ -222,7 +223,7 @@ def test_a_port_held_by_another_program_and_a_missing_ni_driver_are_told_and_wai
     holder = bench.directory / "positioner"
     with serial.Serial(str(holder), exclusive=True):
         rig = Rig(bench, start_service(config))
-        for sentence in (f"is held by another program (python, process {os.getpid()})", "NI-DAQmx"):
+        for sentence in (f"is held by another program ({psutil.Process().name()}, process {os.getpid()})", "NI-DAQmx"):
             wait_until(lambda sentence=sentence: rig.outages(sentence) == 1, SETTLES_WITHIN_S, rig.service.log)
     wait_until(lambda: rig.lines("the positioner is back") == 1, SETTLES_WITHIN_S, rig.service.log)
     assert rig.service.exit_code is None

@@ -8,6 +8,7 @@ import pytest
 import sunspec2.modbus.client as sunspec
 from sunspec2.modbus.modbus import ModbusClientError
 
+from tests.support.addresses import free_port
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
@@ -16,9 +17,7 @@ CLEAR_NOON = "[simulation]\nspeed = 30.0\nweather = 'clear'\nstart_utc = 2022-06
 
 @pytest.fixture
 def port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return free_port()
 
 
 @pytest.fixture

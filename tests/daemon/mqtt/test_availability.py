@@ -2,22 +2,16 @@
 
 import asyncio
 import signal
-import socket
 
 import pytest
 
 from tests.support import forks
+from tests.support.addresses import free_port
 from tests.support.mqtt import observer
 
 pytestmark = pytest.mark.system
 
 STATUS = "heliocube/tracker/status"
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def test_it_is_true_after_a_crash_a_restart_and_a_clean_stop(broker, tmp_path):

@@ -3,7 +3,6 @@
 import asyncio
 import os
 import signal
-import socket
 from pathlib import Path
 
 import pytest
@@ -13,6 +12,7 @@ from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError, load_settings
 from daemon.service.rig import Role
 from tests.support import forks
+from tests.support.addresses import free_port
 from tests.support.broker import CERTIFICATES
 from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
 
@@ -152,7 +152,7 @@ def test_a_safety_input_that_cannot_be_heard_is_unsafe_after_its_time_limit_and_
 def test_the_program_starts_with_wrong_topics_and_says_so_in_api_and_status_and_check_lists_them(broker, tmp_path):
     config = tmp_path / "heliocube.toml"
     config.write_text(
-        f"[bridge]\nlisten = '127.0.0.1:0'\n[api]\nlisten = '127.0.0.1:{_free_port()}'\n"
+        f"[bridge]\nlisten = '127.0.0.1:0'\n[api]\nlisten = '127.0.0.1:{free_port()}'\n"
         f"[safety]\nwind_stale_s = 86400\n[mqtt]\nenabled = true\nport = {broker.port}\n"
         "[mqtt.wind]\ntopic = 'weather/#'\n[mqtt.safe]\ntopic = 'dome'\njson_path = 'a.'\nstale_s = 86400\n"
     )
@@ -209,9 +209,3 @@ def test_the_check_lists_wrong_topics_together_with_everything_else(tmp_path):
     path.write_text("[mqtt]\nprefix = 5\n")
     with pytest.raises(ConfigError):
         load_settings(path)
-
-
-def _free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

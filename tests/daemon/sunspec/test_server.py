@@ -10,6 +10,7 @@ from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
 from drivers.modbus.framing import TcpClient
 from drivers.modbus.pdu import read_registers, registers_of
+from tests.support.addresses import free_port
 
 
 @pytest.fixture
@@ -18,9 +19,7 @@ def serve(run_rig):
 
     def run(scenario):
         async def beside(rig):
-            with socket.socket() as probe:
-                probe.bind(("127.0.0.1", 0))
-                port = probe.getsockname()[1]
+            port = free_port()
             settings = rig.service.settings
             own = settings.sunspec.model_copy(update={"enabled": True, "listen": f"127.0.0.1:{port}"})
             server = SunSpecServer(
