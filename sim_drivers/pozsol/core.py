@@ -142,6 +142,11 @@ class PositionerCore:
         self.advance(now)
         return self._unit.readout(now, self._links)
 
+    def changes(self, now: float) -> int:
+        """Return how often anything has changed so far but by going on as it did."""
+        self.advance(now)
+        return self._unit.changes
+
     def course(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination [mm] that the unit shows of an axis, without the rest of the screen."""
         self.advance(now)

@@ -37,6 +37,11 @@ class PositionerUnit:
     """The positioner without its link. Time [s] is an argument and never runs backwards.
 
     Every command is either carried out or silently refused, as the unit does.
+
+    Attributes
+    ----------
+    changes
+        How often it has looked at its state; in between its axes go on as they do.
     """
 
     def __init__(self, now: float, setup: Setup) -> None:
@@ -57,7 +62,7 @@ class PositionerUnit:
         self._refuses_until_s = -math.inf
         self._button_s = self._manual_s = self._idle_s = self._braked_s = math.inf
         self._homing_ordered = self._runs_out = self._idled = False
-        self._looks = 0
+        self.changes = 0
         self._schedule(now)
 
     def advance(self, now: float) -> None:
@@ -177,7 +182,7 @@ class PositionerUnit:
     def standstill(self) -> int | None:
         """A number that stays the same while nothing has moved or changed; None while an axis moves."""
         a, b = self.axes.values()
-        return self._looks if a.rests_s == b.rests_s == -math.inf else None
+        return self.changes if a.rests_s == b.rests_s == -math.inf else None
 
     def axis_readout(self, name: AxisName, now: float) -> AxisReadout:
         """Return what the unit would print of an axis now."""
@@ -381,7 +386,7 @@ class PositionerUnit:
         self._manual_s = self._idle_s = self._braked_s = math.inf
 
     def _schedule(self, now: float) -> None:
-        self._looks += 1
+        self.changes += 1
         a, b = self.axes.values()
         homing_s = self._axis.homing_since_s + HOMING_TIMEOUT_S
         own = (self._manual_s, self._idle_s, self._braked_s, self._self_clear_s, self._button_s, homing_s)

@@ -196,7 +196,7 @@ class CampaignRun:
         if name == "deaf":
             watch.deaf(is_deaf=True)
         elif name == "clock_step":
-            watch.clock_steps()
+            watch.steps.note(watch.now_s)
         if fault.uncounts:
             watch.reference_excused = True
         if name.endswith("hall_loss"):

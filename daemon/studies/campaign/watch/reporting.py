@@ -46,6 +46,11 @@ class Reporting:
         self._cause_s = -math.inf
         self._blocked: str | None = None
 
+    @property
+    def waits(self) -> bool:
+        """Whether a report is due some time, or something turns that may be worth one."""
+        return bool(self._unreported) or self._begun_s is not None
+
     def cause(self, now_s: float) -> None:
         """Note that a fault begins or ends, or that a hand is at the unit."""
         self._cause_s = now_s

@@ -43,6 +43,10 @@ class Storms:
         """Note that a fault or a person's command comes in between: a stow may take longer."""
         self._undisturbed_s = now_s
 
+    def waits(self, now_s: float) -> bool:
+        """Tell whether something of a storm, or after a gust, has to show as time goes on."""
+        return self._storm_s is not None or now_s < self.gust_s + GUST_STOWS_S
+
     def check(self, plant: Plant, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
         """Compare wind, mode and where the axes truly stand.
 

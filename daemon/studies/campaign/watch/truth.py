@@ -11,11 +11,13 @@ from collections.abc import Iterator
 
 from daemon.base.records import Mode, Scan
 from daemon.base.timeloop import call_until, wait_at_most
-from daemon.rigs.campaign.faults import FORGED_W_M2
 from daemon.rigs.campaign.plant import Plant
-from daemon.studies.campaign.watch.explained import Counted, Explained
+from daemon.studies.campaign.watch.believed import check_scan
+from daemon.studies.campaign.watch.clock_steps import ClockSteps
+from daemon.studies.campaign.watch.explained import AT_TARGET, Counted, Explained
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
+from daemon.studies.campaign.watch.steady import FASTEST_DEG_PER_S, FASTEST_PER_S, STANDS, Steady, turning
 from daemon.studies.campaign.watch.storms import STORM_S, Storms
 from drivers.interfaces import AxisName
 from solar.frames import Angles
@@ -36,9 +38,6 @@ REFERENCE_DEG = 0.8
 REFERENCE_EVERY_S = 5.0
 DOUBTS_WITHIN_S = 30.0
 STALE_S = 16.0
-CLOCK_SETTLES_S = 890.0
-CLOCK_STEP_S = 30.0
-LEAST_W_M2, MOST_W_M2 = -100.0, 2000.0
 
 
 class TruthWatch:
@@ -68,7 +67,9 @@ class TruthWatch:
         self.explained = Explained()
         self.reporting = Reporting(self.fails)
         self.storms = Storms(self.fails)
+        self.steps = ClockSteps(self.fails)
         self.reach = Reach()
+        self._steady = Steady()
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
         self.reference_excused = False
         self.blind: set[AxisName] = set()
@@ -84,7 +85,6 @@ class TruthWatch:
         self._maintenance_s: float | None = None
         self._wrong_s: float | None = None
         self._compared_s = -math.inf
-        self._stepped_s = -math.inf
         self._sendings = 0
         self._sent_s = -math.inf
         self._noted: set[tuple[str, int]] = set()
@@ -162,6 +162,7 @@ class TruthWatch:
         """Take note of maintenance."""
         if self._maintenance_s is None:
             self._maintenance_s = self.now_s
+        self._steady.forget()
 
     def maintenance_ends(self) -> None:
         """Take note that it is over, or was refused."""
@@ -171,19 +172,11 @@ class TruthWatch:
         """Take note that the wind has been strong for more than a second."""
         if self.plant.is_served and self.now_s - self.reach.begun_s > STORM_S:
             self.storms.gust_s = self.now_s
-
-    def clock_steps(self) -> None:
-        """Take note that the clock is set."""
-        self._stepped_s = self.now_s
+            self._steady.forget()
 
     def scan(self, scan: Scan) -> None:
         """Take note of a scan that the service has accepted."""
-        for face in scan.faces:
-            value = face.irradiance_w_m2
-            if value == FORGED_W_M2:
-                self.fails("forged", "a scan that nobody with the key has signed was accepted")
-            elif scan.ok and not LEAST_W_M2 <= value <= MOST_W_M2:
-                self.fails("implausible", f"an irradiance of {value:g} W/m2 passes for good")
+        check_scan(scan, self.fails)
 
     @property
     def stopped(self) -> bool:
@@ -214,6 +207,7 @@ class TruthWatch:
     def wake(self) -> None:
         """Sample often for a while: something may begin to move."""
         self._fast_until_s = max(self._fast_until_s, self.now_s + 1.0)
+        self._steady.forget()
         self._wake.set()
 
     async def run(self) -> None:
@@ -239,14 +233,31 @@ class TruthWatch:
         now_s, at = self.now_s, self.plant.truth()
         before, gone_s, self._at = self._at, now_s - self._sampled_s, at
         self._sampled_s = now_s
+        if before is None or gone_s <= 0:
+            self._look_closely(at, at, 0.0, now_s)
+            return
+        least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
+        turns = turning(before, at, least_deg)
+        if not self._steady.goes_on(self.plant, turns, now_s):
+            self._steady.forget()
+            until_s = self._look_closely(before, at, least_deg, now_s)
+            if until_s > now_s:
+                self._steady.note(self.plant, now_s, turns, until_s)
+        elif turns != STANDS:
+            self._note_motion(now_s)
+
+    def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
+        """Return until when [s] another look finds the same if nothing changes; -inf where time alone may tell."""
         self.reach.sample(self.plant, now_s)
         live = self._live(now_s)
-        if before is not None and gone_s > 0:
-            least = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
-            self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least, now_s, live=live)
-            self._check_axis("b", at.b_deg, at.b_deg - before.b_deg, least, now_s, live=live)
+        until_s = min(
+            self._check_axis("a", at.a_deg, at.a_deg - before.a_deg, least_deg, now_s, live=live),
+            self._check_axis("b", at.b_deg, at.b_deg - before.b_deg, least_deg, now_s, live=live),
+        )
         self._check_stop(now_s, live=live)
         self._check_reference(at, now_s)
+        if not any(self.moving.values()):
+            until_s = min(until_s, self._compared_s + REFERENCE_EVERY_S)
         # The storm itself is one of them.
         self.storms.excused = self.lasting > 1 or self.reference_excused or self._wrong_s is not None
         self.storms.check(self.plant, at, now_s, self.reach.since_s, live=live)
@@ -254,22 +265,28 @@ class TruthWatch:
             self.reporting.check(self.plant, now_s, by_hand=self.explained.by_hand(now_s))
         else:
             self.reporting.forget()
+        waits = self.stopped or self.maintained or self.storms.waits(now_s) or self.reporting.waits
+        return until_s if live and not waits and not self.explained.by_hand(now_s) else -math.inf
+
+    def _note_motion(self, now_s: float) -> None:
+        self._fast_until_s = max(self._fast_until_s, now_s + 0.5)
 
     def _check_axis(
         self, axis: AxisName, at_deg: float, turned_deg: float, least_deg: float, now_s: float, *, live: bool
-    ) -> None:
+    ) -> float:
+        """Return until when [s] the axis goes on by the same right if nothing changes; -inf without one."""
         moving = self.moving[axis] = abs(turned_deg) > least_deg
         if not moving:
             self._unexplained_s[axis] = None
-            return
-        self._fast_until_s = max(self._fast_until_s, now_s + 0.5)
+            return math.inf
+        self._note_motion(now_s)
         motion = self.plant.motion
         counted = self._counted_of(axis)
         heading = motion.target is not None
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
         if not live:
             self._unexplained_s[axis] = None
-            return
+            return -math.inf
         if why is None:
             # Reason enough for an alarm, whatever the unit's count says of it.
             self.reporting.cause(now_s)
@@ -277,11 +294,14 @@ class TruthWatch:
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
             if not self._sendings and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
                 self.reporting.unexplained(turned_deg, now_s)
-        else:
-            self._unexplained_s[axis] = None
-            self.reporting.stands()
-            if why == "order":
-                self._check_limits(axis, at_deg, turned_deg)
+            return -math.inf
+        self._unexplained_s[axis] = None
+        self.reporting.stands()
+        if why == "order":
+            left_deg = self._check_limits(axis, at_deg, turned_deg)
+            left = abs(counted.destination - counted.position) - AT_TARGET
+            return now_s + min(left / FASTEST_PER_S, left_deg / FASTEST_DEG_PER_S)
+        return math.inf if why == "home" else -math.inf
 
     def _live(self, now_s: float) -> bool:
         return self.reach.live(self.plant, now_s)
@@ -311,12 +331,14 @@ class TruthWatch:
                 f" mode {control.mode}: {control.why}; target {motion.target}",
             )
 
-    def _check_limits(self, axis: AxisName, at_deg: float, turned_deg: float) -> None:
+    def _check_limits(self, axis: AxisName, at_deg: float, turned_deg: float) -> float:
+        """Return how far it is to the limit that the axis turns to [deg]; below 0 beyond it."""
         limits = self.plant.service.settings.limits
         low, high = (limits.a_min_deg, limits.a_max_deg) if axis == "a" else (limits.b_min_deg, limits.b_max_deg)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
         if beyond_deg > LIMIT_DEG and self._counts(axis, at_deg):
             self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
+        return -beyond_deg
 
     def _check_stop(self, now_s: float, *, live: bool) -> None:
         if self._stop_s is None and self._maintenance_s is None:
@@ -390,15 +412,4 @@ class TruthWatch:
         if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
             self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
         if control.mode in (Mode.FALLBACK, Mode.NIGHT):
-            self._check_clock(target, now_s)
-
-    def _check_clock(self, target: tuple[float, float], now_s: float) -> None:
-        clock, control = self.plant.clock, self.plant.control
-        # A process that began after the step has never known another time.
-        known = self._stepped_s > self.reach.begun_s
-        wrong = known and abs(clock.step_s) > CLOCK_STEP_S and 1.0 < now_s - self._stepped_s < CLOCK_SETTLES_S
-        # To be parked when it is night in truth takes no clock.
-        parked = control.mode is Mode.NIGHT and self.plant.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
-        if wrong and not parked:
-            text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
-            self.fails("clock", text)
+            self.steps.check(self.plant, target, now_s, self.reach.begun_s)

@@ -27,6 +27,7 @@ class Scripted:
         self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
         self.motion.last_move_started_s = 0.0
         self.records = []
+        self.close_looks = 0
         self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
         self.sun_deg = 30.0
         self.is_silent = False
@@ -43,7 +44,11 @@ class Scripted:
         return Angles(self.at["a"], self.at["b"])
 
     def course(self, axis, now_s):
+        self.close_looks += 1
         return self.at[axis] * 5, self.destination[axis]
+
+    def changes(self, now_s):
+        return hash((self.destination["a"], self.destination["b"]))
 
     def shown_deg(self, axis, now_s):
         return self.at[axis] + (self.count_off if axis == "a" else 0.0)
@@ -270,7 +275,7 @@ def test_a_move_on_old_readings_is_seen(plant):
 
 def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     plant.clock.step_s = 43200.0
-    plant.watch.clock_steps()
+    plant.watch.steps.note(plant.now_s)
     plant.wait(60)
     plant.control.mode = Mode.NIGHT
     plant.order(1, 60)
@@ -364,3 +369,52 @@ def test_an_alarm_of_what_moves_with_a_wrong_count_is_no_false_one(plant):
     plant.motion.unexplained = "A moved from 3.0 to 3.3 degrees without an order"
     plant.wait(5)
     assert reports(plant) == []
+
+
+def test_a_move_that_goes_on_is_looked_at_closely_a_few_times_and_not_ten_times_a_second(plant):
+    plant.order(40, 60)
+    plant.wait(1, a=1)
+    before = plant.close_looks
+    plant.wait(20, a=20)
+    assert 2 <= plant.close_looks - before <= 20
+    plant.wait(24, a=24)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_a_reference_run_that_goes_on_when_the_service_has_ended_it_is_seen_at_once(plant):
+    plant.watch.packet(b"$95\r", plant.now_s)
+    plant.motion.homing = True
+    plant.wait(20, a=-20)
+    plant.motion.homing = False
+    plant.wait(2.1, a=-2.1)
+    assert promises(plant) == []
+    plant.wait(0.2, a=-0.2)
+    assert promises(plant) == ["unexplained-motion"]
+
+
+def test_an_alarm_in_the_middle_of_an_ordered_move_is_a_false_one(plant):
+    plant.order(40, 60)
+    plant.wait(32, a=16)
+    plant.motion.unexplained = "A has moved"
+    plant.wait(0.1, a=0.05)
+    assert reports(plant) == ["false-alarm"]
+
+
+def test_a_storm_that_begins_in_the_middle_of_a_move_counts_from_then(plant):
+    plant.order(40, 60)
+    plant.wait(12, a=6)
+    plant.wind_m_s = 20.0
+    plant.wait(10.9, a=5)
+    assert promises(plant) == []
+    plant.wait(0.3, a=0.15)
+    assert promises(plant) == ["storm"]
+
+
+def test_a_limit_that_is_reached_between_two_close_looks_is_seen(plant):
+    plant.order(60, 60)
+    plant.wait(49, a=49)
+    before = plant.close_looks
+    plant.wait(0.8, a=0.8)
+    assert plant.close_looks > before
+    plant.wait(0.4, a=0.4)
+    assert promises(plant) == ["limits"]

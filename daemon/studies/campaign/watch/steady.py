@@ -1,0 +1,69 @@
+"""When the watch need not look closely: all goes on as its last close look has found it, and nothing waits for time.
+
+Every sample still sees where the axes are and which way they turn. What a close look asks besides has the same answer
+as long as nothing of what it depends on has changed, and no axis can have come to where it would be another.
+"""
+
+import math
+from typing import NamedTuple
+
+from daemon.rigs.campaign.plant import Plant
+from solar.frames import Angles
+
+FASTEST_PER_S, FASTEST_DEG_PER_S = 10.0, 5.0
+"""No axis of the plant turns so fast, in its position units and in degrees; full speed is a third of that."""
+
+
+class Turning(NamedTuple):
+    """Which way each axis turns: 1, -1, or 0 for one that stands."""
+
+    a: int
+    b: int
+
+
+STANDS = Turning(0, 0)
+
+
+def turning(before: Angles, after: Angles, least_deg: float) -> Turning:
+    """Return which way the axes turn that have turned by more than the least angle [deg]."""
+    return Turning(_way(after.a_deg - before.a_deg, least_deg), _way(after.b_deg - before.b_deg, least_deg))
+
+
+def _way(turned_deg: float, least_deg: float) -> int:
+    return 0 if abs(turned_deg) <= least_deg else 1 if turned_deg > 0.0 else -1
+
+
+class Steady:
+    """Knows what the last close look depended on."""
+
+    def __init__(self) -> None:
+        self._known: tuple[object, ...] | None = None
+        self._turning = STANDS
+        self._until_s = -math.inf
+
+    def forget(self) -> None:
+        """Look closely next: something is about to change."""
+        self._known = None
+
+    def note(self, plant: Plant, now_s: float, turns: Turning, until_s: float) -> None:
+        """Take note of a close look after which nothing is waited for until then, if nothing changes."""
+        self._known, self._turning, self._until_s = _depends_on(plant, now_s), turns, until_s
+
+    def goes_on(self, plant: Plant, turns: Turning, now_s: float) -> bool:
+        """Tell whether a close look would find what the last one did."""
+        if self._known is None or now_s >= self._until_s or turns != self._turning:
+            return False
+        return self._known == _depends_on(plant, now_s)
+
+
+def _depends_on(plant: Plant, now_s: float) -> tuple[object, ...]:
+    motion = plant.motion
+    return (
+        motion.connected,
+        motion.homing,
+        motion.target is None,
+        motion.unexplained,
+        plant.is_served,
+        plant.wind_m_s,
+        plant.unit.changes(now_s),
+    )
