@@ -13,10 +13,9 @@ from asyncio import AbstractEventLoop, Future, TimerHandle
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextvars import Context, copy_context
-from dataclasses import dataclass
 from functools import partial
 from math import ceil
-from typing import Any, TypeVarTuple, cast
+from typing import Any, NamedTuple, TypeVarTuple, cast
 
 Arguments = TypeVarTuple("Arguments")
 
@@ -72,9 +71,7 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
         return self._start_s + (time.monotonic() - self._start_s) * self._speed
 
 
-@dataclass(slots=True, eq=False)
-class _Beat:
-    due_s: float
+class _Beat(NamedTuple):
     every_s: float
     call: Callable[[], bool]
 
@@ -121,8 +118,9 @@ _OVER.cancel()
 class _VirtualSelector(_DelegatingSelector):
     def __init__(self) -> None:
         super().__init__()
-        self.beats: list[_Beat] = []
-        # In the order of their time, and of their setting where that is the same.
+        # Both in the order of their time, and of their setting where that is the same.
+        self._beats: list[tuple[float, int, _Beat]] = []
+        self._beats_set = 0
         self._timers: list[tuple[float, int, _Timer]] = []
         self._timers_set = 0
         self._tidy_at = _TIDY_TIMERS
@@ -140,6 +138,17 @@ class _VirtualSelector(_DelegatingSelector):
             heapq.heapify(self._timers)
             self._tidy_at = 2 * len(self._timers) + _TIDY_TIMERS
 
+    def set_beat(self, beat: _Beat) -> Callable[[], None]:
+        self._beats_set = number = self._beats_set + 1
+        heapq.heappush(self._beats, (self.now_s + beat.every_s, number, beat))
+
+        def end() -> None:
+            # In place: it may be a beat that ends one.
+            self._beats[:] = [entry for entry in self._beats if entry[1] != number]
+            heapq.heapify(self._beats)
+
+        return end
+
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         if timeout == 0:
             # Callbacks are waiting. Sockets are looked at before time moves, and now and then so that none starves.
@@ -151,7 +160,7 @@ class _VirtualSelector(_DelegatingSelector):
             return events
         while self._timers and self._timers[0][2].cancelled():
             heapq.heappop(self._timers)
-        if self.jobs or not (self._timers or self.beats):
+        if self.jobs or not (self._timers or self._beats):
             events = self._real.select(_DEADLOCK_AFTER_S)
             if not events:
                 raise RuntimeError(
@@ -168,13 +177,14 @@ class _VirtualSelector(_DelegatingSelector):
 
     def _pass_to(self, until_s: float) -> bool:
         """Let time go on, with its beats; return False where one of them has set off what has to run before."""
-        while self.beats:
-            beat = min(self.beats, key=_due_s) if len(self.beats) > 1 else self.beats[0]
-            if beat.due_s >= until_s:
+        beats = self._beats
+        while beats:
+            due_s, number, beat = beats[0]
+            if due_s >= until_s:
                 break
-            if beat.due_s > self.now_s:
-                self.skip(beat.due_s - self.now_s)
-            beat.due_s = self.now_s + beat.every_s
+            if due_s > self.now_s:
+                self.skip(due_s - self.now_s)
+            heapq.heapreplace(beats, (self.now_s + beat.every_s, number, beat))
             if beat.call() or until_s == math.inf:
                 return False
         if until_s > self.now_s:
@@ -262,9 +272,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
             Returns whether it has set off anything that has to run before time goes on. It runs in the context of this
             call, as with a timer.
         """
-        beat = _Beat(self.time() + every_s, every_s, partial(copy_context().run, call))
-        self._virtual.beats.append(beat)
-        return lambda: self._virtual.beats.remove(beat)
+        return self._virtual.set_beat(_Beat(every_s, partial(copy_context().run, call)))
 
     def skip(self, duration_s: float) -> None:
         """Let time jump although timers are set: those that come due meanwhile run once, late, and see the new time."""
@@ -324,10 +332,6 @@ async def look_until(event: asyncio.Event, every_s: float, call: Callable[[], bo
     finally:
         end()
         event.clear()
-
-
-def _due_s(beat: _Beat) -> float:
-    return beat.due_s
 
 
 def new_loop(speed: float) -> AbstractEventLoop:
