@@ -233,6 +233,8 @@ def _alarms(found: _Families, alarms: Sequence[Alarm], tracker: str) -> None:
         labels = {"tracker": tracker, "name": alarm.name, "severity": alarm.kind.severity.value}
         if alarm.on:
             found.gauge("alarm", "1 for an alarm that is on.", 1.0, **labels)
+            raised = "When an alarm that is on was raised, in seconds of UTC."
+            found.gauge("alarm_raised_timestamp_seconds", raised, alarm.raised_utc_s, **labels)
         if alarm.acknowledged_utc_s is None:
             about = "1 for an alarm, on or over, that nobody has acknowledged."
             found.gauge("alarm_unacknowledged", about, 1.0, **labels)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.clock import Clock
+from daemon.base.clock import Clock, iso_utc
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
@@ -26,15 +26,15 @@ _UPRIGHT = 0.05
 _ZENITH = FACES.index("zenith")
 
 _WHY = {
-    Doubt.DEAD: "next to nothing while other faces are lit: see its sensor, its cable and its multiplexer input",
-    Doubt.DARK: "nothing in daylight: see the multiplexer's supply and its address lines",
+    Doubt.DEAD: "next to nothing while other faces are lit: check its sensor, its cable and its multiplexer input",
+    Doubt.DARK: "nothing in daylight: check the multiplexer's supply and its address lines",
     Doubt.SAME: "the same as another, two by two: an address line of the multiplexer is stuck, or its port is dead",
-    Doubt.FROZEN: "the same while the light changes on the others: see whether its sensor or its channel is stuck",
-    Doubt.OVER: "more than sun and sky can give there: see its gain, and whether faces are interchanged",
-    Doubt.NIGHT: "light in the night while the others are dark: see whether its sensor or its channel is stuck",
-    Doubt.ODD: "what the others and the sun's position contradict: see whether it is shaded, dirty, stuck or turned",
-    Doubt.SWAPPED: "each what the other should: see whether their cables are swapped",
-    Doubt.TORN: "what no light explains, and nobody can tell which of them is wrong: see all four, and the clock",
+    Doubt.FROZEN: "the same while the light changes on the others: check whether its sensor or its channel is stuck",
+    Doubt.OVER: "more than sun and sky can give there: check its gain, and whether faces are interchanged",
+    Doubt.NIGHT: "light in the night while the others are dark: check whether its sensor or its channel is stuck",
+    Doubt.ODD: "what the others and the sun's position contradict: check whether it is shaded, dirty, stuck or turned",
+    Doubt.SWAPPED: "each what the other should: check whether their cables are swapped",
+    Doubt.TORN: "what no light explains, and nobody can tell which of them is wrong: check all four, and the clock",
 }
 # A face that stood still is no better for reading, for a while, what could be true.
 _MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
@@ -76,6 +76,7 @@ class FaceWatch:
         self._bad = [0] * len(FACES)
         self._good = [0] * len(FACES)
         self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
+        self._since: dict[str, str] = {}
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
         # The light is known from the faces of an upright cube only.
         self._is_upright = bool(np.abs(self._normals - FACE_NORMALS).max() < _UPRIGHT)
@@ -189,9 +190,19 @@ class FaceWatch:
                 self._whys[face] = Doubt.NONE
 
     def _report(self) -> None:
+        now = f"{iso_utc(self._clock.utc())[:16].replace('T', ' ')} UTC"
+        whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
+        self._since = {name: self._since.get(name, now) for name in whys}
         parts = []
-        for doubt in dict.fromkeys(why for why in self._whys if why is not Doubt.NONE):
-            names = [name for name, why in zip(FACES, self._whys, strict=True) if why is doubt]
-            many = "faces read" if len(names) > 1 else "face reads"
-            parts.append(f"the {', '.join(names)} {many} {_WHY[doubt]}; not used until it agrees with the others again")
+        for doubt, since in dict.fromkeys((why, self._since[name]) for name, why in whys.items()):
+            names = [name for name, why in whys.items() if (why, self._since[name]) == (doubt, since)]
+            many, they, agree = ("faces read", "they", "agree") if len(names) > 1 else ("face reads", "it", "agrees")
+            parts.append(
+                f"the {_in_a_row(names)} {many} {_WHY[doubt]}; not used since {since}, until {they} {agree} with the"
+                " others again"
+            )
         self._alarms.set("cube-face", "; ".join(parts) or None)
+
+
+def _in_a_row(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -19,7 +19,7 @@ def troubles(state: dict[str, Any], health: dict[str, Any]) -> list[str]:
             found.append(f"{_of(name, state)}fault: {own['mode']['why']}")
     for alarm in state["alarms"]:
         of = _of(alarm["tracker"], state)
-        found.append(f"{of}{alarm['name']} ({alarm['state']}): {alarm['text']}; {alarm['remedy']}")
+        found.append(f"{of}{alarm['name']} ({_state(alarm)}): {alarm['text']}; {alarm['remedy']}")
     return list(dict.fromkeys(found))
 
 
@@ -51,6 +51,11 @@ def mode_words(mode: dict[str, Any]) -> str:
     asked = mode.get("asked")
     held = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the unit"}.get(asked or "")
     return mode["name"] if held is None else f"{mode['name']}, {held}"
+
+
+def _state(alarm: dict[str, Any]) -> str:
+    since = "raised" if alarm["state"] == "cleared" else "since"
+    return f"{alarm['state']}, {since} {alarm['since'][:19].replace('T', ' ')} UTC"
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -159,7 +159,7 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
         yield _mode(state, time)
     for alarm in state["alarms"]:
         style = "" if alarm["state"] == "acknowledged" else _BAD
-        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)}  {alarm_state(alarm, time)}", style=style)
+        yield "alarm", Text(f"{_named(alarm['text'], alarm, state)} ({alarm_state(alarm, time)})", style=style)
         # A service of an earlier version has none.
         if alarm.get("remedy"):
             yield "  remedy", Text(alarm["remedy"].replace("`", "'"))

@@ -1,6 +1,8 @@
 """Without a self-test: a face that cannot be true is found by day, told, not used, and used again once it agrees."""
 
 import asyncio
+import re
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -52,7 +54,7 @@ def test_a_port_without_supply_is_found_within_ten_minutes_and_forgiven_after_ag
         await rig.until_mode(Mode.TRACKING, 60)
         stick_all(rig)
         await rig.until(lambda: every_face(rig), 600, "the finding")
-        assert "the east, south, west, zenith faces read" in alarm(rig)
+        assert "the east, south, west and zenith faces read" in alarm(rig)
         await rig.until_mode(Mode.FALLBACK, 70)
         rig.switch.unstick(rig.clock.monotonic())
         await asyncio.sleep(300)
@@ -213,9 +215,19 @@ def test_each_fault_is_told_with_the_faces_that_have_it():
     day = WatchedDay(MORNING_UTC_S)
     day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])
     (alarm,) = day.alarms.active
-    dead, over = alarm.text.split("; not used until it agrees with the others again")[:2]
+    dead, over = alarm.text.split(", until it agrees with the others again")[:2]
     assert dead.startswith("the south face reads next to nothing")
     assert over.startswith("; the zenith face reads more than sun and sky")
+
+
+def test_a_second_face_has_the_time_of_its_own():
+    day = WatchedDay(MORNING_UTC_S)
+    first = day.minutes(8, frozen=1, at_w_m2=0.0)[1]
+    second = day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])[3]
+    (alarm,) = day.alarms.active
+    told = dict(re.findall(r"the (\w+) face reads .*?; not used since ([-0-9]+ [0-9:]+) UTC", alarm.text))
+    at = {face: datetime.fromisoformat(text + "Z").timestamp() - MORNING_UTC_S for face, text in told.items()}
+    assert at == pytest.approx({"south": first * 60.0, "zenith": (8 + second) * 60.0}, abs=60.0)
 
 
 def test_a_face_that_is_never_read_is_not_accused():
@@ -230,7 +242,7 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     found = day.minutes(60)
     assert [minutes is not None for minutes in found] == [False, True, True, False]
     (alarm,) = day.alarms.active
-    assert "the south, west faces read each what the other should" in alarm.text
+    assert "the south and west faces read each what the other should" in alarm.text
     day.minutes(10, frozen=2, at_w_m2=1400.0)
     assert [each.text for each in day.alarms.active] == [alarm.text], "what is too much besides makes it no better"
     day.order = [0, 1, 2, 3]

@@ -1,6 +1,7 @@
 """What a script is told, by the state of a running service."""
 
 import asyncio
+import re
 
 from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
@@ -41,7 +42,11 @@ def test_all_is_well_a_person_s_stop_included_until_something_is_the_matter(serv
         assert code == ExitCode.ALARMS
         assert lines[0] == "works, but 2 to look at: SIMULATED, hold, STOPPED by a person"
         assert any(line.startswith("cube: voltmeter") for line in lines)
-        (alarm,) = (line for line in lines if line.startswith("stow-wanted (raised): stow is wanted"))
+        (alarm,) = (
+            line
+            for line in lines
+            if re.match(r"stow-wanted \(raised, since [-0-9]+ [0-9:]+ UTC\): stow is wanted", line)
+        )
         assert found[0]["alarms"][0]["remedy"] in alarm
         assert page(*found)["alarms"] == ["stow-wanted"]
         assert page(*found)["modes"]["tracker"]["asked"] == "stop"

@@ -34,9 +34,10 @@ export function next() {
     if (!tracker) return;
     const due = tracker.next_decision_s;
     const left = due === null ? null : due - extra;
-    setText(big, due === null ? `None while the mode is ${tracker.mode.name}` : left > 0 ? `in ${countdown(left)}, by ${tracker.law.name}` : `due now, by ${tracker.law.name}`);
     // A service of an earlier version does not say.
     const coming = tracker.next_decision ?? null;
+    const law = coming?.law ?? tracker.law.name;
+    setText(big, due === null ? `None while the mode is ${tracker.mode.name}` : left > 0 ? `in ${countdown(left)}, by ${law}` : `due now, by ${law}`);
     values["In the light of now"].parentElement.hidden = coming === null;
     if (coming) setText(values["In the light of now"], `${coming.moves ? "would go to" : "would stay; aim"} ${pair(coming)}: ${because(coming)}`);
     const decision = tracker.decision;
