@@ -8,6 +8,7 @@ test_deploy.py and others.
 
 import atexit
 import contextlib
+import functools
 import gc
 import importlib
 import io
@@ -23,7 +24,14 @@ import time
 from pathlib import Path
 
 IMPORTED = (
-    *("daemon.commands.main", "daemon.commands.run", "daemon.rigs.real", "daemon.rigs.simulated", "daemon.rigs.bench"),
+    *(
+        "daemon.entry",
+        "daemon.commands.main",
+        "daemon.commands.run",
+        "daemon.rigs.real",
+        "daemon.rigs.simulated",
+        "daemon.rigs.bench",
+    ),
     *("daemon.commands.kept", "daemon.dashboard.serve", "sim_drivers.bench.bench", "sim_drivers.bench.control"),
     *("pvlib.spa", "nidaqmx._grpc_interpreter", "nidaqmx.stream_writers", "pyvisa_py", "psutil"),
 )
@@ -34,22 +42,47 @@ _READ_ONCE = ("PYTHON", "LD_", "OPENBLAS", "OMP_")
 
 
 class _Origin:
-    """The process that is copied, seen from the tests."""
+    """The process that is copied, seen from one process of tests; its copies end with that one.
 
-    def __init__(self):
-        self._here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with there:
+    Parameters
+    ----------
+    given
+        What `told` of another process's has returned, to ask the same one; without it a process is started.
+    """
+
+    def __init__(self, given=None):
+        self._process = None
+        if given is None:
+            given = self._start()
+        self._given = given
+        self.surroundings = given["surroundings"]
+        self._here = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._here.connect(bytes.fromhex(given["address"]))
+        self._running, self._ended = {}, {}
+        self._lock = threading.Lock()
+
+    def _start(self):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
+            # The system finds a name, which is gone with the process.
+            door.bind(b"")
+            door.listen(64)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "tests.support.forks", str(there.fileno())],
-                pass_fds=[there.fileno()],
+                [sys.executable, "-m", "tests.support.forks", str(door.fileno())],
+                pass_fds=[door.fileno()],
                 cwd=Path(__file__).parents[2],
                 # A thread of a library would not be in the copy.
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
-        self.surroundings = _read_once(os.environ)
-        self.pid = self._process.pid
-        self._ended = {}
-        self._lock = threading.Lock()
+            return {"address": door.getsockname().hex(), "surroundings": _read_once(os.environ)}
+
+    @property
+    def pid(self):
+        """Of the process, where this one has started it."""
+        return None if self._process is None else self._process.pid
+
+    def told(self):
+        """Return what another process needs to ask the same one."""
+        return self._given
 
     def start(self, arguments, environment, cwd, files):
         order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd})
@@ -58,14 +91,24 @@ class _Origin:
             while True:
                 heard = self._hear()
                 if "started" in heard:
+                    self._running[heard["started"]] = " ".join(["heliocube", *arguments])
                     return heard["started"]
 
     def ended(self, pid):
         """Return how a copy ended, or None."""
         with self._lock:
-            while selectable(self._here):
-                self._hear()
+            self._listen()
             return self._ended.get(pid)
+
+    def running(self):
+        """Return the commands of the copies that this process has begun and that have not ended, by number."""
+        with self._lock:
+            self._listen()
+            return {pid: words for pid, words in self._running.items() if pid not in self._ended}
+
+    def _listen(self):
+        while selectable(self._here):
+            self._hear()
 
     def _hear(self):
         heard = self._here.recv(_MOST)
@@ -81,23 +124,46 @@ class _Origin:
 
     def close(self):
         self._here.close()
-        self._process.wait()
+        if self._process is not None:
+            self._process.wait()
 
 
 _origin: _Origin | None = None
+_given: dict | None = None
 
 
 def kept():
-    """Return the process that is copied and the descriptor on which it is asked, in lists that may be empty."""
-    return ([], []) if _origin is None else ([_origin.pid], [_origin.fileno()])
+    """Return the process that is copied, if it is a child of this one, and the descriptor on which it is asked.
+
+    In lists that may be empty.
+    """
+    if _origin is None:
+        return [], []
+    return [pid for pid in [_origin.pid] if pid is not None], [_origin.fileno()]
+
+
+def running():
+    """Return the commands of this process's copies that have not ended, by their numbers."""
+    return {} if _origin is None else _origin.running()
 
 
 def begin():
-    """Start the process that is copied, if there is none yet."""
+    """Start the process that is copied, or turn to that of the whole run, unless that is done."""
     global _origin
     if _origin is None:
-        _origin = _Origin()
+        _origin = _Origin(_given)
     return _origin
+
+
+def pytest_configure(config):
+    """Take from the process that deals out the tests, if there is one, what is copied for all."""
+    global _given
+    _given = getattr(config, "workerinput", {}).get("origin")
+
+
+def pytest_configure_node(node):
+    """Let all workers have copies of one process: each would need seconds to load the same."""
+    node.workerinput["origin"] = begin().told()
 
 
 def pytest_unconfigure():
@@ -199,39 +265,65 @@ def _text(file):
 # What follows runs in the process that is copied, and in the copies.
 
 
-def _serve(orders):
-    """Copy this process for every order, and tell of each end; return in a copy, with its order."""
-    copies = {}
+def _serve(door):
+    """Copy this process for every order, and tell of each end; return in a copy, with its order.
+
+    The first who comes has started this process, which ends when that one leaves; with each who leaves his copies end.
+    """
+    first, copies, asking = None, {}, set()
     with selectors.DefaultSelector() as selector:
-        selector.register(orders, selectors.EVENT_READ)
+        selector.register(door, selectors.EVENT_READ)
         while True:
             for key, _ in selector.select():
-                if key.fileobj is not orders:
-                    selector.unregister(key.fileobj)
-                    _tell_end(orders, copies.pop(key.fileobj), key.fileobj)
+                one = key.fileobj
+                if one is door:
+                    asker, _ = door.accept()
+                    first = first or asker
+                    asking.add(asker)
+                    selector.register(asker, selectors.EVENT_READ)
                     continue
-                order, files, _, _ = socket.recv_fds(orders, _MOST, 3)
+                if one in copies:
+                    selector.unregister(one)
+                    _tell_end(*copies.pop(one), one)
+                    continue
+                order, files, _, _ = socket.recv_fds(one, _MOST, 3)
                 if not order:
-                    for pid in copies.values():
-                        os.kill(pid, signal.SIGKILL)
-                    os._exit(0)
+                    for pid, asker in copies.values():
+                        if one in (asker, first):
+                            os.kill(pid, signal.SIGKILL)
+                    if one is first:
+                        os._exit(0)
+                    selector.unregister(one)
+                    asking.remove(one)
+                    one.close()
+                    continue
+                _load()
                 pid = os.fork()
                 if pid == 0:
-                    for kept in copies:
+                    for kept in (*copies, *(each.detach() for each in (door, *asking))):
                         os.close(kept)
                     return json.loads(order), files
                 for file in files:
                     os.close(file)
-                orders.send(json.dumps({"started": pid}).encode())
-                copies[watched := os.pidfd_open(pid)] = pid
+                one.send(json.dumps({"started": pid}).encode())
+                copies[watched := os.pidfd_open(pid)] = pid, one
                 selector.register(watched, selectors.EVENT_READ)
 
 
-def _tell_end(orders, pid, watched):
+@functools.cache
+def _load():
+    """Import everything, when somebody wants it."""
+    for name in IMPORTED:
+        importlib.import_module(name)
+    gc.collect()
+    gc.freeze()
+
+
+def _tell_end(pid, asker, watched):
     _, status = os.waitpid(pid, 0)
     os.close(watched)
     with contextlib.suppress(OSError):
-        orders.send(json.dumps({"ended": pid, "code": os.waitstatus_to_exitcode(status)}).encode())
+        asker.send(json.dumps({"ended": pid, "code": os.waitstatus_to_exitcode(status)}).encode())
 
 
 def _become(order, files):
@@ -276,15 +368,9 @@ def _run_to_the_end(call):
 def _main():
     # A person's Ctrl-C at the tests is theirs.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    orders = socket.socket(fileno=int(sys.argv[1]))
-    for name in IMPORTED:
-        importlib.import_module(name)
+    order, files = _serve(socket.socket(fileno=int(sys.argv[1])))
     from daemon.entry import main  # noqa: PLC0415 - the copies' business
 
-    gc.collect()
-    gc.freeze()
-    order, files = _serve(orders)
-    orders.close()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     _become(order, files)
     _run_to_the_end(main)

@@ -92,12 +92,12 @@ def _descriptors() -> dict[str, str]:
 
 def _children() -> dict[int, str]:
     """Return the processes that this one has started and not waited for, with what they run."""
-    found = {}
+    found = forks.running()
     # The kernel's own list: to ask every process of the machine for its parent took more time than most tests.
     origin, _ = forks.kept()
-    tasks = [task for parent in ("self", *origin) for task in Path(f"/proc/{parent}/task").iterdir()]
-    for number in set(" ".join(_read(task / "children") for task in tasks).split()) - set(map(str, origin)):
-        found[int(number)] = _read(Path("/proc") / number / "cmdline").replace("\0", " ") or "ended, not awaited"
+    for number in set(" ".join(_read(task / "children") for task in Path("/proc/self/task").iterdir()).split()):
+        if int(number) not in origin:
+            found[int(number)] = _read(Path("/proc") / number / "cmdline").replace("\0", " ") or "ended, not awaited"
     return found
 
 

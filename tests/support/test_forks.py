@@ -1,6 +1,7 @@
 """A copy is a process like one from nothing: arguments, surroundings, streams, signals and exit code."""
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -44,3 +45,24 @@ def test_what_is_read_at_the_start_of_an_interpreter_is_read_by_one(tmp_path):
         begun = forks.start(["--version"], said, env=os.environ | {"PYTHONPATH": str(tmp_path)})
     assert begun.wait(60) == 0
     assert (tmp_path / "said").read_text().startswith("begun\n")
+
+
+def parent(pid):
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
+def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(tmp_path):
+    with (tmp_path / "said").open("wb") as said:
+        own = forks.start(["run"], said, said)
+        other = forks._Origin(forks.begin().told())
+        its = other.start(["run"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
+    assert parent(its) == parent(own.pid)
+    assert (list(forks.running()), list(other.running())) == ([own.pid], [its])
+    watched = os.pidfd_open(its)
+    other.close()
+    ended, _, _ = select.select([watched], [], [], 60)
+    os.close(watched)
+    assert ended
+    assert own.poll() is None
+    own.kill()
+    own.wait(60)
