@@ -18,6 +18,7 @@ OURS = ("solar", "drivers", "daemon")
 _TOO_FAR = {"campaign", "docs", "firmware", "fuzz", "measurements", "mutation", "support", "system"}
 # Holds every default and bound of the settings.
 _OF_SETTINGS = "tests/daemon/config/test_file.py::test_the_reference_document_is_current"
+_CACHED = re.compile(r"^ *@(functools\.)?(lru_cache|cache|cached_property)\b", re.MULTILINE)
 # So many files are collected at once: it takes a second each, for tests of which the first may be red.
 _AT_ONCE = 8
 
@@ -64,7 +65,7 @@ class Reached:
         return test not in self._seconds and _file(test) in (*_nearest(path)[0], *_nearest(path)[1])
 
     def _reaching(self, mutant: Mutant) -> set[str]:
-        if self._sources.get(mutant.path) != digest(ROOT / mutant.path):
+        if self._sources.get(mutant.path) != digest(ROOT / mutant.path) or _remembers(mutant.path):
             return self._of_blocks(block for block in self._tests if block.startswith(f"{mutant.path}:"))
         block = _blocks(mutant.path).get(mutant.line)
         return self._of_blocks([block] if block else _blocks_that_name(mutant))
@@ -91,6 +92,12 @@ def _file(test: str) -> str:
 @functools.cache
 def _blocks(path: str) -> dict[int, str]:
     return block_of_line(path, (ROOT / path).read_bytes())
+
+
+@functools.cache
+def _remembers(path: str) -> bool:
+    """Whether something of a file is worked out once: of all tests that live by it only the first was seen there."""
+    return _CACHED.search((ROOT / path).read_text()) is not None
 
 
 @functools.cache

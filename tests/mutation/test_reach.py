@@ -74,6 +74,16 @@ def test_each_line_of_a_function_is_of_one_block():
     }  # fmt: skip
 
 
+def test_of_what_is_worked_out_once_all_tests_of_its_file_are_asked(tmp_path):
+    path = "solar/allweather.py"
+    source = (ROOT / path).read_bytes()
+    change = next(mutant for mutant in mutants(path, source) if mutant.function == "_dome")
+    tests = {f"tests/solar/test_sky.py::test_{place}": {"seconds": 1.0, "blocks": [f"{path}:1"]} for place in "ab"}
+    notes = tmp_path / "reach.json"
+    notes.write_text(json.dumps({"sources": {path: digest(ROOT / path)}, "tests": tests}))
+    assert {test for stage in Reached(notes).stages(change) for test in stage} >= tests.keys()
+
+
 def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_that_reach_its_line(tmp_path):
     path = "daemon/base/reconnect.py"
     source = (ROOT / path).read_bytes()

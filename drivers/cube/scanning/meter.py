@@ -134,7 +134,7 @@ class _ScanSession(ScpiSession):
         self._channels = channels
         self._commands = dialect.commands(channel_list(channels), range_v, nplc)
         self._proofs = dialect.proofs(channel_list(channels), range_v, nplc)
-        self._identity = ""
+        self._identity: str
 
     async def start(self) -> str:
         """Identify, configure, and return the meter's identity."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,10 +31,10 @@ class Bench:
         self.core = ScannerCore(meter, lambda channel, _now: self.volts.get(channel), np.random.default_rng(1))
         self.line = InMemoryLine(DEVICE, self.core, loop.time)
         self.now = loop.time
-        around = CubeSurroundings(
+        self.around = CubeSurroundings(
             utc_s=lambda: EPOCH_S + loop.time(), monotonic_s=loop.time, deadline_s=1.0, switched_meter=None
         )
-        self.cube = build(self.settings, around, self.line)
+        self.cube = build(self.settings, self.around, self.line)
 
 
 @pytest.fixture
@@ -337,6 +338,72 @@ def test_answers_as_others_have_published_them_are_understood(meter, answers):
     assert [face.flaw for face in reading.faces] == [None, None, None, "over-range"]
     # One trigger, one reply.
     assert line.sent[-1] == DIALECTS[meter].scan
+
+
+def published(answers, meter="agilent34970a", **settings):
+    line = Published(answers)
+    around = CubeSurroundings(utc_s=lambda: 0.0, monotonic_s=lambda: 0.0, deadline_s=1.0, switched_meter=None)
+    return build(ScanningMeterSettings(driver="scanning-meter", meter=meter, **settings), around, line)
+
+
+@pytest.mark.parametrize(
+    ("reply", "flaws"),
+    [
+        ("+1.209E-01,101,-1.209E-01,102,1E-3,103,1E-3,104", [None] * 4),
+        ("+1.211E-01,101,-1.211E-01,102,1E-3,103,1E-3,104", ["over-range"] * 2 + [None] * 2),
+        ("+1E-3 VDC,101,1E-3,102,nan,103,,104", [None] * 2 + ["missing"] * 2),
+        ("1E-3,101,1E-3,102,1E-3,103,1E-3,104,1E-3", ["missing"] * 4),
+        ("1E-3,101,1E-3,102,1E-3,103", ["missing"] * 4),
+        ("1E-3,101,1E-3,102,1E-3,103,1E-3,103", ["missing"] * 4),
+        ("1E-3,101,1E-3,102,1E-3,103,1E-3,105", ["missing"] * 4),
+    ],
+)
+def test_a_reply_is_four_readings_of_the_four_channels_within_the_range(reply, flaws):
+    async def act():
+        cube = published(AGILENT | {":READ?": reply})
+        await cube.open()
+        return await cube.read()
+
+    assert [face.flaw for face in asyncio.run(act()).faces] == flaws
+
+
+@pytest.mark.parametrize(
+    ("scans", "right"),
+    [
+        ("(@101:104)", True),
+        ('"(@104,103,101:102)"', True),
+        ("(@101,102,103)", False),
+        ("(@101:105)", False),
+        ("(@101:x)", False),
+        ("(@x:104)", False),
+        ("(@101,,102,103,104)", False),
+        ("101,102,103,104", False),
+        ("(@101,102,103,104", False),
+        ("@101,102,103,104)", False),
+    ],
+)
+def test_a_list_of_channels_is_read_in_each_way_to_write_it(scans, right):
+    cube = published(AGILENT | {":ROUT:SCAN?": scans})
+    if right:
+        asyncio.run(cube.open())
+    else:
+        with pytest.raises(DeviceError, match=r"did not keep its configuration: :ROUT:SCAN\? is answered by"):
+            asyncio.run(cube.open())
+
+
+def test_four_faces_may_take_four_times_as_long_as_one(run):
+    async def act(bench):
+        cube = build(bench.settings, replace(bench.around, deadline_s=0.5), bench.line)
+        await cube.open()
+        bench.core.reply_delay_s = 1.5
+        assert {face.flaw for face in (await cube.read()).faces} == {None}
+        bench.core.reply_delay_s = 2.5
+        begin_s = bench.now()
+        assert {face.flaw for face in (await cube.read()).faces} == {"late"}
+        assert bench.now() - begin_s == pytest.approx(2.0, abs=0.1)
+        await cube.close()
+
+    run("daq6510", act)
 
 
 @pytest.mark.parametrize(("channels", "found"), [(None, 0), ((1, 2, 3, 4), 0), ((1, 2, 3, 1), 1)])
