@@ -286,7 +286,7 @@ def _serve(door):
                     selector.unregister(one)
                     _tell_end(*copies.pop(one), one)
                     continue
-                order, files, _, _ = socket.recv_fds(one, _MOST, 3)
+                order, files = _next_order(one)
                 if not order:
                     for pid, asker in copies.values():
                         if one in (asker, first):
@@ -308,6 +308,14 @@ def _serve(door):
                 one.send(json.dumps({"started": pid}).encode())
                 copies[watched := os.pidfd_open(pid)] = pid, one
                 selector.register(watched, selectors.EVENT_READ)
+
+
+def _next_order(asker):
+    try:
+        return socket.recv_fds(asker, _MOST, 3)[:2]
+    except ConnectionResetError:
+        # Who leaves may not have heard all that was said.
+        return b"", []
 
 
 @functools.cache

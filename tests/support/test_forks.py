@@ -56,8 +56,11 @@ def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(t
         own = forks.start(["run"], said, said)
         other = forks._Origin(forks.begin().told())
         its = other.start(["run"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
-    assert parent(its) == parent(own.pid)
-    assert (list(forks.running()), list(other.running())) == ([own.pid], [its])
+        assert parent(its) == parent(own.pid)
+        assert (list(forks.running()), list(other.running())) == ([own.pid], [its])
+        # It leaves without having heard of an end.
+        other.start(["--version"], dict(os.environ), str(tmp_path), [said.fileno()] * 3)
+    assert select.select([other], [], [], 60)[0]
     watched = os.pidfd_open(its)
     other.close()
     ended, _, _ = select.select([watched], [], [], 60)
@@ -65,4 +68,4 @@ def test_another_process_of_tests_has_copies_of_the_same_one_which_end_with_it(t
     assert ended
     assert own.poll() is None
     own.kill()
-    own.wait(60)
+    assert own.wait(60) == -signal.SIGKILL
