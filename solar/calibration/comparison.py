@@ -89,7 +89,7 @@ def lag_s(
         return float("nan")
     before, at, after = likeness[best - 1 : best + 2]
     bend = before - 2.0 * at + after
-    return float(lags[best] + (0.5 * (before - after) / bend * step_s if bend < 0.0 else 0.0))
+    return float(lags[best] + (0.5 * (before - after) / bend * step_s if bend else 0.0))
 
 
 def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: float = SERIES_S) -> SeriesGain:
@@ -111,8 +111,8 @@ def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: fl
     """
     place = np.floor(utc_s / series_s)
     number, index = np.unique(place, return_inverse=True)
-    count = np.bincount(index, minlength=number.size)
-    reference, voltage = (np.bincount(index, values, minlength=number.size) for values in (reference_w_m2, net_mv))
+    count = np.bincount(index)
+    reference, voltage = (np.bincount(index, values) for values in (reference_w_m2, net_mv))
     whole = (count >= _LEAST_IN_SERIES) & (voltage > 0.0)
     if np.count_nonzero(whole) < _LEAST_SERIES:
         raise ValueError(

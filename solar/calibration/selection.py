@@ -97,21 +97,17 @@ def block_means(utc_s: Array, values: Array, span_s: float) -> tuple[Array, Arra
     NaN stands where a column has none. Middles are the mean instants of the readings, so that a half-filled block is
     not stamped with a time at which nobody measured.
     """
-    table = values if values.ndim == 2 else values[:, None]
-    _, place = np.unique(np.floor(utc_s / span_s), return_inverse=True)
-    count = int(place.max()) + 1 if utc_s.size else 0
-    present = np.isfinite(table)
     if not utc_s.size:
         return utc_s, values
-    sums = np.stack(
-        [np.bincount(place, np.where(p, c, 0.0), minlength=count) for c, p in zip(table.T, present.T, strict=True)],
-        axis=-1,
-    )
-    counts = np.stack([np.bincount(place, p, minlength=count) for p in present.T.astype(np.float64)], axis=-1)
+    table = values if values.ndim == 2 else values[:, None]
+    _, place = np.unique(np.floor(utc_s / span_s), return_inverse=True)
+    present = np.isfinite(table)
+    sums = np.stack([np.bincount(place, np.where(p, c, 0.0)) for c, p in zip(table.T, present.T, strict=True)], axis=-1)
+    counts = np.stack([np.bincount(place, p) for p in present.T.astype(np.float64)], axis=-1)
     means = np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
     origin = float(utc_s[0])
-    middles = origin + np.bincount(place, utc_s - origin, minlength=count) / np.bincount(place, minlength=count)
-    return middles, means.reshape(count, *values.shape[1:])
+    middles = origin + np.bincount(place, utc_s - origin) / np.bincount(place)
+    return middles, means.reshape(-1, *values.shape[1:])
 
 
 def night_offset(utc_s: Array, readings: Array, site: Site) -> tuple[Array, Array, int]:

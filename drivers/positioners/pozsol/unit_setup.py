@@ -53,11 +53,12 @@ class _Axis:
 
     def conflicts(self) -> list[str]:
         found = [*self._offset(), *self._range()]
-        geometry, mode = self.setup.geometry, self._of(_MODE)
-        if isinstance(geometry, Triangle):
-            return [*found, *self._triangle(geometry, mode)]
-        if isinstance(geometry, Proportional) and geometry.units_per_deg == 1.0:
-            return [*found, *self._drive(geometry, mode)]
+        mode = self._of(_MODE)
+        match self.setup.geometry:
+            case Triangle() as triangle:
+                found += self._triangle(triangle, mode)
+            case Proportional(units_per_deg=1.0) as drive:
+                found += self._drive(drive, mode)
         # What older units that count in impulses print here is not known.
         return found
 

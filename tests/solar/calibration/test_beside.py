@@ -85,7 +85,7 @@ def test_a_percent_of_spread_in_half_an_hour_is_the_most(percent, stable):
     assert clear_and_stable(utc_s, wave * clear, SIRTA)[60:180].all() == stable
 
 
-@pytest.mark.parametrize(("missing", "stable"), [(6, True), (8, False)])
+@pytest.mark.parametrize(("missing", "stable"), [(6, True), (7, True), (8, False)])
 def test_four_fifths_of_half_an_hour_must_be_there(missing, stable):
     utc_s = MIDNIGHT + np.arange(36_000.0, 50_400.0, 60.0)
     clear, _, _ = clear_sky_ghi(SIRTA, utc_s)
@@ -126,6 +126,52 @@ def test_a_steady_sky_tells_no_lag():
     assert np.isnan(lag_s(utc_s, 500.0 + noise[0], utc_s, 50.0 + noise[1]))
     assert np.isnan(lag_s(utc_s, np.full(utc_s.size, 500.0), utc_s, np.full(utc_s.size, 50.0)))
     assert np.isnan(lag_s(utc_s[:5], clouds(utc_s[:5]), utc_s[:5], clouds(utc_s[:5])))
+
+
+def test_a_drift_of_the_sensor_does_not_hide_the_clouds():
+    utc_s = np.arange(0.0, 7200.0, 10.0)
+    found = lag_s(utc_s, clouds(utc_s), utc_s + 37.0, 0.1 * clouds(utc_s) + 0.1 * utc_s)
+    assert found == pytest.approx(37.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("lasts_s", "tells"), [(640.0, False), (760.0, True)])
+def test_what_is_left_between_both_largest_lags_has_to_be_long_enough(lasts_s, tells):
+    utc_s = np.arange(0.0, lasts_s, 10.0)
+    found = lag_s(utc_s, clouds(utc_s), utc_s, clouds(utc_s))
+    assert found == pytest.approx(0.0, abs=1.0) if tells else np.isnan(found)
+    found = lag_s(utc_s, clouds(utc_s), utc_s, clouds(utc_s), largest_s=100.0)
+    assert found == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("count", "tells"), [(19, False), (20, True)])
+def test_fewer_than_twenty_readings_tell_no_lag(count, tells):
+    many, few = np.arange(0.0, 7200.0, 10.0), np.linspace(0.0, 7190.0, count)
+    for first, second in ((few, many), (many, few)):
+        found = lag_s(first, first % 3000.0, second, second % 3000.0, largest_s=1500.0)
+        assert np.isfinite(found) == tells
+
+
+def test_a_lag_at_the_end_of_what_is_searched_is_none():
+    utc_s = np.arange(0.0, 3600.0, 5.0)
+    assert np.isnan(lag_s(utc_s, clouds(utc_s), utc_s + 60.0, clouds(utc_s), largest_s=60.0))
+    assert np.isfinite(lag_s(utc_s, clouds(utc_s), utc_s + 50.0, clouds(utc_s), largest_s=60.0))
+
+
+@pytest.mark.parametrize(("per_series", "volts", "used"), [(4, 50.0, 0), (5, 50.0, 3), (5, 0.0, 0), (5, -1.0, 0)])
+def test_a_series_has_five_readings_and_some_light(per_series, volts, used):
+    utc_s = np.concatenate([1200.0 * place + np.arange(per_series) for place in range(3)])
+    if used:
+        found = series_gain(utc_s, np.full(utc_s.size, 500.0), np.full(utc_s.size, volts))
+        assert found.series_utc_s.tolist() == [600.0, 1800.0, 3000.0]
+    else:
+        with pytest.raises(ValueError, match="only 0 series of clear and stable sky; at least 3 are needed"):
+            series_gain(utc_s, np.full(utc_s.size, 500.0), np.full(utc_s.size, volts))
+
+
+@pytest.mark.parametrize(("off", "kept"), [(0.019, True), (0.021, False), (-0.019, True), (-0.021, False)])
+def test_a_series_may_stray_by_two_percent_of_the_others(off, kept):
+    found = series_gain(*series([10.0] * 300 + [10.0 * (1.0 + off)]))
+    assert found.kept[-1] == kept
 
 
 def series(ratios, per_series=10):
