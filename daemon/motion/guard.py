@@ -143,9 +143,11 @@ class Guard:
             return False
         if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.judges or self.stray is not None:
             return False
-        self._repeated_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
-        self._repeated_utc_s = self._clock.utc()
-        return self._repeated_s is not None
+        again_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
+        if again_s is None:
+            return False
+        self._repeated_s, self._repeated_utc_s = again_s, self._clock.utc()
+        return True
 
     def _take_over(self) -> None:
         """Give the last look the time of the last glance: whoever asks is to see that somebody looks."""
