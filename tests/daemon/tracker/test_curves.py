@@ -17,7 +17,7 @@ def test_every_curve_says_what_the_module_truly_gives(run_rig):
     async def scenario(rig):
         errors = []
         await rig.until_mode(Mode.TRACKING, 300)
-        while len(errors) < 100:
+        while len(errors) < 50:
             seen = len(rig.of(IvCurve))
             await rig.until(lambda count=seen: len(rig.of(IvCurve)) > count, 10, "the next curve")
             truth = rig.source.maximum(rig.source.light(rig.clock.monotonic()))
@@ -87,7 +87,7 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
             await rig.until_mode(Mode.TRACKING, 300)
             if unplug:
                 rig.cables.load.link_up = False
-            await asyncio.sleep(1800)
+            await asyncio.sleep(1200)
             rig.cables.load.link_up = True
             await asyncio.sleep(60)
 
@@ -99,7 +99,7 @@ def test_an_unplugged_load_is_told_once_and_tracking_goes_on_undisturbed(run_rig
     assert texts[0].startswith("the load is down: load:")
     assert texts[1] == "the load is back"
     assert disturbed.of(IvCurve)[-1].quality is CurveQuality.OK
-    assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(360, abs=5)
+    assert len(calm.of(IvCurve)) - len(disturbed.of(IvCurve)) == pytest.approx(240, abs=5)
 
     def moves(rig):
         return np.array([(move.time_utc_s, move.target_a_deg, move.target_b_deg) for move in rig.of(Move)])
@@ -145,12 +145,12 @@ def test_a_protection_that_trips_is_said_with_the_curve(run_rig):
 
 def test_nothing_is_measured_at_night_and_the_first_light_is_too_little(run_rig):
     async def scenario(rig):
-        await asyncio.sleep(3600)
+        await asyncio.sleep(600)
         assert rig.of(IvCurve) == []
         await rig.until(lambda: len(rig.of(IvCurve)) >= 1, 7200, "the first curve", every_s=1.0)
         assert rig.service.sun_elevation_deg(rig.clock.utc()) == pytest.approx(-3.0, abs=0.2)
 
-    run_rig(scenario, start="2022-10-12T04:00", rest_look_s=5.0, load=SIMULATED)
+    run_rig(scenario, start="2022-10-12T05:20", rest_look_s=5.0, load=SIMULATED)
 
 
 def test_a_module_without_light_is_dark_and_no_watt_is_claimed(run_rig):

@@ -68,7 +68,7 @@ def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends
         assert "; released: stopped by ana@lab since " in answer.text
         await rig.until_mode(Mode.TRACKING, 30)
 
-    run_rig(scenario)
+    run_rig(scenario, cube={"scan_every_s": 20}, safety={"scan_stale_s": 65})
 
 
 def test_no_way_past_the_operators_desk_moves_it_either(run_rig):
