@@ -1,6 +1,8 @@
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_drivers.weather import GeneratedWeather, Noise
@@ -16,11 +18,13 @@ DAY = 1665532800.0 + np.arange(0.0, 86400.0)  # 12 October 2022
 FIELDS = ("ghi_w_m2", "dni_w_m2", "dhi_w_m2", "wind_speed_m_s", "temp_air_degc")
 
 
-def day_of(kind, seed=1, site=SIRTA):
-    return GeneratedWeather(kind, site, seed).at(DAY)
+@cache
+def day_of(kind, seed=1):
+    return GeneratedWeather(kind, SIRTA, seed).at(DAY)
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=25)
 @given(st.integers(0, 2**40), st.lists(st.floats(0.0, 2.5e9), min_size=1, max_size=5))
 def test_an_instants_weather_does_not_depend_on_chunks_or_order(kind, seed, instants):
     weather = GeneratedWeather(kind, SIRTA, seed)
@@ -33,7 +37,7 @@ def test_an_instants_weather_does_not_depend_on_chunks_or_order(kind, seed, inst
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_same_seed_gives_the_same_day_and_another_seed_another(kind):
-    first, again, other = day_of(kind), day_of(kind), day_of(kind, seed=2)
+    first, again, other = day_of(kind), GeneratedWeather(kind, SIRTA, 1).at(DAY), day_of(kind, seed=2)
     for field in FIELDS:
         assert np.array_equal(getattr(first, field), getattr(again, field))
     for field in ("ghi_w_m2", "wind_speed_m_s", "temp_air_degc"):
@@ -100,8 +104,9 @@ def test_sunlit_cloud_edges_lift_the_irradiance_towards_the_sun_above_1000_w_m2_
         return plane_of_array(sun, sun, now.dni_w_m2, now.dhi_w_m2, extraterrestrial_dni(DAY)).max()
 
     for seed in range(5):
-        assert towards_sun(day_of("variable", seed)) > 1000.0
-        assert towards_sun(day_of("variable", seed)) > 1.03 * towards_sun(day_of("clear", seed))
+        lifted = towards_sun(day_of("variable", seed))
+        assert lifted > 1000.0
+        assert lifted > 1.03 * towards_sun(day_of("clear", seed))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,9 +116,9 @@ def test_wind_is_gusty_but_smooth_and_temperature_fits_the_season(kind):
     assert now.wind_speed_m_s.max() < 10.0
     assert np.ptp(now.wind_speed_m_s) > 1.0
     assert np.abs(np.diff(now.wind_speed_m_s)).max() < 0.5
-    year = 1640995200.0 + np.arange(0.0, 365 * 86400.0, 3600.0)
+    year = 1640995200.0 + np.arange(0.0, 365 * 86400.0, 4 * 3600.0)
     for site, warm in ((SIRTA, 6), (CAPE_TOWN, 0)):
-        months = GeneratedWeather(kind, site, 1).at(year).temp_air_degc[: 12 * 720].reshape(12, 720).mean(axis=1)
+        months = GeneratedWeather(kind, site, 1).at(year).temp_air_degc[: 12 * 180].reshape(12, 180).mean(axis=1)
         assert -5.0 < months.min() < months.max() < 35.0
         assert months[warm] > months[(warm + 6) % 12] + 5.0
 

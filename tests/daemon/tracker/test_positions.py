@@ -98,6 +98,7 @@ def test_limits_cut_the_default_snow_position(run_rig):
 def test_a_hold_that_outlasts_the_night_is_an_alarm_from_sunrise_on(run_rig, command):
     async def scenario(rig):
         await tracking(rig)
+        await at_rest(rig)
         place = (10.0, 60.0) if command == "goto" else ()
         await getattr(operator(rig), command)(*place, "measuring", "ana")
         await asyncio.sleep(300)
