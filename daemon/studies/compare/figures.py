@@ -125,6 +125,8 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
         # What names an SVG's parts is random otherwise.
         with rc_context({"svg.hashsalt": "heliocube"}):
             figure.savefig(path, dpi=110)
+            # Where everything stands has been found: to look for it again takes longer than to draw it.
+            figure.set_layout_engine("none")
             figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -162,15 +162,14 @@ def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments"),
+    ("kind", "arguments", "suffix"),
     [
-        ("map", ["--lat-range", "0:60:20", "--tilt", "0:90:30"]),
-        ("best-tilt", ["--lat-range", "0:60:20"]),
-        ("daily", ["--lat", "70"]),
-        ("printed", ["--lat", "45", "--azimuth", "5", "--printed"]),
+        ("map", ["--lat-range", "0:60:20", "--tilt", "0:90:30"], "png"),
+        ("best-tilt", ["--lat-range", "0:60:20"], "svg"),
+        ("daily", ["--lat", "70"], "png"),
+        ("printed", ["--lat", "45", "--azimuth", "5", "--printed"], "png"),
     ],
 )
-@pytest.mark.parametrize("suffix", ["png", "svg"])
 def test_each_request_has_its_figure(heliocube, tmp_path, kind, arguments, suffix):
     fitting, named = tmp_path / f"fitting.{suffix}", tmp_path / f"named.{suffix}"
     assert heliocube("gain", *arguments, "--plot", fitting)[0] == 0
