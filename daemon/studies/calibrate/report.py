@@ -59,7 +59,7 @@ def comparison_lines(found: Comparison) -> list[str]:
     for title, moment in (("Before", "before"), ("After", "after")):
         table = [(title, *(f"RG-{name[0].upper()}" for name in _TABLE_ORDER))]
         table += [
-            (label, *(f"{getattr(getattr(found.faces[name], moment), field):.1f}" for name in _TABLE_ORDER))
+            (label, *(f"{getattr(getattr(found.faces[name], moment), field):z.1f}" for name in _TABLE_ORDER))
             for label, field in _ROWS
         ]
         lines += ["", *_aligned(table)]

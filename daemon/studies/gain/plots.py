@@ -1,5 +1,6 @@
 """Figures of `heliocube gain`."""
 
+from math import log10
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device, PlotKind
@@ -79,7 +81,9 @@ def gain_map(request: Request, columns: Columns, sky: SkySource | None) -> Figur
             shown = np.minimum(np.nan_to_num(percent, posinf=1e4), 1e4)
             panel.contourf(latitudes, tilts, shown, _LEVELS, norm=norm, cmap="viridis", extend="max")
             lines = panel.contour(latitudes, tilts, shown, _LEVELS[1:], colors="white", linewidths=0.6)
-            panel.clabel(lines, fmt="%g", fontsize=8)
+            # On the brightest levels white numbers need a dark edge.
+            for text in panel.clabel(lines, fmt="%g", fontsize=8):
+                text.set_path_effects([withStroke(linewidth=2.0, foreground="#333333")])
             best = _lowest(tilts, percent)
             panel.plot(
                 latitudes,
@@ -270,8 +274,15 @@ def _months(panel: Axes) -> None:
 
 
 def _plain_log(panel: Axes) -> None:
-    """Label a logarithmic axis with plain numbers, those that its range needs."""
+    """Label a logarithmic axis with plain numbers, as many as have room between its ends."""
     low, high = panel.get_ylim()
-    ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000) if low <= tick <= high]
+    decades = log10(high / low)
+    if decades < 0.2:
+        steps = [tenth / 10.0 for tenth in range(10, 100)]
+    elif decades < 0.6:
+        steps = [1, 1.1, 1.2, 1.3, 1.5, 1.7, 2, 2.5, 3, 4, 5, 7]
+    else:
+        steps = [1, 2, 5] if decades < 2.5 else [1]
+    ticks = [tick for power in range(-2, 6) for step in steps if low <= (tick := step * 10.0**power) <= high]
     panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     panel.set_yticks([], minor=True)
