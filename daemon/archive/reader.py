@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from daemon.archive.address import ArchiveAddress, ArchiveError, connected, telling
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, missing_columns
 from daemon.store.batches import KINDS
-from daemon.store.schema import FILE_NAME, open_for_writing
+from daemon.store.schema import FILE_NAME, RUN_COLUMNS, open_for_writing
 
 if TYPE_CHECKING:
     import psycopg
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _ROWS_AT_ONCE = 5000
 _DAY_S = 86400.0
 _MOST_NAMES = 8
+# In a run's row, which begins with its number.
+_LONGITUDE = 1 + RUN_COLUMNS.index("longitude_deg")
 
 
 class ArchivedRun(NamedTuple):
@@ -73,7 +75,8 @@ class ArchiveReader:
         with telling(self.address), closing(open_for_writing(directory / FILE_NAME)) as store:
             store.execute("PRAGMA synchronous = OFF")
             store.execute("BEGIN")
-            store.executemany(f"INSERT INTO runs VALUES ({', '.join('?' * 11)})", [run.row for run in self.runs])  # noqa: S608 - marks
+            marks = ", ".join("?" * (1 + len(RUN_COLUMNS)))
+            store.executemany(f"INSERT INTO runs VALUES ({marks})", [run.row for run in self.runs])  # noqa: S608 - marks
             days: set[int] = set()
             for name in KINDS:
                 marks = ", ".join("?" * (len(COLUMNS_OF[name]) + 2))
@@ -99,12 +102,12 @@ class ArchiveReader:
         raise ArchiveError(f"{self.address.url} has {known}: put one of them behind the address, after a #")
 
     def _runs(self) -> list[ArchivedRun]:
+        wanted = ", ".join(["run", "extract(epoch FROM started)::float8", *RUN_COLUMNS[1:]])
         rows = self._connection.execute(
-            "SELECT run, extract(epoch FROM started)::float8, role, version, simulated, site, latitude_deg,"  # noqa: S608 - ours
-            f" longitude_deg, altitude_m, tracker, id FROM {SCHEMA}.runs WHERE installation = %s ORDER BY started, run",
+            f"SELECT {wanted} FROM {SCHEMA}.runs WHERE installation = %s ORDER BY started, run",  # noqa: S608 - ours
             (self.installation,),
         ).fetchall()
-        return [ArchivedRun(tuple(row), row[7]) for row in rows]
+        return [ArchivedRun(tuple(row), row[_LONGITUDE]) for row in rows]
 
     def _rows(self, name: str, start_utc_s: float, end_utc_s: float) -> "Iterator[list[tuple[Any, ...]]]":
         lacking = {column.name for column in missing_columns(self._connection, name)}

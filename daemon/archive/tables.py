@@ -19,7 +19,6 @@ _LOCK = 0x68656C63_61726368
 _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   run int4 GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
   installation text NOT NULL,
-  id text NOT NULL,
   started timestamptz NOT NULL,
   role text NOT NULL,
   version text NOT NULL,
@@ -29,6 +28,7 @@ _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   longitude_deg float8 NOT NULL,
   altitude_m float8 NOT NULL,
   tracker text NOT NULL,
+  id text NOT NULL,
   through int8 NOT NULL DEFAULT -1,
   heard timestamptz,
   UNIQUE (installation, id)

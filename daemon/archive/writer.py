@@ -5,12 +5,14 @@ import os
 import socket
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import astuple
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from daemon.archive.address import ArchiveAddress, connected, telling
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, TYPES, ensure, make_days, partitioned
 from daemon.store.batches import KINDS, Batch
+from daemon.store.schema import RUN_COLUMNS
 from daemon.store.store import Origin
 
 _DAY_S = 86400.0
@@ -115,25 +117,13 @@ class ArchiveWriter:
         return known[key]
 
     def _new_run(self, installation: str, origin: Origin) -> int:
-        values = (
-            installation,
-            origin.id,
-            _instant(origin.started_utc_s),
-            origin.role,
-            origin.version,
-            origin.simulated,
-            origin.site,
-            origin.latitude_deg,
-            origin.longitude_deg,
-            origin.altitude_m,
-            origin.tracker,
-        )
+        started_utc_s, *others = astuple(origin)
+        columns = ("installation", *RUN_COLUMNS)
         row = self._connection.execute(
-            f"INSERT INTO {SCHEMA}.runs (installation, id, started, role, version, simulated, site, latitude_deg,"  # noqa: S608 - our own names
-            " longitude_deg, altitude_m, tracker) VALUES (%s, %s, %s, %s, %s, %s, %s, %s, %s, %s, %s)"
+            f"INSERT INTO {SCHEMA}.runs ({', '.join(columns)}) VALUES ({', '.join(['%s'] * len(columns))})"  # noqa: S608 - our own names
             # An update that changes nothing returns the run that is there.
             " ON CONFLICT (installation, id) DO UPDATE SET id = EXCLUDED.id RETURNING run",
-            values,
+            (installation, _instant(started_utc_s), *others),
         ).fetchone()
         assert row is not None  # noqa: S101 - narrowing; this statement returns a row
         return int(row[0])

@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from daemon.store.schema import columns_of, open_for_reading, unreadable
+from daemon.store.schema import RUN_COLUMNS, columns_of, open_for_reading, unreadable
 from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
 
@@ -22,11 +22,8 @@ def runs_of(path: Path) -> list[StoredRun]:
     with closing(open_for_reading(path)) as connection:
         try:
             there = columns_of(connection, "runs")
-            tracker, own_id = (name if name in there else "''" for name in ("tracker", "id"))
-            rows = connection.execute(
-                "SELECT run, started, role, version, simulated, site, latitude_deg, longitude_deg, altitude_m,"  # noqa: S608 - our own names
-                f" {tracker}, {own_id} FROM runs ORDER BY started, run"
-            ).fetchall()
+            wanted = ", ".join(name if name in there else "''" for name in RUN_COLUMNS)
+            rows = connection.execute(f"SELECT run, {wanted} FROM runs ORDER BY started, run").fetchall()  # noqa: S608 - our own names
         except sqlite3.Error as error:
             raise unreadable(path, error) from None
     return [

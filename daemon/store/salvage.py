@@ -14,7 +14,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.store.aside import companions
-from daemon.store.schema import FILE_NAME, UnusableStoreError, check_is_store, columns_of, open_for_writing
+from daemon.store.schema import FILE_NAME, RUN_COLUMNS, UnusableStoreError, check_is_store, columns_of, open_for_writing
 from daemon.store.tables import COLUMNS, Column
 
 _ROWS_AT_ONCE = 1000
@@ -32,18 +32,6 @@ _HOLDS: dict[str, tuple[type, ...]] = {
     "bool": (int,),
     "text": (str,),
 }
-_RUN = (
-    "started",
-    "role",
-    "version",
-    "simulated",
-    "site",
-    "latitude_deg",
-    "longitude_deg",
-    "altitude_m",
-    "tracker",
-    "id",
-)
 _Row = tuple[Any, ...]
 
 
@@ -196,7 +184,7 @@ class _Merge:
 
     def _read_runs(self) -> dict[int, _Row]:
         there = columns_of(self._source, "runs")
-        names = ", ".join(name if name in there else "''" for name in _RUN)
+        names = ", ".join(name if name in there else "''" for name in RUN_COLUMNS)
         known: dict[int, _Row] = {}
         try:
             for run, *values in self._source.execute(f"SELECT run, {names} FROM runs ORDER BY run"):  # noqa: S608 - our own names
@@ -249,11 +237,11 @@ class _Merge:
         """Return the number that a row's run has in the store: that of the same run if it is there, else a new one."""
         if row[0] not in self._runs:
             own = self._known.get(row[0]) or self._guess(row)
-            same = " AND ".join(f"{name} = ?" for name in _RUN)
+            same = " AND ".join(f"{name} = ?" for name in RUN_COLUMNS)
             found = self._store.execute(f"SELECT run FROM runs WHERE {same}", own).fetchone()  # noqa: S608 - our own names
             if found is None:
-                marks = ", ".join("?" * len(_RUN))
-                made = self._store.execute(f"INSERT INTO runs ({', '.join(_RUN)}) VALUES ({marks})", own)  # noqa: S608 - our own names
+                marks = ", ".join("?" * len(RUN_COLUMNS))
+                made = self._store.execute(f"INSERT INTO runs ({', '.join(RUN_COLUMNS)}) VALUES ({marks})", own)  # noqa: S608 - our own names
                 found = (made.lastrowid,)
             self._runs[row[0]] = found[0]
         return self._runs[row[0]]

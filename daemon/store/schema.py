@@ -34,6 +34,19 @@ _RUNS = """CREATE TABLE runs (
   tracker TEXT NOT NULL DEFAULT '',
   id TEXT NOT NULL DEFAULT ''
 )"""
+RUN_COLUMNS = (
+    "started",
+    "role",
+    "version",
+    "simulated",
+    "site",
+    "latitude_deg",
+    "longitude_deg",
+    "altitude_m",
+    "tracker",
+    "id",
+)
+"""Of the table `runs` after its number, in the order of `daemon.store.store.Origin`; an archive has the same order."""
 _DAYS = "CREATE TABLE days (day INTEGER PRIMARY KEY)"
 
 

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import groupby
 from pathlib import Path
 from uuid import uuid4
@@ -19,7 +19,7 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Record
 from daemon.store.aside import aside_text, move_aside
-from daemon.store.schema import FILE_NAME, Rows, StoreError, UnusableStoreError, damage, open_for_writing
+from daemon.store.schema import FILE_NAME, RUN_COLUMNS, Rows, StoreError, UnusableStoreError, damage, open_for_writing
 from daemon.store.tables import COLUMNS
 
 log = logging.getLogger("heliocube.store")
@@ -256,22 +256,10 @@ class Store:
             self._thin(connection)
 
     def _begin_run(self, connection: sqlite3.Connection) -> int:
-        origin = self._origin
+        marks = ", ".join("?" * len(RUN_COLUMNS))
         cursor = connection.execute(
-            "INSERT INTO runs (started, role, version, simulated, site, latitude_deg, longitude_deg, altitude_m,"
-            " tracker, id) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                origin.started_utc_s,
-                origin.role,
-                origin.version,
-                origin.simulated,
-                origin.site,
-                origin.latitude_deg,
-                origin.longitude_deg,
-                origin.altitude_m,
-                origin.tracker,
-                origin.id,
-            ),
+            f"INSERT INTO runs ({', '.join(RUN_COLUMNS)}) VALUES ({marks})",  # noqa: S608 - our own names
+            astuple(self._origin),
         )
         assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one
         return cursor.lastrowid
