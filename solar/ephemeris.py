@@ -239,20 +239,17 @@ class SunElevation:
 
     def __init__(self, site: Site) -> None:
         self._site = site
-        self._first_minute = 0
-        self._elevation_deg: list[float] = []
+        self._minutes = range(0)
+        self._elevation_deg: list[float]
 
     def __call__(self, utc_s: float) -> float:
         """Return the elevation at the beginning of the minute that this UTC [s] lies in (0.25 deg of its path)."""
         minute = int(utc_s // _SUN_EVERY_S)
-        at = minute - self._first_minute
-        if not (0 <= at < len(self._elevation_deg)):
-            self._first_minute, at = minute, 0
-            site = self._site
-            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE, dtype=np.float64)
-            sun = sun_position(instants, site.latitude_deg, site.longitude_deg, site.altitude_m)
-            self._elevation_deg = sun.elevation_deg.tolist()
-        return self._elevation_deg[at]
+        if minute not in self._minutes:
+            self._minutes = range(minute, minute + _SUN_AT_ONCE)
+            instants = _SUN_EVERY_S * np.array(self._minutes, dtype=np.float64)
+            self._elevation_deg = sun_position(instants, *self._site).elevation_deg.tolist()
+        return self._elevation_deg[minute - self._minutes.start]
 
 
 class SunDirection:
@@ -265,17 +262,18 @@ class SunDirection:
     """
 
     def __init__(self, site: Site) -> None:
-        self._site = (site.latitude_deg, site.longitude_deg, site.altitude_m)
-        self._first_minute = 0
-        self._suns = np.empty((0, 3))
+        self._site = site
+        self._minutes = range(0)
+        self._suns: Array
 
     def __call__(self, utc_s: float) -> Array:
         """Return the direction at an instant [s UTC], shape (3,), to a hundred thousandth of its length."""
-        minute, share = divmod(utc_s / _SUN_EVERY_S, 1.0)
-        at = int(minute) - self._first_minute
-        if not (0 <= at < len(self._suns) - 1):
-            self._first_minute, at = int(minute), 0
-            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE + 1)
+        minute = int(utc_s // _SUN_EVERY_S)
+        if minute not in self._minutes:
+            self._minutes = range(minute, minute + _SUN_AT_ONCE)
+            instants = _SUN_EVERY_S * np.arange(minute, minute + _SUN_AT_ONCE + 1, dtype=np.float64)
             self._suns = sun_direction(instants, *self._site)
-        now: Array = self._suns[at] + share * (self._suns[at + 1] - self._suns[at])
+        share = utc_s / _SUN_EVERY_S - minute
+        before, after = self._suns[minute - self._minutes.start :][:2]
+        now: Array = before + share * (after - before)
         return now

@@ -89,7 +89,7 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     # Written so that NaN fails; the bound keeps powers finite.
     usable = (np.abs(voltage) < _ABSURD) & (np.abs(current) < _ABSURD)
     voltage, current = voltage[usable], current[usable]
-    order = np.argsort(voltage, kind="stable")
+    order = np.argsort(voltage)
     voltage, current = _without_wild_points(voltage[order], current[order])
     if voltage.size < LEAST_POINTS:
         return _none(f"{voltage.size} usable points, {LEAST_POINTS} are needed")
@@ -193,7 +193,7 @@ def _fit(voltage: Array, power: Array, middle_v: float) -> tuple[float, float, f
 
 def _voc(voltage: Array, current: Array) -> float:
     """Return where the line through the two points nearest to no current crosses it, if that is within their reach."""
-    nearest = np.sort(np.argsort(np.abs(current), kind="stable")[:2])
+    nearest = np.sort(np.argsort(np.abs(current))[:2])
     (low, high), (at_low, at_high) = voltage[nearest], current[nearest]
     if not at_low > at_high or not high > low:
         return np.nan

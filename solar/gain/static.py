@@ -84,9 +84,8 @@ def _energy(day: SunPath, sin_beta: Array, cos_beta: Array, sin_lambda: Array, c
     neighbour = psi - np.copysign(_TURN, psi)
     begin, end = _overlap(neighbour, xi, day.w0)
     again = end > begin
-    if again.any():
-        at = [np.broadcast_to(part, clip.shape)[again] for part in (level, swing, neighbour, begin, end)]
-        clip[again] += _arc(*at)
+    at = [np.broadcast_to(part, clip.shape)[again] for part in (level, swing, neighbour, begin, end)]
+    clip[again] += _arc(*at)
     clip = HOURS_PER_RAD * np.maximum(clip, 0.0)
     signed = 2.0 * HOURS_PER_RAD * (level * day.w0 + noonward * day.cos_delta * np.sin(day.w0))
     return StaticEnergy(clip, np.maximum(2.0 * clip - signed, 0.0), signed)

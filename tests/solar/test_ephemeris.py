@@ -6,7 +6,15 @@ from hypothesis import strategies as st
 from pvlib.irradiance import get_extra_radiation
 from pvlib.solarposition import get_solarposition
 
-from solar.ephemeris import extraterrestrial_dni, sun_day, sun_direction, sun_position
+from solar.ephemeris import (
+    Site,
+    SunDirection,
+    SunElevation,
+    extraterrestrial_dni,
+    sun_day,
+    sun_direction,
+    sun_position,
+)
 from solar.frames import azimuth_from_direction, separation_deg
 
 SIRTA = (48.717607, 2.209002, 156.0)
@@ -125,3 +133,23 @@ def test_polar_night_and_polar_day_have_no_sunrise_and_differ_in_the_noon_elevat
 def test_an_instant_that_is_no_time_is_refused(function, instant):
     with pytest.raises(ValueError, match="finite seconds since 1970"):
         function(instant, *SIRTA)
+
+
+# Within an hour and across its end, back again, another day, and the beginning of all days.
+ASKED_UTC_S = [1.7e9 + offset_s for offset_s in (0.0, 59.9, 60.0, 3540.0, 3599.0, 3600.0, 7300.0, 10.0, -1.0, 8e4)] + [
+    0.0
+]
+
+
+@pytest.mark.parametrize("site", [Site(48.7, 2.2, 156.0), Site(-33.9, 18.4, 0.0)])
+def test_what_is_asked_by_the_minute_is_the_position_at_its_beginning(site):
+    elevation = SunElevation(site)
+    for utc_s in ASKED_UTC_S:
+        assert elevation(utc_s) == pytest.approx(sun_position(utc_s // 60.0 * 60.0, *site).elevation_deg, abs=1e-9)
+
+
+@pytest.mark.parametrize("site", [Site(48.7, 2.2, 156.0), Site(-33.9, 18.4, 0.0)])
+def test_what_is_asked_between_the_minutes_is_the_direction_of_the_instant(site):
+    direction = SunDirection(site)
+    for utc_s in ASKED_UTC_S:
+        np.testing.assert_allclose(direction(utc_s), sun_direction(np.array([utc_s]), *site)[0], atol=1e-5)

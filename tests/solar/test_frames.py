@@ -12,6 +12,7 @@ from solar.frames import (
     angles_from_direction,
     azimuth_from_direction,
     direction_from_azimuth,
+    equator_azimuth_deg,
     normal_from_angles,
     separation_deg,
 )
@@ -59,6 +60,11 @@ def test_what_is_not_a_number_is_outside_the_limits_and_cannot_be_clipped(bad):
 @pytest.mark.parametrize("direction", [(0, 0, 0), (math.nan, 0, 1), (0, math.inf, 1), (0, 0, math.nan)])
 def test_a_direction_that_is_none_gives_no_angles(direction):
     assert np.isnan(angles_from_direction(direction)).all()
+
+
+@pytest.mark.parametrize(("latitude_deg", "azimuth_deg"), [(0.0, 180.0), (0.1, 180.0), (-0.1, 0.0)])
+def test_on_the_equator_the_frame_is_the_northern_one(latitude_deg, azimuth_deg):
+    assert equator_azimuth_deg(latitude_deg) == azimuth_deg
 
 
 def test_noon_sun_faces_the_equator_in_both_hemispheres():

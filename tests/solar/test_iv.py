@@ -84,6 +84,36 @@ def test_a_curve_without_its_knee_has_no_maximum(lowest, highest):
     assert "the knee is not in it" in found.why_not
 
 
+def noisy(irradiance, temperature, points, seed, noise_a, wild=()):
+    _, voltage, current = swept(irradiance, temperature, points)
+    current = current + np.random.default_rng(seed).normal(0.0, noise_a, current.size)
+    for place, by_a in wild:
+        current[place] += by_a
+    return voltage, current
+
+
+# Pmpp, Vmpp, its uncertainty, Voc, Isc and the points used of curves with scatter and wild points, as this program has
+# them: its windows, its bounds for what is wild and the order of its polynomial show in nothing else.
+@pytest.mark.parametrize(("how", "numbers", "points"), [
+    ((800, 40, 30, 1, 0.02), (231.46822, 30.940388, 0.14820755, 37.872609, 7.9699393), 11),
+    ((300, 10, 20, 2, 0.01, ((5, 1.0), (12, -0.8))), (97.890352, 34.823174, 0.38794264, 40.121927, 2.9348308), 7),
+    ((1100, 60, 60, 3, 0.05, ((0, 0.4), (60, 2.0))), (289.59851, 28.154132, 0.58303473, np.nan, 11.84593), 21),
+    ((150, 0, 19, 4, 0.02, ((9, -0.3),)), (49.153502, 34.711554, 0.47077979, 40.399119, 1.4262298), 7),
+    ((20, 25, 24, 5, 0.05), (6.3372918, 28.820037, 0.64934144, 32.955926, 0.23090018), 7),
+    ((900, 25, 12, 6, 0.0), (275.51676, 32.674142, 0.17498667, 39.889423, 8.8561032), 7),
+])  # fmt: skip
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_curves_with_scatter_have_these_maxima_however_small_the_cell_is(how, numbers, points, scale):
+    voltage, current = noisy(*how)
+    found = measured_maximum(
+        np.append(scale * voltage, [-1e9, 1.0, np.inf, 1e9]), np.append(current, [1.0, -1e9, 1.0, 1.0])
+    )
+    got = (found.pmpp_w / scale, found.vmpp_v / scale, found.pmpp_sigma_w / scale, found.voc_v / scale, found.isc_a)
+    assert got == pytest.approx(numbers, rel=1e-5, nan_ok=True)
+    assert (found.points, found.why_not) == (points, "")
+    assert found.impp_a == pytest.approx(found.pmpp_w / found.vmpp_v)
+
+
 def test_too_few_points_say_how_many_are_needed():
     found = measured_maximum([10.0, 20.0, 30.0, np.nan, 35.0], [9.0, 9.0, 8.0, 7.0, np.inf])
     assert np.isnan(found.pmpp_w)

@@ -36,6 +36,7 @@ def test_the_face_that_others_contradict_is_named(face, at_w_m2):
     faces[:, face] = at_w_m2
     found = misfits(faces, sun)
     assert found.contradict
+    assert found.whole > 0.15
     assert found.accused == (face,)
 
 

@@ -55,6 +55,20 @@ def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit
     assert (responses(faces, sun, ALL) == Response.UNKNOWN).all()
 
 
+def test_a_face_that_is_the_only_vertical_one_in_the_sun_is_not_judged_and_is_no_company_for_itself():
+    faces, sun = half_hour(at_utc_s=1655283600.0 + 2.5 * 3600)
+    found = responses(faces, sun, ALL)
+    assert found.tolist() == [Response.UNKNOWN, Response.UNKNOWN, Response.UNKNOWN, Response.FOLLOWS]
+
+
+@pytest.mark.parametrize("face", [0, 1, 3])
+def test_a_face_is_judged_by_what_the_other_three_are_believed(face):
+    faces, sun = half_hour()
+    believed = [other != face for other in range(4)]
+    found = responses(faces, sun, believed)
+    assert np.flatnonzero(found == Response.FOLLOWS).tolist() == [face]
+
+
 def test_a_gap_in_a_face_and_a_low_sun_tell_nothing():
     faces, sun = half_hour()
     faces[3, 1] = np.nan
@@ -123,6 +137,7 @@ def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
         ((5.0, 2.0, 5.0, 2.0), True),
         ((0.09, 0.09, 0.09, 0.09), False),
         ((0.11, 0.11, 0.11, 0.11), True),
+        ((0.0, 5.0, 0.0, 5.0), True),
         ((-0.11, -0.11, -0.11, -0.11), True),
         ((5.0, 2.0, 2.0, np.nan), False),
     ],

@@ -119,3 +119,12 @@ def _g(phi, n, deviation):
 def test_the_smallest_eta_passes_over_nan_days():
     assert printed.least_eta([np.nan, 1.5, 1.2]) == pytest.approx(0.2)
     assert np.isnan(printed.least_eta([np.nan, np.nan]))
+
+
+def test_many_at_once_are_each_as_alone_complex_or_not():
+    cases = np.array([(2.0, 10.0, 172, 85.0), (50.0, 30.0, 80, 20.0), (5.0, 10.0, 1, 80.0), (2.0, 10.0, 80, 85.0)])
+    together = printed.script1(*cases.T)
+    alone = [printed.script1(*case) for case in cases]
+    assert together.k_ds == pytest.approx([float(one.k_ds) for one in alone])
+    assert together.complex_breakpoints.tolist() == [True, False, True, False]
+    assert together.k_ds[:2] == pytest.approx([0.209822, 1.110998], abs=1e-6)

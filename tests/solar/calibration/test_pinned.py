@@ -1,0 +1,95 @@
+"""Numbers of the fits under clear sky, to the digits that they settle to: what they weigh and leave out shows in them.
+
+They are the program's own, of a sky that is made here; whether the fits are right, the tests beside this one say.
+"""
+
+import numpy as np
+import pytest
+
+from solar.calibration.anchor import clear_sky_anchor
+from solar.calibration.attitude import Attitude, face_normals
+from solar.calibration.selection import clear_sky_ghi
+from solar.calibration.shape import fit_shape
+from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
+from solar.sky import sky
+
+SITE = Site(48.7, 2.2, 156.0)
+DAY_S = 86400.0
+# Two days of May, every 20 minutes from 6 to 18 h.
+UTC_S = np.concatenate([1_652_594_400.0 + day * DAY_S + 1200.0 * np.arange(37) for day in range(2)])
+STANDING = Attitude(3.0, 1.0, -0.7)
+GAINS = np.array([1.03, 0.97, 1.02, 0.98])
+
+
+def faces_of(model):
+    """Return what a turned and leaning cube reads, with scatter, a cloud over one instant and haze over another."""
+    sun, extra = sun_direction(UTC_S, *SITE), extraterrestrial_dni(UTC_S)
+    _, dni, dhi = clear_sky_ghi(SITE, UTC_S, 0.12)
+    dni[20], dhi[20] = 0.5 * dni[20], 3.0 * dhi[20]
+    overhead = sky(model, sun, dni, dhi, extra)
+    normals = face_normals(STANDING, SITE.latitude_deg)
+    seen = np.stack([overhead.irradiance_on(normal[None, :], 0.25) for normal in normals], axis=-1)
+    faces = GAINS * seen * np.random.default_rng(3).normal(1.0, 0.004, seen.shape)
+    faces[50] *= [1.0, 1.3, 1.0, 1.0]
+    return faces
+
+
+@pytest.mark.parametrize(
+    ("model", "kept", "numbers"),
+    [
+        (
+            "perez1990",
+            56,
+            (
+                1.0469,
+                0.976557,
+                1.038,
+                1.0,
+                2.97223,
+                0.532887,
+                -0.679818,
+                0.257534,
+                0.980422,
+                0.00229779,
+                887.561,
+                51.3208,
+                97.2851,
+            ),
+        ),
+        (
+            "haydavies",
+            55,
+            (
+                1.05305,
+                0.980357,
+                1.02794,
+                1.0,
+                2.87029,
+                0.756997,
+                -0.520268,
+                0.255023,
+                0.0,
+                0.00173408,
+                901.708,
+                41.4953,
+                102.737,
+            ),
+        ),
+    ],
+)
+def test_the_shape(model, kept, numbers):
+    found = fit_shape(UTC_S, faces_of(model), SITE, model=model, vertical=1.02)
+    assert found.utc_s.size == found.beam_w_m2.size == kept
+    got = [*found.response, *found.attitude, found.albedo, found.horizon, found.residual]
+    got += [found.beam_w_m2.mean(), found.uniform_w_m2.mean(), found.dhi_w_m2.mean()]
+    assert got == pytest.approx(numbers, rel=2e-4, abs=1e-6)
+
+
+def test_the_anchor():
+    rng = np.random.default_rng(5)
+    ghi, dni, dhi = clear_sky_ghi(SITE, UTC_S, np.where(UTC_S[37] > UTC_S, 0.08, 0.2), 2.0)
+    overhead = sky("perez1990", sun_direction(UTC_S, *SITE), dni, dhi, extraterrestrial_dni(UTC_S))
+    zenith = 0.98 * ghi * rng.normal(1.0, 0.005, ghi.size)
+    beam = 1.02 * (overhead.dni_w_m2 + overhead.circumsolar_w_m2) * rng.normal(1.0, 0.01, ghi.size)
+    found = clear_sky_anchor(UTC_S, zenith, beam, SITE)
+    assert list(found) == pytest.approx([0.96727, 1.00392, 0.0178409, 0.0223055, 0.021531], rel=2e-4)
