@@ -77,13 +77,13 @@ class _Beat(NamedTuple):
 
 
 class _Timer:
-    """What stands for `asyncio.TimerHandle`."""
+    """What stands for `asyncio.TimerHandle`; it is left out where it has no callback."""
 
-    __slots__ = ("_args", "_callback", "_context", "_when_s")
+    __slots__ = ("_args", "_context", "_when_s", "callback")
 
     def __init__(self, when_s: float, callback: Callable[..., object], args: tuple[Any, ...], context: Context) -> None:
         self._when_s = when_s
-        self._callback: Callable[..., object] | None = callback
+        self.callback: Callable[..., object] | None = callback
         self._args = args
         self._context = context
 
@@ -93,22 +93,22 @@ class _Timer:
 
     def cancel(self) -> None:
         """Leave it out."""
-        self._callback, self._args = None, ()
+        self.callback, self._args = None, ()
 
     def cancelled(self) -> bool:
         """Tell whether it is left out."""
-        return self._callback is None
+        return self.callback is None
 
     def run(self, loop: AbstractEventLoop) -> None:
         """Call back, unless cancelled."""
-        if self._callback is None:
+        if self.callback is None:
             return
         try:
-            self._context.run(self._callback, *self._args)
+            self._context.run(self.callback, *self._args)
         except (SystemExit, KeyboardInterrupt):
             raise
         except BaseException as error:  # noqa: BLE001 - as asyncio does: what raises is told, and the loop goes on
-            loop.call_exception_handler({"message": f"Exception in timer {self._callback!r}", "exception": error})
+            loop.call_exception_handler({"message": f"Exception in timer {self.callback!r}", "exception": error})
 
 
 _OVER = _Timer(0.0, print, (), copy_context())
@@ -158,8 +158,7 @@ class _VirtualSelector(_DelegatingSelector):
         events = self._real.select(0)
         if events:
             return events
-        while self._timers and self._timers[0][2].cancelled():
-            heapq.heappop(self._timers)
+        self._drop_cancelled()
         if self.jobs or not (self._timers or self._beats):
             events = self._real.select(_DEADLOCK_AFTER_S)
             if not events:
@@ -193,11 +192,14 @@ class _VirtualSelector(_DelegatingSelector):
 
     def pass_alone(self, when_s: float) -> bool:
         """Let time go on to an instant before which nothing else is to happen; return False where something is."""
-        while self._timers and self._timers[0][2].cancelled():
-            heapq.heappop(self._timers)
+        self._drop_cancelled()
         if self.jobs or (self._timers and self._timers[0][0] <= when_s + max(_RESOLUTION_S, math.ulp(when_s))):
             return False
         return not self._real.select(0) and self._pass_to(when_s)
+
+    def _drop_cancelled(self) -> None:
+        while self._timers and self._timers[0][2].callback is None:
+            heapq.heappop(self._timers)
 
     def _run_timers(self) -> None:
         # By itself: through the loop's list of what is to be done each would take a second round. Those that are set
@@ -231,8 +233,12 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         *args: *Arguments,
         context: Context | None = None,
     ) -> TimerHandle:
-        """Call back after so many virtual seconds."""
-        return self.call_at(self._virtual.now_s + delay, callback, *args, context=context)
+        """Call back after so many virtual seconds; a task that sleeps alone goes on at once."""
+        when_s = self._virtual.now_s + delay
+        if callback is _WAKE_SLEEPER and self._sleeps_alone(when_s):
+            callback(*args)
+            return cast("TimerHandle", _OVER)
+        return self.call_at(when_s, callback, *args, context=context)
 
     def call_at(
         self,
@@ -244,9 +250,6 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         """Call back at a virtual time, at a third of what a timer of asyncio's costs: a day has half a million."""
         if self.is_closed():
             raise RuntimeError("Event loop is closed")
-        if callback is _WAKE_SLEEPER and self._sleeps_alone(when):
-            callback(*args)
-            return cast("TimerHandle", _OVER)
         timer = _Timer(when, callback, args, context or copy_context())
         self._virtual.set_timer(timer)
         return cast("TimerHandle", timer)
