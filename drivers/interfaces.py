@@ -7,7 +7,7 @@ after ``close``; it always identifies and configures the instrument anew. Times 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 AxisName = Literal["a", "b"]
 
@@ -42,8 +42,7 @@ FaceFlaw = Literal["over-range", "late", "missing"]
 """Why a face was not read: beyond the range; no answer in time; an answer that is none."""
 
 
-@dataclass(frozen=True, slots=True)
-class FaceSample:
+class FaceSample(NamedTuple):
     """What one face read.
 
     Attributes

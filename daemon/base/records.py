@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 FACES = ("east", "south", "west", "zenith")
 
@@ -38,8 +39,7 @@ class Mode(StrEnum):
     MAINTENANCE = "maintenance"
 
 
-@dataclass(frozen=True, slots=True)
-class FaceReading:
+class FaceReading(NamedTuple):
     """Irradiance on one face of the cube.
 
     Attributes

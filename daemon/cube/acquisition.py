@@ -4,7 +4,6 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from random import Random
 
 from daemon.base.alarms.alarms import Alarms
@@ -182,7 +181,7 @@ class Acquisition:
         if proven:
             watch.note(self._read_w_m2, self._read_mv)
         return [
-            replace(face, quality=Quality.IMPLAUSIBLE)
+            face._replace(quality=Quality.IMPLAUSIBLE)
             if face.quality is Quality.OK and watch.implausible(index)
             else face
             for index, face in enumerate(faces)

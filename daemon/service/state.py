@@ -158,7 +158,7 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         else _next(tracker.next, seen.time_utc_s + control.next_decision_s),
         "tracker": _positioner(tracker.positioner, tracker.name) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, now_s),
-        "wind": [{name: number(value) for name, value in asdict(status).items()} for status in tracker.wind],
+        "wind": [{name: number(value) for name, value in status._asdict().items()} for status in tracker.wind],
         "wind_m_s": number(tracker.wind_m_s),
         "stow_release_in_s": number(tracker.stow_release_in_s),
         "mqtt": None if link is None else _mqtt(link),

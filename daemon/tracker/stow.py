@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from daemon.config.sections import SafetySettings
 
 
-@dataclass(frozen=True, slots=True)
-class StowStatus:
+class StowStatus(NamedTuple):
     """How one source stands.
 
     Attributes

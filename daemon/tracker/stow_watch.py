@@ -100,7 +100,8 @@ class StowWatch:
         found = {source.name: why for source in self._sources if (why := source.reason(now_s)) is not None}
         if found.keys() != self._kept:
             self._keep(found)
-        for status in self.statuses(now_s):
+        for source in self._sources:
+            status = source.status(now_s)
             # What was read by this very poll; NaN is no reading.
             if status.age_s < _POLL_EVERY_S and not status.speed_m_s <= self._gust_m_s and status.speed_m_s >= 0.0:
                 self._gust_m_s = status.speed_m_s

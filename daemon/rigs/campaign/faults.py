@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from daemon.base.records import FaceReading, Quality, Scan
@@ -183,7 +183,7 @@ def _forgeries(plant: Plant) -> Iterator[bytes]:
         east=face,
         south=face,
         west=face,
-        zenith=replace(face, irradiance_w_m2=FORGED_W_M2),
+        zenith=face._replace(irradiance_w_m2=FORGED_W_M2),
         simulated=True,
     )
     yield b"\x00\xff" * 40

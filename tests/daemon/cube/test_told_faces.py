@@ -1,7 +1,5 @@
 """A face that lies is said on the tracker's machine too, since when, and as long as it lies."""
 
-from dataclasses import replace
-
 import pytest
 
 from daemon.base.alarms.alarms import Alarms
@@ -10,7 +8,7 @@ from daemon.base.records import FaceReading, Quality, Scan
 from daemon.cube.told_faces import ToldFaces
 
 GOOD = FaceReading(400.0, Quality.OK, 0.0, 0.0)
-LIES = replace(GOOD, quality=Quality.IMPLAUSIBLE)
+LIES = GOOD._replace(quality=Quality.IMPLAUSIBLE)
 
 
 @pytest.fixture
@@ -42,4 +40,4 @@ def test_a_reading_now_and_then_is_no_lie(told):
     for _ in range(30):
         assert told(1, west=LIES) == []
         assert told(1) == []
-        assert told(1, west=replace(GOOD, quality=Quality.STALE)) == []
+        assert told(1, west=GOOD._replace(quality=Quality.STALE)) == []

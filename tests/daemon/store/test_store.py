@@ -99,7 +99,7 @@ def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
 
 def test_a_bad_zenith_reading_is_no_ghi(keep, tmp_path):
     good = scan(0)
-    bad = replace(good, sequence=1, zenith=replace(good.zenith, quality="implausible"))
+    bad = replace(good, sequence=1, zenith=good.zenith._replace(quality="implausible"))
     export(keep(good, bad), tmp_path / "out", "csv", None, None, ["scans"])
     assert [row["ghi"] != "" for row in rows(tmp_path / "out" / "scans.csv")] == [True, False]
 
