@@ -52,7 +52,8 @@ class PvSource:
         self._module = module
         self._light, self._lit_s = SourceLight(0.0, _MILD_C), math.nan
         self._diode: tuple[SourceLight, SingleDiode] | None = None
-        self._open_v = 0.0
+        self._open_v = self._given_a = 0.0
+        self._asked_v = math.nan
 
     def light(self, now: float) -> SourceLight:
         """Return the light at a time [s]."""
@@ -62,7 +63,11 @@ class PvSource:
 
     def current(self, light: SourceLight, voltage_v: float) -> float:
         """Return the current [A] at a voltage."""
-        return self._in(light).current(voltage_v)
+        diode = self._in(light)
+        # A load that holds a voltage asks again for whatever else it is asked then.
+        if voltage_v != self._asked_v:
+            self._asked_v, self._given_a = voltage_v, diode.current(voltage_v)
+        return self._given_a
 
     def voltage(self, light: SourceLight, current_a: float) -> float:
         """Return the voltage [V] at a current; that of the open circuit for none."""
@@ -84,5 +89,5 @@ class PvSource:
     def _in(self, light: SourceLight) -> SingleDiode:
         if self._diode is None or self._diode[0] is not light:
             self._diode = light, single_diode(self._module, *light)
-            self._open_v = self._diode[1].voltage(0.0)
+            self._open_v, self._asked_v = self._diode[1].voltage(0.0), math.nan
         return self._diode[1]

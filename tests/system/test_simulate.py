@@ -67,9 +67,9 @@ def plain_means(scans, decisions):
 @pytest.mark.parametrize("date", ["2016-06-05", "2016-03-15"])
 def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tmp_path, date):
     weather = measured / "dtu_lyngby_2016" / f"{date[:7]}.csv.gz"
-    day(tmp_path, f"{date}T06:00", weather, "mu-prime", LYNGBY, days=0.5)
+    day(tmp_path, f"{date}T06:00", weather, "mu-prime", LYNGBY, days=0.3)
     decisions = [row for row in rows(tmp_path / "decisions.csv") if row["mode"] == "tracking"]
-    assert len(decisions) > 100
+    assert len(decisions) > 60
     settled = 0
     poses = rows(tmp_path / "poses.csv")
     stood = iter(poses)
@@ -102,9 +102,9 @@ def test_on_measured_days_mu_prime_lands_where_the_equations_put_it(measured, tm
 
 def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05T04:30", weather, "sun-vector", LYNGBY, days=0.6, scan_every_s=30)
+    day(tmp_path, "2016-06-05T05:30", weather, "sun-vector", LYNGBY, days=0.3, scan_every_s=30)
     high = [row for row in rows(tmp_path / "decisions.csv") if float(row["sun_elevation_deg"]) > 15]
-    assert len(high) > 140
+    assert len(high) > 70
     for row in high:
         seen = direction_from_azimuth(*values(row, "direction_azimuth_deg", "direction_elevation_deg"), 55.8)
         sun = sun_direction(utc_s(row), 55.79064, 12.52505, 50.0)
@@ -113,7 +113,7 @@ def test_on_the_measured_clear_day_the_sun_vector_is_the_sun(measured, tmp_path)
 
 def test_on_the_measured_clear_day_chronometric_faces_the_sun_within_the_limits(measured, tmp_path):
     weather = measured / "dtu_lyngby_2016" / "2016-06.csv.gz"
-    day(tmp_path, "2016-06-05T04:30", weather, "chronometric", LYNGBY, days=0.6, scan_every_s=30)
+    day(tmp_path, "2016-06-05T04:30", weather, "chronometric", LYNGBY, days=0.35, scan_every_s=60)
     reached = 0
     for row in rows(tmp_path / "decisions.csv"):
         sun = sun_direction(utc_s(row), 55.79064, 12.52505, 50.0)
@@ -121,22 +121,22 @@ def test_on_the_measured_clear_day_chronometric_faces_the_sun_within_the_limits(
         inside = abs(float(row["target_a_deg"])) < 50 and 15 < float(row["target_b_deg"]) < 90
         reached += inside
         assert apart < 0.01 or not inside
-    assert reached > 80
+    assert reached > 40
 
 
 def test_on_the_built_in_overcast_day_the_tracker_lies_nearly_flat(tmp_path):
-    day(tmp_path, "2022-10-14T06:30", "overcast", "mu-prime", days=0.45, scan_every_s=30)
+    day(tmp_path, "2022-10-14T06:30", "overcast", "mu-prime", days=0.25, scan_every_s=30)
     tilts = [
         separation_deg(normal_from_angles(*values(row, "target_a_deg", "target_b_deg")), [0, 0, 1])
         for row in rows(tmp_path / "decisions.csv")
         if float(row["sun_elevation_deg"]) > 5
     ]
-    assert len(tilts) > 80
+    assert len(tilts) > 45
     assert sum(tilts) / len(tilts) < 10
 
 
 def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu_prime(tmp_path):
-    summary = day(tmp_path, "2022-06-21T05:00", "clear", "mu-prime", days=0.55, scan_every_s=30)
+    summary = day(tmp_path, "2022-06-21T08:00", "clear", "mu-prime", days=0.3, scan_every_s=30)
     for row in rows(tmp_path / "decisions.csv"):
         sun_elevation = float(row["sun_elevation_deg"])
         if sun_elevation < 20 or not 90 < float(row["sun_azimuth_deg"]) < 270:
@@ -145,7 +145,7 @@ def test_on_the_built_in_clear_day_it_follows_the_sun_within_the_over_tilt_of_mu
         # mu' adds 2 I_min (about the diffuse light) to the vertical component: it looks above the sun, never below.
         assert -0.5 < elevation - sun_elevation < 12
         assert abs(azimuth - float(row["sun_azimuth_deg"])) < 3
-    assert summary.moves < 200
+    assert 50 < summary.moves < 110
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(tmp_path):

@@ -1,8 +1,6 @@
 """The commands agree on the folder of a service whose file names none."""
 
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from daemon.commands.kept import records_of, with_place
 from daemon.config.settings import Settings
 from daemon.store.place import claimed
+from tests.support import forks
 
 FILE = Path("rig/heliocube.toml")
 REAL = Settings.model_validate({"instruments": {"kind": "real"}})
@@ -28,8 +27,7 @@ def test_real_instruments_have_a_folder_and_a_simulated_rig_has_none(settings, f
 
 
 def heliocube(*words):
-    program = str(Path(sys.executable).with_name("heliocube"))
-    done = subprocess.run([program, *map(str, words)], capture_output=True, text=True, timeout=120, check=False)
+    done = forks.run(*words)
     return done.returncode, done.stdout, done.stderr
 
 

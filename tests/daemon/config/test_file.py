@@ -390,7 +390,7 @@ contents = st.dictionaries(
 )
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
 @given(changes=st.dictionaries(st.sampled_from(list(Sections.model_fields)), contents, max_size=4))
 def test_whatever_the_values_are_the_answer_is_settings_or_a_list_of_lines(changes):
     try:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 # A second of the process' own time, and as much again for each other thing a machine does: what it guards against took
 # minutes.
 WITHIN_CPU_S = 5.0
-FILES = 300
+FILES = 160
 TRACKERS = """
 [[tracker]]
 name = "east"

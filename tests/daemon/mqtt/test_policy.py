@@ -183,7 +183,7 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
                 rig = BrokerRig(asyncio.get_running_loop(), settings, 1.0)
                 stop = asyncio.Event()
                 serving = asyncio.create_task(rig.run_until(stop) if enabled else rig.service.run(stop))
-                await asyncio.sleep(4 * 3600)
+                await asyncio.sleep(2 * 3600)
                 stop.set()
                 await serving
                 return [record.time_monotonic_s for record in rig.of(Decision)]
@@ -191,7 +191,7 @@ def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(
             return runner.run(scenario())
 
     without, with_a_dead_one = decisions(enabled=False), decisions(enabled=True)
-    assert len(without) >= 40
+    assert len(without) >= 20
     assert with_a_dead_one == pytest.approx(without, abs=0.1)
     assert 1 <= sum(record.name == "heliocube.mqtt" for record in caplog.records) <= 20
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import sqlite3
 import sys
 from contextlib import closing
@@ -298,8 +299,9 @@ def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compar
 
 def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, tmp_path):
     arguments = ("--start", "2022-10-12T10:00", "--days", "0.01", "--weather", "clear")
+    compare("simulate", *arguments, "--store", tmp_path / "one")
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
     for name in ("one", "two"):
-        compare("simulate", *arguments, "--store", tmp_path / name)
         with closing(sqlite3.connect(tmp_path / name / "heliocube.sqlite")) as store, store:
             store.execute("DELETE FROM curves WHERE run = 2")
     stores = ("--store", f"A={tmp_path / 'one'}", "--store", f"B={tmp_path / 'two'}")
