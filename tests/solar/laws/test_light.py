@@ -177,3 +177,34 @@ def test_where_the_sky_gives_less_than_the_ground_takes_the_module_still_looks_a
     sun = np.array([1.0, 0.0, 0.0])
     vector = aim_vector(Light(np.array(500.0), np.array(100.0), np.array(0.0)), sun, 1.0)
     np.testing.assert_allclose(vector, [500.0, 0.0, 0.1])
+
+
+DAY, HIGH = (300.0, 410.0, 60.0, 470.0), (0.6, 0.5, 0.62)
+
+
+# Readings that no light explains, with the faces that count, and what this program makes of them (beam, vault and
+# horizon, and where to aim): only there does it show what weighs how much, and which bound holds.
+@pytest.mark.parametrize(("faces", "sun", "counts", "expected"), [
+    (DAY, HIGH, (1, 1, 1, 1), (549.692, 128.522, -38.5567, 300.195, 250.163, 358.137)),
+    (DAY, HIGH, (0, 1, 1, 1), (583.375, 107.821, -32.3464, 325.176, 270.98, 368.652)),
+    (DAY, HIGH, (1, 1, 1, 0), (549.997, 34.8303, 0.00290252, 330.001, 275.001, 320.831)),
+    (DAY, HIGH, (1, 0, 0, 1), (94.9657, 411.12, -0.0420866, 56.9471, 47.4559, 217.439)),
+    ((5.0, 8.0, 4.0, 20.0), (0.9, -0.3, 0.3), (1, 1, 1, 1), (3.72423, 18.7967, -5.63902, 0, -0, 8.52423)),
+    ((5.0, 800.0, 4.0, 20.0), (0.99, 0.05, 0.02), (1, 1, 1, 1), (822.529, 3.32155, -0.996466, 813.309, 41.0762, 16.134)),
+    ((30.0, 40.0, 50.0, 10.0), (0.8, 0.5, -0.1), (1, 1, 1, 1), (0, 10.4024, 7.28169, 6.17486, 3.85929, 4.16096)),
+    ((100.0, 90.0, 110.0, 240.0), (0.1, -0.9, 0.42), (1, 1, 1, 1), (16.2086, 232.648, -45.3698, 0, -0, 99.1859)),
+    ((200.0, 20.0, 10.0, 40.0), (-0.3, 0.9, 0.3), (1, 1, 0, 1), (134.351, 0, 0, -40.3054, 120.916, 36.2749)),
+    ((0.0, 0.0, 0.0, 0.0), (0.6, 0.5, 0.62), (1, 1, 1, 1), (0, 0, 0, 0, 0, 1e-09)),
+])  # fmt: skip
+def test_what_is_made_of_readings_that_contradict_each_other(faces, sun, counts, expected):
+    light = light_from_faces(faces, sun, 0.2, np.array(counts, dtype=np.bool_))
+    assert [*light, *aim_vector(light, sun, 0.2)] == pytest.approx(expected, rel=2e-5, abs=1e-9)
+
+
+def test_of_many_at_once_each_has_the_light_that_it_has_alone():
+    faces = np.array([DAY, (5.0, 8.0, 4.0, 20.0), (100.0, 90.0, 110.0, 240.0)])
+    suns = np.array([HIGH, (0.9, -0.3, 0.3), (0.1, -0.9, 0.42)])
+    counts = np.array([(1, 1, 0, 1), (1, 1, 1, 1), (0, 1, 1, 1)], dtype=np.bool_)
+    together = np.stack(light_from_faces(faces, suns, 0.2, counts), axis=-1)
+    alone = [light_from_faces(*one, 0.2, counted) for *one, counted in zip(faces, suns, counts, strict=True)]
+    np.testing.assert_allclose(together, alone)

@@ -280,3 +280,50 @@ def test_what_trembles_by_a_hall_count_stands_as_the_unit_itself_tells():
     # What the unit says of its counts goes before what is set, and without a word of it that counts.
     on_unit(scenario, replace(A, step=math.nan))
     on_unit(scenario, replace(A, step=0.016), says={78: b"none"})
+
+
+@pytest.mark.parametrize(
+    ("field", "off", "taken"),
+    [
+        (Field.A_DESTINATION, 0.49, True),
+        (Field.A_DESTINATION, 0.51, False),
+        (Field.A_DESTINATION, -0.51, False),
+        (Field.B_DESTINATION, 0.49, True),
+        (Field.B_DESTINATION, 0.51, False),
+        (Field.B_DESTINATION, -0.51, False),
+    ],
+)
+def test_a_target_is_taken_when_both_destinations_show_within_half_a_unit(field, off, taken):
+    async def scenario(positioner, unit, now):
+        await positioner.open()
+        setup, angle_deg = {Field.A_DESTINATION: (A, -30.0), Field.B_DESTINATION: (B, 45.0)}[field]
+        unit.says[field] = f"{setup.destination(angle_deg) + off:.4f}".encode()
+        if taken:
+            await positioner.move_to(-30.0, 45.0)
+            # A screen that was under way when the last command was sent says nothing about it.
+            assert 0.1 < now() - unit.sent[-1][0] < 0.2
+        else:
+            with pytest.raises(RefusedError, match="did not take the target"):
+                await positioner.move_to(-30.0, 45.0)
+
+    on_unit(scenario)
+
+
+def test_fields_are_told_in_their_order_as_they_are_printed():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        assert list(positioner.fields()) == sorted(positioner.fields())
+        assert positioner.fields()[Field.BOARD] == "36A1"
+
+    on_unit(scenario, comes_s={40: 0.1})
+
+
+def test_details_are_mode_closed_switches_and_the_counts_at_which_they_were_met():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        unit.says |= {Field.STATUS: str(1 << 19).encode(), Field.MODE: b" auto ", Field.A_REMAIN: b"1.5000"}
+        unit.says[Field.B_REMAIN] = b"none"
+        details = (await positioner.read_telemetry()).details
+        assert details == {"mode": "auto", "end_switches": "a_low", "a_count_at_switch": 1.5}
+
+    on_unit(scenario)
