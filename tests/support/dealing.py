@@ -7,6 +7,8 @@ LONG_S, DEAR_S, SHORT_S = 40, 12, 2
 """What a test is taken to last: by its mark `long`; with processes or firmware of its own; on a port or a broker."""
 
 _DEAR = {"system", "campaign", "firmware"}
+# Fixtures that take seconds of a processor, once for all tests of a worker.
+_SHARED = ("postgres", "browser")
 
 
 def lasts_s(item):
@@ -20,23 +22,41 @@ def long_first(items):
     return sorted(items, key=lambda item: item.get_closest_marker("long") is None)
 
 
-def dealt(items, workers, length_s=lasts_s):
+def together(item):
+    """Return what a test has in common with those that use the same dear thing: one worker is to make it for all."""
+    return next((name for name in _SHARED if name in item.fixturenames), item.nodeid)
+
+
+def dealt(items, workers, length_s=lasts_s, group=together):
     """Return the items in the order in which `--dist worksteal` deals them well: to each worker as many, in one piece.
 
-    Each piece begins with its longest, so that what is taken from its end later is short; one worker in three gets dear
-    ones only when there is nothing else left.
+    Each piece begins with its longest, so that what is taken from its end later is short; those of a group stay
+    together, as one that lasts as long as all of them; one worker in three gets dear ones only when there is nothing
+    else left.
     """
     room = [len(items) // workers + (worker >= workers - len(items) % workers) for worker in range(workers)]
     pieces = [[] for _ in range(workers)]
     spent_s = [0.0] * workers
-    for item in sorted(items, key=length_s, reverse=True):
-        free = [worker for worker in range(workers) if len(pieces[worker]) < room[worker]]
-        if length_s(item) >= DEAR_S:
+    for length, members in _groups(items, length_s, group):
+        free = [worker for worker in range(workers) if len(pieces[worker]) + len(members) <= room[worker]]
+        if length >= DEAR_S:
             free = [worker for worker in free if worker % 3 != 2] or free
-        worker = min(free, key=spent_s.__getitem__)
-        pieces[worker].append(item)
-        spent_s[worker] += length_s(item)
+        # A group for which there is no room in one piece goes on in the next.
+        order = sorted(free or range(workers), key=spent_s.__getitem__)
+        for member in members:
+            worker = next(one for one in order if len(pieces[one]) < room[one])
+            pieces[worker].append(member)
+            spent_s[worker] += length_s(member)
     return [item for piece in pieces for item in piece]
+
+
+def _groups(items, length_s, group):
+    """Return length and members of each group, the longest first."""
+    members = {}
+    for item in items:
+        members.setdefault(group(item), []).append(item)
+    lengths = [(sum(map(length_s, each)), sorted(each, key=length_s, reverse=True)) for each in members.values()]
+    return sorted(lengths, key=lambda found: found[0], reverse=True)
 
 
 @functools.cache

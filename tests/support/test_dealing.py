@@ -15,7 +15,7 @@ def pieces_of(order, workers):
 @pytest.mark.parametrize("workers", [1, 2, 3, 5])
 def test_each_worker_begins_with_its_longest_and_none_has_all_of_them(workers):
     lengths = [SHORT_S] * 31 + [LONG_S] * 7 + [DEAR_S] * 17
-    order = dealt(range(len(lengths)), workers, lengths.__getitem__)
+    order = dealt(range(len(lengths)), workers, lengths.__getitem__, int)
     assert sorted(order) == list(range(len(lengths)))
     pieces = [[lengths[number] for number in piece] for piece in pieces_of(order, workers)]
     assert all(piece == sorted(piece, reverse=True) for piece in pieces)
@@ -24,8 +24,20 @@ def test_each_worker_begins_with_its_longest_and_none_has_all_of_them(workers):
 
 def test_one_worker_of_three_has_short_ones_alone_as_long_as_there_are_enough():
     lengths = [SHORT_S] * 20 + [DEAR_S] * 10
-    order = dealt(range(30), 3, lengths.__getitem__)
+    order = dealt(range(30), 3, lengths.__getitem__, int)
     assert {lengths[number] for number in order[20:]} == {SHORT_S}
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 5])
+def test_those_of_a_group_begin_one_piece_and_stay_together(workers):
+    group = range(0, 12, 2)
+    order = dealt(range(40), workers, lambda _: DEAR_S, lambda number: "group" if number in group else number)
+    assert sorted(order) == list(range(40))
+    assert list(group) in [piece[:6] for piece in pieces_of(order, workers)]
+
+
+def test_a_group_that_is_larger_than_a_piece_loses_none():
+    assert sorted(dealt(range(10), 5, lambda _: SHORT_S, lambda _: "all")) == list(range(10))
 
 
 def test_of_those_that_compute_the_long_ones_begin_and_the_others_keep_their_order():
