@@ -9,6 +9,9 @@ import pytest
 from drivers.errors import LinkLostError, RefusedError
 from tests.firmware.live import A, B, driver_on, opened, standstill_after_s, until
 
+# Braking takes a third of a second; the rest is for a machine on which emulator and driver wait for their turn.
+STANDS_WITHIN_S = 2.0
+
 
 def test_it_connects_by_listening_and_finds_the_configuration_to_be_that_of_the_unit(start_firmware):
     firmware = start_firmware()
@@ -61,8 +64,8 @@ def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lo
             begin_s = time.monotonic()
             watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
             await positioner.halt()
-            assert time.monotonic() - begin_s < 2.0
-            assert await watching < 0.7
+            # The move would have gone on for a minute.
+            assert await watching < STANDS_WITHIN_S
         await positioner.close()
 
     asyncio.run(scene())
@@ -92,7 +95,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
         begin_s = time.monotonic()
         watching = asyncio.create_task(standstill_after_s(firmware, begin_s))
         await positioner.stop()
-        assert await watching < 0.7
+        assert await watching < STANDS_WITHIN_S
         assert (await positioner.read_telemetry()).a_deg > -25.0
         await positioner.halt()
         await positioner.close()
@@ -107,10 +110,12 @@ def test_the_axis_that_is_named_first_moves_first(start_firmware):
         positioner = driver_on(firmware)
         await opened(positioner)
         await positioner.move_to(-10.0, 80.0, first="b")
-        await asyncio.sleep(1.5)
-        a_deg, b_deg = firmware.pose_deg()
-        assert a_deg == pytest.approx(0.0, abs=0.1)
-        assert b_deg < 89.5
+
+        async def moves():
+            return firmware.pose_deg()[1] < 89.5
+
+        await until(moves)
+        assert firmware.pose_deg()[0] == pytest.approx(0.0, abs=0.1)
         await positioner.halt()
         await positioner.close()
 
@@ -164,9 +169,9 @@ def test_every_setting_of_the_unit_that_contradicts_the_configuration_is_named_w
     firmware = start_firmware()
     for code, text in ((74, "39.6"), (193, "2.5")):
         firmware.write_parameter(code, text)
-        time.sleep(0.1)
+        firmware.let_pass(0.1)
     # Parameters are taken over by the write to the flash.
-    time.sleep(0.5)
+    firmware.let_pass(0.5)
 
     async def scene():
         positioner = driver_on(firmware, b=replace(B, minimum_deg=14.0))

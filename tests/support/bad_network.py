@@ -38,6 +38,17 @@ key_file = "bridge.key"
 [api]
 listen = "0.0.0.0:20572"
 """
+# One answer, in a line, to each line.
+_ASK = """
+import sys
+from urllib.request import urlopen
+for url in sys.stdin:
+    try:
+        answer = urlopen(url.strip(), timeout=9).read().decode()
+    except OSError:
+        answer = ""
+    print(answer.replace("\\n", " "), flush=True)
+"""
 _MANY_CONNECTIONS = """
 import socket, sys
 held = [socket.create_connection(("10.77.0.2", 20572), 9) for _ in range(int(sys.argv[1]))]
@@ -107,14 +118,9 @@ class BadNetwork:
             _ip("-n", own, "addr", "add", f"10.77.0.{number}/24", "dev", "out")
             for where, what in ((own, "lo"), (own, "out"), (far, end)):
                 _ip("-n", where, "link", "set", what, "up")
-        self._link = subprocess.Popen(
-            self._within("link", sys.executable, _LINK, "cube", "tracker", self._seed),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._stack.callback(self._end_link)
+        self._link = self._begin("link", _LINK, "cube", "tracker", self._seed)
         self._await_link()
+        self._asker = self._begin("tracker", "-c", _ASK)
         config = _CONFIG.format(anchor=datetime.now(UTC).isoformat(timespec="seconds"), speed=SPEED)
         (self._folder / "heliocube.toml").write_text(config)
         write_key(self._folder / "bridge.key", generate_key())
@@ -139,13 +145,12 @@ class BadNetwork:
         return self._log(role).read_text(errors="replace")
 
     def state(self) -> dict:
-        """Return the tracker's state."""
-        url = "http://127.0.0.1:20572/api/state"
-        asked = f"from urllib.request import urlopen; print(urlopen({url!r}, timeout=9).read().decode())"
-        done = subprocess.run(
-            self._within("tracker", sys.executable, "-c", asked), capture_output=True, text=True, check=True
-        )
-        return json.loads(done.stdout)
+        """Return the tracker's state; `OSError` where it does not answer."""
+        self._asker.stdin.write("http://127.0.0.1:20572/api/state\n")
+        self._asker.stdin.flush()
+        if not (answer := self._asker.stdout.readline().strip()):
+            raise OSError("the tracker's interface does not answer")
+        return json.loads(answer)
 
     def connections_kept(self, asked: int) -> int:
         """Return how many of so many connections from the cube to the tracker's API are not closed on it at once."""
@@ -159,7 +164,7 @@ class BadNetwork:
             try:
                 if self.state()["mode"]["name"] == mode:
                     return time.monotonic() - began_s
-            except subprocess.CalledProcessError:
+            except OSError:
                 pass
             waited_s = time.monotonic() - began_s
             assert waited_s < WITHIN_S, f"not {mode} within {WITHIN_S:g} s:\n{self.log('tracker')}\n{self.log('cube')}"
@@ -180,10 +185,15 @@ class BadNetwork:
     def _await_link(self) -> None:
         assert self._link.stdout.readline() == "ready\n", "the link has ended"
 
-    def _end_link(self) -> None:
-        self._link.stdin.close()
-        self._link.wait(10)
-        self._link.stdout.close()
+    def _begin(self, end: str, *words: object) -> subprocess.Popen:
+        """Start a program of Python's that ends with its input."""
+        begun = subprocess.Popen(
+            self._within(end, sys.executable, *words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self._stack.callback(begun.stdout.close)
+        self._stack.callback(begun.wait, 60)
+        self._stack.callback(begun.stdin.close)
+        return begun
 
     def _end(self, process: subprocess.Popen) -> None:
         if process.poll() is None:
