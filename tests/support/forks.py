@@ -84,8 +84,8 @@ class _Origin:
         """Return what another process needs to ask the same one."""
         return self._given
 
-    def start(self, arguments, environment, cwd, files):
-        order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd})
+    def start(self, arguments, environment, cwd, files, nice=0):
+        order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd, "nice": nice})
         with self._lock:
             socket.send_fds(self._here, [order.encode()], files)
             while True:
@@ -187,11 +187,11 @@ def _read_once(environment):
 class Fork:
     """A process of `heliocube`, with what the tests use of subprocess.Popen."""
 
-    def __init__(self, arguments, stdin, stdout, stderr, environment, cwd):
+    def __init__(self, arguments, stdin, stdout, stderr, environment, cwd, nice=0):
         self._origin = begin()
         self.args = arguments
         self.returncode = None
-        self.pid = self._origin.start(arguments, environment, str(cwd or Path.cwd()), [stdin, stdout, stderr])
+        self.pid = self._origin.start(arguments, environment, str(cwd or Path.cwd()), [stdin, stdout, stderr], nice)
 
     def poll(self):
         if self.returncode is None:
@@ -218,10 +218,11 @@ class Fork:
         self.send_signal(signal.SIGKILL)
 
 
-def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None):
+def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None, nice=0):
     """Start `heliocube` with arguments; streams are open files or descriptors, and by itself it has nothing to read.
 
-    A process whose surroundings differ in what is read at the start of an interpreter starts from nothing.
+    With a negative `nice` it has its turn before others, where the system lets it. A process whose surroundings differ
+    in what is read at the start of an interpreter starts from nothing.
     """
     arguments = list(map(str, arguments))
     environment = dict(os.environ if env is None else env)
@@ -232,7 +233,7 @@ def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None):
     with Path(os.devnull).open("rb") as nothing:
         given = zip((stdin, stdout, stderr), (nothing, 1, 2), strict=True)
         files = [_number(usual if file is None else file) for file, usual in given]
-        return Fork(arguments, *files, environment, cwd)
+        return Fork(arguments, *files, environment, cwd, nice)
 
 
 def _number(file):
@@ -341,6 +342,8 @@ def _become(order, files):
     for file in files:
         os.close(file)
     os.chdir(order["cwd"])
+    with contextlib.suppress(PermissionError):
+        os.nice(order["nice"])
     os.environ.clear()
     os.environ.update(order["environment"])
     time.tzset()

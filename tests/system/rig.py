@@ -122,7 +122,7 @@ BRISK = """
 enabled = false
 [cube]
 scan_every_s = 0.5
-reading_deadline_s = 0.5
+reading_deadline_s = 1.5
 dark_correction = false
 [instruments.multiplexer]
 settle_s = 0.02
@@ -134,7 +134,7 @@ decide_every_s = 4.0
 [motion]
 minimum_interval_s = 0.0
 [safety]
-scan_stale_s = 5.0
+scan_stale_s = 10.0
 [bridge]
 listen = "127.0.0.1:0"
 send_to = [{send_to}]

@@ -34,6 +34,14 @@ def stored(rig, tmp_path):
         return list(csv.DictReader(file))
 
 
+def steady(rig):
+    """Return what the module gives if that has stayed the same for four curves, or None."""
+    before, count = rig.bench.state()["load"]["truth"], sweeps(rig)
+    wait_until(lambda: sweeps(rig) >= count + 4, SETTLES_WITHIN_S, rig.service.log)
+    after = rig.bench.state()["load"]["truth"]
+    return after if after["pmpp_w"] == pytest.approx(before["pmpp_w"], rel=0.005) else None
+
+
 def sweeps(rig):
     return rig.bench.state()["load"]["sweeps"]
 
@@ -42,10 +50,7 @@ def sweeps(rig):
 def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, start_service, make):
     rig = start(tmp_path, start_bench, start_service, make)
     rig.settle()
-    count = sweeps(rig)
-    wait_until(lambda: sweeps(rig) >= count + 4, SETTLES_WITHIN_S, rig.service.log)
-    truth = rig.bench.state()["load"]["truth"]
-    time.sleep(1.0)
+    truth = wait_until(lambda: steady(rig), SETTLES_WITHIN_S, rig.service.log)
     assert rig.service.stop() == 0
     state = rig.bench.state()["load"]
     assert not state["input_on"]

@@ -14,6 +14,7 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.voltmeter.core import VoltmeterCore
 from tests.support import forks
+from tests.support.addresses import free_port
 
 pytestmark = pytest.mark.system
 
@@ -33,7 +34,10 @@ def sent(path):
 
 
 def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, tmp_path):
-    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    file = tmp_path / "heliocube.toml"
+    # Where no other service may be, of which the self-check would tell.
+    file.write_text(f"[api]\nlisten = '127.0.0.1:{free_port()}'\n")
+    bench = start_bench("--config", file, "--weather", "clear", "--start", "2022-06-21T12:00Z")
     range_v = bench.state()["voltmeter"]["range_v"]
 
     positioner = probe("positioner", "-c", bench.config, "--seconds", "4", "--record", tmp_path / "positioner")
