@@ -97,3 +97,10 @@ def test_insolation_is_the_sum_over_time_that_is_known_and_bridges_no_gap():
     # 5 s each but for the one that is not known, and 60 s of the gap.
     assert insolation(utc_s, power) == pytest.approx((720.0 * 80.0 / 3.6e6, 80.0))
     assert insolation([0.0], [1.0]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("utc_s", "seconds"), [([], 0.0), ([5.0], 0.0), ([0.0, 10.0], 20.0), ([0.0, 60.0], 120.0), ([0.0, 61.0], 120.0)]
+)
+def test_insolation_of_few_readings(utc_s, seconds):
+    assert insolation(utc_s, [720.0] * len(utc_s)) == pytest.approx((0.0002 * seconds, seconds))

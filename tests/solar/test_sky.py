@@ -126,3 +126,13 @@ def test_negative_night_values_count_as_zero_and_nan_stays_nan():
 def test_an_unknown_model_is_refused_by_name():
     with pytest.raises(ValueError, match=r"no sky model 'perez'; choose one of isotropic, haydavies, perez1990"):
         sky("perez", UP, 0.0, 0.0, EXTRA)
+
+
+@pytest.mark.parametrize("model", SKY_MODELS)
+def test_the_beam_has_the_light_round_the_sun_and_none_of_it_reaches_a_plane_from_behind(model):
+    sun = sun_at(180.0, 30.0)[None, :]
+    light = sky(model, sun, np.array([700.0]), np.array([120.0]), np.array([EXTRA]))
+    assert light.beam_on(sun) == pytest.approx(700.0 + light.circumsolar_w_m2)
+    assert light.beam_on(-sun) == pytest.approx(0.0)
+    assert light.beam_on(UP[None, :]) == pytest.approx((700.0 + light.circumsolar_w_m2) * 0.5)
+    assert (light.circumsolar_w_m2[0] > 30.0) == (model != "isotropic")

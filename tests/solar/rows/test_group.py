@@ -113,3 +113,21 @@ def test_alike_places_of_a_large_field_are_looked_at_once():
 def test_no_group_is_made_of_what_is_none(positions, size):
     with pytest.raises(ValueError, match="group"):
         TrackerGroup(positions, *size)
+
+
+@pytest.mark.parametrize("size", [(2, 0), (0, 2), (2, -1), (np.inf, 2), (2, np.inf), (np.nan, 2), (2, 2, -1)])
+def test_no_module_is_made_of_what_is_none(size):
+    with pytest.raises(ValueError, match=r"a module of \S+ by \S+ m with \S+ groups is not possible"):
+        TrackerGroup(np.eye(3), *size)
+
+
+def test_a_module_of_one_piece_and_one_without_bypass_are_modules():
+    assert [TrackerGroup(np.eye(3), 2, 1, groups).bypass_groups for groups in (0, 1)] == [0, 1]
+    assert TrackerGroup(np.eye(3)[:2], 2, 1).size_m == (2.0, 1.0)
+
+
+def test_who_stands_higher_on_the_map_is_higher():
+    group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 1.0), 48.0)
+    # The frame looks south, east and up: north is behind it.
+    far = group.offsets_m.reshape(-1, 3)
+    np.testing.assert_allclose(far[far[:, 2] > 0], [[-4.0, 3.0, 1.5]], atol=1e-9)

@@ -31,7 +31,7 @@ def test_every_make_is_read_by_day_and_by_night(on_rig, make):
     day, night = on_rig(both, make=make)
     assert values(day) == pytest.approx(LIGHT, abs=0.06)
     assert values(night) == pytest.approx((-2.0,) * 4)
-    assert (day.unit, day.notes) == ("W/m2", ())
+    assert (day.unit, day.notes, day.rounded) == ("W/m2", (), True)
 
 
 def test_four_makes_on_one_line_with_a_map_of_the_file(on_rig):
