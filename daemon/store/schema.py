@@ -1,5 +1,6 @@
 """The store's file: a table for each kind of record, all made from the one list of columns."""
 
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -136,13 +137,20 @@ def _beginning(path: Path) -> bytes:
 
 def require_store(path: Path) -> None:
     """Raise `StoreError` where there is no file of a store."""
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except PermissionError:
+        raise _closed_to_us(path) from None
+    if not there:
         raise StoreError(f"there is no store at {path}; name its folder with --store, or the service's --config")
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
     """Open a store that is there, also while the service writes to it; raises `StoreError`."""
     require_store(path)
+    # Asked, not tried: to close a file of its own would end the locks that this process holds on the store.
+    if not os.access(path, os.R_OK, effective_ids=os.access in os.supports_effective_ids):
+        raise _closed_to_us(path)
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=_BUSY_S, isolation_level=None)
     try:
         with _naming(path):
@@ -154,6 +162,13 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def _closed_to_us(path: Path) -> StoreError:
+    return StoreError(
+        f"the store {path} may not be read by this user: it belongs to the user of its service, so give the command as"
+        " that one, such as 'sudo -u heliocube heliocube ...'"
+    )
 
 
 def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
