@@ -18,7 +18,7 @@ from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, FaceReading, Mode, Quality, Scan
-from daemon.base.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.settings import Settings, settings_of_one
@@ -122,7 +122,7 @@ def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
 def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> _Log:
     # The readings stay until the end: the collector need not look at them again and again.
     gc.freeze()
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with virtual_time() as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
         truth, positioner = build_simulated_positioner(settings, clock)

@@ -12,7 +12,7 @@ from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
-from daemon.base.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.settings import Settings
@@ -95,7 +95,7 @@ def simulate(
     tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
     with (
         TableWriter(out, table_format, SIMULATED_COLUMNS, force=force) as tables,
-        asyncio.Runner(loop_factory=VirtualTimeLoop) as runner,
+        virtual_time() as runner,
     ):
         loop = runner.get_loop()
         clock = LoopClock(loop.time, start_utc_s)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.base.records import Mode, ModeChange, Move
-from daemon.base.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
 from daemon.rigs.campaign.plant import build_plant
 from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
@@ -287,7 +287,7 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
     # In memory where there is such a place: a run writes more often than a disk likes.
     with (
         tempfile.TemporaryDirectory(dir=_MEMORY if _MEMORY.is_dir() else None) as folder,
-        asyncio.Runner(loop_factory=VirtualTimeLoop) as runner,
+        virtual_time() as runner,
     ):
         loop = runner.get_loop()
         assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; it has just been made

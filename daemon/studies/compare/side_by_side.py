@@ -11,7 +11,7 @@ import numpy as np
 from daemon.base.clock import Clock, LoopClock
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Record
-from daemon.base.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
@@ -96,7 +96,7 @@ def side_by_side(
     settings = on_a_port_of_its_own(settings, insecure=True).model_copy(
         update={"store": StoreSettings(), "tracker": ()}
     )
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with virtual_time() as runner:
         clock = LoopClock(runner.get_loop().time, start_utc_s)
         pair = build(clock)
         poses = _Poses(pair, clock)

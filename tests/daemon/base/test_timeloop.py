@@ -1,13 +1,14 @@
 """Scaled and virtual time."""
 
 import asyncio
+import gc
 import socket
 import time
 from contextvars import ContextVar
 
 import pytest
 
-from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until, look_until
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until, look_until, virtual_time
 
 NAME = ContextVar("name", default="")
 
@@ -278,3 +279,21 @@ def test_a_task_that_was_cancelled_does_not_sleep_first():
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         assert runner.run(scenario()) < 1.0
+
+
+def test_in_virtual_time_garbage_is_looked_for_seldom_and_as_often_as_before_after_it():
+    def fails(runner):
+        assert isinstance(runner.get_loop(), VirtualTimeLoop)
+        seen.append(gc.get_threshold())
+        raise KeyError
+
+    often, seen = gc.get_threshold(), []
+    gc.set_threshold(700, 10, 10)
+    try:
+        with pytest.raises(KeyError), virtual_time() as runner:
+            fails(runner)
+        after = gc.get_threshold()
+    finally:
+        gc.set_threshold(*often)
+    assert seen[0][0] >= 100_000
+    assert after == (700, 10, 10)
