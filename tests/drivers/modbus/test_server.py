@@ -23,12 +23,14 @@ class Table:
         return tuple(self.words[register : register + count])
 
     def write(self, function, register, values):
+        self.written_by = function
         self.words[register : register + len(values)] = values
 
     def read_bits(self, function, first, count):
         return tuple(self.bits[first : first + count])
 
     def write_bits(self, function, first, values):
+        self.written_by = function
         self.bits[first : first + len(values)] = values
 
 
@@ -58,6 +60,13 @@ WRONG = {
 def test_what_is_right_is_answered():
     answers = {question: answer(Table(), bytes.fromhex(question)) for question in RIGHT}
     assert answers == {question: bytes.fromhex(reply) for question, reply in RIGHT.items()}
+
+
+@pytest.mark.parametrize("question", ["05 0001 FF00", "06 0001 0007", "0F 0000 000A 02 0502", "10 0001 0001 02 0001"])
+def test_a_table_is_told_by_which_function_it_is_written(question):
+    table, asked = Table(), bytes.fromhex(question)
+    answer(table, asked)
+    assert table.written_by == asked[0]
 
 
 def test_what_is_written_is_there():

@@ -14,7 +14,7 @@ from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import missing_fields
-from drivers.positioners.pozsol.wire import Field, encode_command
+from drivers.positioners.pozsol.wire import B_HIGH_BIT_STM, B_OUT_BIT_STM, Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryStream
@@ -325,5 +325,22 @@ def test_details_are_mode_closed_switches_and_the_counts_at_which_they_were_met(
         unit.says[Field.B_REMAIN] = b"none"
         details = (await positioner.read_telemetry()).details
         assert details == {"mode": "auto", "end_switches": "a_low", "a_count_at_switch": 1.5}
+
+    on_unit(scenario)
+
+
+def test_once_b_has_moved_its_high_end_switch_can_be_told():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        unit.says[Field.STATUS] = str(1 << B_HIGH_BIT_STM).encode()
+        assert "end_switches" not in (await positioner.read_telemetry()).details
+        unit.says[Field.STATUS] = str(1 << B_OUT_BIT_STM).encode()
+        for step in range(4):
+            unit.says[Field.B_POSITION] = f"{100 + step}.0000".encode()
+            await asyncio.sleep(0.2)
+            await positioner.read_telemetry()
+        unit.says[Field.STATUS] = str(1 << B_HIGH_BIT_STM).encode()
+        await asyncio.sleep(0.2)
+        assert (await positioner.read_telemetry()).details["end_switches"] == "b_high"
 
     on_unit(scenario)
