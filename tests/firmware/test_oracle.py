@@ -9,7 +9,7 @@ from tests.firmware.sequences import kind, run, sequence
 
 _AGREEMENT = 0.95
 # Always the same, so that a red test is a change; tests/measurements/firmware_agreement.py draws others.
-_FIRST, _COUNT = 1_000_000, 24
+_FIRST, _COUNT = 1_000_000, 40
 _MAKERS = {"ordinary": sequence, "odd": lambda seed: odd_sequence(seed)[1]}
 
 
