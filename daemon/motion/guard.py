@@ -106,8 +106,8 @@ class Guard:
         self._telemetry: Telemetry | None = None
         self._read: Telemetry | None = None
         self._pose: Pose | None = None
-        self._repeated_s: float | None = None
-        self._repeated_utc_s = 0.0
+        # Monotonic and UTC seconds.
+        self._repeated: tuple[float, float] | None = None
         self.rested: Pose | None = None
         self.identity: PositionerIdentity | None = None
         self.frozen: str | None = None
@@ -141,22 +141,22 @@ class Guard:
         told, since_s, now_s = self._reported_pose, self.watch.stands_since_s, self._clock.monotonic()
         if self.rested is None or told is None or now_s - told.time_monotonic_s >= _POSE_EVERY_S:
             return False
-        if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.judges or self.stray is not None:
+        if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.judges:
             return False
         again_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
         if again_s is None:
             return False
-        self._repeated_s, self._repeated_utc_s = again_s, self._clock.utc()
+        self._repeated = again_s, self._clock.utc()
         return True
 
     def _take_over(self) -> None:
         """Give the last look the time of the last glance: whoever asks is to see that somebody looks."""
-        at_s, telemetry, pose = self._repeated_s, self._telemetry, self._pose
-        if at_s is None or telemetry is None or pose is None:
+        repeated, telemetry, pose = self._repeated, self._telemetry, self._pose
+        if repeated is None or telemetry is None or pose is None:
             return
-        self._repeated_s = None
+        self._repeated, (at_s, utc_s) = None, repeated
         self._telemetry = replace(telemetry, time_monotonic_s=at_s, status_monotonic_s=at_s)
-        self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=self._repeated_utc_s)
+        self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=utc_s)
         self.watch.repeated(self._telemetry)
 
     @property
@@ -168,7 +168,7 @@ class Guard:
     def must_halt(self) -> bool:
         """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
         faults = self._telemetry.faults if self._telemetry else ()
-        return self.halt_wanted or (faults != self._halted_for and bool(set(faults) - set(self._halted_for)))
+        return self.halt_wanted or any(name not in self._halted_for for name in faults)
 
     @property
     def stands_since_s(self) -> float | None:
@@ -177,11 +177,9 @@ class Guard:
 
     def lost(self) -> None:
         """Know nothing until the link is back."""
-        self._take_over()
         self._telemetry = None
         self.homing = self.clearing = False
         self.stray = None
-        self._halted_for = ()
         self.watch.forget()
 
     def forget(self) -> None:
@@ -192,7 +190,6 @@ class Guard:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
         before, telemetry = self.telemetry, await self._positioner.read_telemetry()
         self._telemetry = self._read = telemetry
-        self._repeated_s = None
         if self._halted_for:
             self._halted_for = tuple(name for name in self._halted_for if name in telemetry.faults)
         self._note_own_moves(telemetry)
@@ -241,8 +238,8 @@ class Guard:
         What nothing explains is told and blocks every move.
         """
         stray, seen = self.stray, self._strayed_at
-        if stray is None or seen is None:
-            return True
+        assert stray is not None  # noqa: S101 - narrowing for the type checker, and so is the next
+        assert seen is not None  # noqa: S101
         how = f"against a stop ({self.frozen})" if self.frozen else "without an order"
         text = f"{stray.text} {how}: {_CLEAR}"
         if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
@@ -256,17 +253,15 @@ class Guard:
             self._under_inquiry = None
             if not explained:
                 self.doubts.note("motion", text)
-        await self.poll(moving=False)
         return explained
 
     async def _poll_halt(self, start_s: float) -> None:
         before, telemetry = self.telemetry, await self.poll(moving=True)
         # Whoever presses a button moves the axis against any stop.
         from_s = max(start_s, self._pressed_s) + _DEAF_AFTER_S
-        late = before is not None and before.time_monotonic_s > from_s and not telemetry.button_pressed
-        moved = before is not None and not self.watch.same_place(before, telemetry)
+        late = before is not None and before.time_monotonic_s > from_s and not self.watch.same_place(before, telemetry)
         # A host that was busy for seconds has seen nothing: it takes looks in a row that show motion.
-        self._deaf_looks = self._deaf_looks + 1 if late and moved else 0
+        self._deaf_looks = self._deaf_looks + 1 if late else 0
         if self._deaf_looks >= _DEAF_LOOKS:
             text = "the positioner does not obey stop: switch off the supply of its motors"
             self.doubts.note("deaf", f"{text}; {_CLEAR}")
@@ -276,7 +271,8 @@ class Guard:
 
         async def poll_and_quell() -> None:
             await self.poll(moving=self.homing)
-            await self.quell()
+            if self.stray is not None:
+                await self.quell()
 
         return await self._beside(call, poll_and_quell)
 

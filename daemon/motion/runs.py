@@ -175,8 +175,8 @@ class Runs:
     async def _quell(self) -> tuple[MoveOutcome, str]:
         """Stop what strays and return how the move ends with it."""
         stray = self._guard.stray
-        text = stray.text if stray is not None else ""
-        return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, text
+        assert stray is not None  # noqa: S101 - narrowing for the type checker
+        return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, stray.text
 
     def _hopeless(self) -> bool:
         telemetry = self._guard.telemetry

@@ -197,7 +197,8 @@ def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=
             running.cancel()
             acting.cancel()
             for outcome in await asyncio.gather(running, acting, return_exceptions=True):
-                if isinstance(outcome, Exception):
+                # What pytest raises for a test that has failed is no Exception.
+                if isinstance(outcome, BaseException) and not isinstance(outcome, asyncio.CancelledError):
                     raise outcome
 
         runner.run(beside())

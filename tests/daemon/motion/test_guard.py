@@ -192,6 +192,8 @@ def test_a_restart_that_comes_with_the_motion_is_a_doubt_and_no_incident(was_bef
 def test_a_restart_explains_neither_own_tracking_nor_what_goes_on_moving(fields):
     async def scenario(rig):
         await asleep(rig)
+        # Not in the instant of a look: restart and motion are to be seen by the same one.
+        await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s > 0.1)
         rig.unit.is_deaf = not fields
         rig.unit.says |= {"was_reset": True, **fields}
         rig.unit.drive(40.0, 60.0)
@@ -487,7 +489,7 @@ def test_while_the_driver_takes_its_time_it_is_looked_at_and_what_strays_is_stop
         clear = rig.unit.clear_faults
 
         async def slow(*, forgive=True):
-            await asyncio.sleep(6.0)
+            await asyncio.sleep(15.0)
             return await clear(forgive=forgive)
 
         rig.unit.clear_faults = slow
@@ -629,5 +631,133 @@ def test_a_call_of_the_driver_that_is_given_up_is_ended():
         rig.unit.is_lost = True
         await asyncio.sleep(2.0)
         assert ended == [True]
+
+    run_motion(scenario)
+
+
+def test_before_and_at_the_connection_nothing_is_said_to_stand():
+    async def scenario(rig):
+        assert not rig.motion.resting
+        assert rig.motion.stands_since_s is None
+        rig.unit.is_deaf = True
+        rig.unit.says["homing"] = True
+        for _ in range(30):
+            await asyncio.sleep(0.1)
+            assert rig.motion.stands_since_s is None
+        assert "reference run of its own" in rig.motion.doubt
+
+    run_motion(scenario, connects=False)
+
+
+def test_a_fault_of_before_the_connection_that_goes_away_by_itself_is_a_doubt():
+    async def scenario(rig):
+        rig.unit.says["faults"] = ("a_overcurrent",)
+        await rig.connected()
+        rig.unit.says.clear()
+        await asyncio.sleep(1.0)
+        assert rig.motion.doubt == "a_overcurrent cleared by itself, the reference may be lost: home it"
+
+    run_motion(scenario, connects=False)
+
+
+def test_poses_say_whether_something_was_ordered_to_move_or_is_being_stopped():
+    async def scenario(rig):
+        await asleep(rig)
+        count = len(rig.poses)
+        rig.motion.freeze("ana")
+        await asyncio.sleep(3.0)
+        assert not any(pose.moving for pose in rig.poses[count:])
+        rig.motion.freeze(None)
+        rig.unit.is_deaf = True
+        rig.motion.freeze("ana")
+        await asyncio.sleep(1.2)
+        assert rig.poses[-1].moving
+
+    run_motion(scenario)
+
+
+def test_one_look_that_shows_motion_late_is_no_deafness():
+    async def scenario(rig):
+        rig.motion.order(Target(50.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_deaf = True
+        looks, read = [], rig.unit.read_telemetry
+
+        async def counted():
+            seen = await read()
+            looks.append(rig.clock.monotonic())
+            return seen
+
+        rig.unit.read_telemetry = counted
+        await rig.motion.stop()
+        asked_s = rig.clock.monotonic()
+        await rig.until(lambda: len(looks) > 1 and looks[-2] > asked_s + 5.6, 12.0)
+        rig.unit.put(*rig.unit.place())
+        await asyncio.sleep(12.0)
+        assert "deaf-to-stop" not in rig.raised
+
+    run_motion(scenario)
+
+
+def test_what_strays_while_the_link_is_lost_is_told_and_not_stopped_a_second_time():
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.drive(30.0, 60.0)
+        rig.unit.status_age_s = 3.0
+        await rig.until(lambda: rig.motion.unexplained, 2.0)
+        rig.unit.is_lost = True
+        await rig.until(lambda: not rig.motion.connected, 3.0)
+        assert "without an order" in rig.motion.unexplained
+        rig.unit.put(*rig.unit.place())
+        rig.unit.is_lost = False
+        halts = rig.unit.sent.count("halt")
+        await asyncio.sleep(20.0)
+        assert rig.unit.sent.count("halt") == halts + 1
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_of_its_own_in_the_middle_of_a_move_is_told_as_what_was_seen():
+    async def scenario(rig):
+        rig.motion.order(Target(30.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.says["homing"] = True
+        rig.unit.drive(-50.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 4.0)
+        rig.unit.says.clear()
+        await asyncio.sleep(8.0)
+        assert rig.motion.unexplained.startswith("A heads for position -50 and was sent to 30")
+        assert "reference run of its own" in rig.motion.doubt
+
+    run_motion(scenario)
+
+
+def test_what_strays_in_a_reference_run_of_ours_is_no_run_of_its_own():
+    async def scenario(rig):
+        rig.motion.home()
+        await rig.until(lambda: rig.unit.sent[-1] == ("home", "a"), 5.0)
+        await asyncio.sleep(3.0)
+        rig.unit.drive(0.0, 20.0)
+        await rig.until(lambda: not rig.motion.homing, 10.0)
+        await asyncio.sleep(8.0)
+        assert rig.motion.unexplained.startswith("B moved from +60.0 to ")
+        assert "reference run of its own" not in rig.motion.doubt
+        assert rig.motion.doubt.startswith("homing failed (B moved from ")
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_pose_is_told_for_a_change_in_either_direction(axis):
+    async def scenario(rig):
+        await asleep(rig)
+        for step in (0.07, -0.07):
+            place, count = list(rig.unit.place()), len(rig.poses)
+            place[axis] += step
+            rig.unit.put(*place)
+            await asyncio.sleep(0.6)
+            told = rig.poses[-1]
+            assert (told.a_deg, told.b_deg) == pytest.approx(place)
+            assert len(rig.poses) > count
 
     run_motion(scenario)
