@@ -1,0 +1,76 @@
+"""At the end of the service nothing is said to stand that telemetry has not shown, by a positioner in hand."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Target
+from daemon.motion.end import finish
+from tests.support.hand_positioner import run_motion
+
+SENT = "stop was sent, and no telemetry has shown the axes standing since"
+
+
+async def ended(rig, within_s=3.0):
+    return await finish(rig.motion, rig.clock, within_s)
+
+
+def test_what_moves_is_stopped_and_shown_to_stand():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        start_s = rig.clock.monotonic()
+        assert await ended(rig) is None
+        assert rig.motion.telemetry.time_monotonic_s >= start_s
+        assert rig.motion.resting
+        assert rig.motion.stands_since_s is not None
+        assert 3.0 < rig.unit.place()[0] < 9.0
+        assert rig.motion._guard.frozen == "the service ends"
+
+    run_motion(scenario)
+
+
+def test_what_stands_is_looked_at_once_more():
+    async def scenario(rig):
+        await asyncio.sleep(20.1)
+        start_s = rig.clock.monotonic()
+        assert await ended(rig) is None
+        assert rig.clock.monotonic() - start_s > 0.2, "the look of before the stop is none"
+        assert rig.motion.telemetry.time_monotonic_s >= start_s
+
+    run_motion(scenario)
+
+
+def test_of_what_does_not_obey_the_last_look_is_told_with_its_age():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_deaf = True
+        start_s = rig.clock.monotonic()
+        said = await ended(rig, 4.0)
+        assert rig.clock.monotonic() - start_s == pytest.approx(4.0, abs=0.1)
+        assert said.startswith(f"{SENT}; last seen 1 s ago at A +1")
+        assert said.endswith(", B 60.0 deg: look at the tracker")
+
+    run_motion(scenario)
+
+
+def test_a_stop_that_cannot_be_sent_is_told_with_what_was_seen_last():
+    async def scenario(rig):
+        await asyncio.sleep(20.0)
+        rig.unit.is_lost = True
+        await asyncio.sleep(30.0)
+        said = await ended(rig)
+        assert said.startswith(
+            "stop could not be sent (hand: does not answer); last seen 30 s ago at A +0.0, B 60.0 deg"
+        )
+
+    run_motion(scenario)
+
+
+def test_of_what_was_never_seen_nothing_is_known():
+    async def scenario(rig):
+        said = await ended(rig, 0.1)
+        assert said == f"{SENT}; whether anything moves is not known: look at the tracker"
+
+    run_motion(scenario, connects=False)

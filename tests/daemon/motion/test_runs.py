@@ -1,0 +1,357 @@
+"""One move or one reference run from its order to its end, with a positioner in hand: attempts, pauses and outcomes."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from daemon.base.records import MoveOutcome, Target
+from drivers.errors import RefusedError
+from tests.support.hand_positioner import START_UTC_S, run_motion
+
+
+def times_of(rig, name):
+    """Record when the unit is asked for something, from now on [s]."""
+    at_s, call = [], getattr(rig.unit, name)
+
+    async def timed(*what, **named):
+        at_s.append(rig.clock.monotonic())
+        return await call(*what, **named)
+
+    setattr(rig.unit, name, timed)
+    return at_s
+
+
+def test_the_record_of_a_move_says_whence_whither_how_long_and_why():
+    async def scenario(rig):
+        before_s = rig.clock.monotonic()
+        assert rig.motion.last_move is None
+        rig.motion.order(Target(10.0, 50.0, "by the law"))
+        await rig.until(lambda: rig.moves)
+        move = rig.motion.last_move
+        assert rig.moves == [move]
+        assert (move.from_a_deg, move.from_b_deg, move.target_a_deg, move.target_b_deg) == (0.0, 60.0, 10.0, 50.0)
+        assert (move.end_a_deg, move.end_b_deg) == (rig.motion.pose.a_deg, rig.motion.pose.b_deg)
+        assert abs(move.end_a_deg - 10.0) <= 0.8
+        assert 4.5 <= move.duration_s <= 8.0
+        assert before_s <= move.time_monotonic_s == rig.motion.last_move_started_s < before_s + 0.2
+        assert move.time_utc_s == pytest.approx(START_UTC_S + move.time_monotonic_s)
+        assert (move.outcome, move.why) == (MoveOutcome.ARRIVED, "by the law")
+        assert rig.motion.target is None
+
+    run_motion(scenario)
+
+
+def test_control_looks_again_at_the_end_of_a_move():
+    async def scenario(rig):
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        before = rig.changes
+        await rig.until(lambda: rig.moves)
+        await asyncio.sleep(0.1)
+        assert rig.changes == before + 1
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("attempts", [1, 3])
+def test_a_refused_target_is_tried_again_after_a_second_each_time_from_rest(attempts):
+    async def scenario(rig):
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        at_s = times_of(rig, "move_to")
+        sent = len(rig.unit.sent)
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves)
+        assert len(at_s) == attempts
+        assert all(1.3 <= later - earlier <= 2.4 for earlier, later in itertools.pairwise(at_s))
+        asked = [what if isinstance(what, str) else what[0] for what in rig.unit.sent[sent:]]
+        assert asked == ["move", "halt"] * attempts
+        assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.REFUSED, "not taken")
+        assert rig.raised["move-failed"] == (
+            "a move failed and is tried again: the last move failed (refused): not taken"
+        )
+        assert rig.motion.doubt == "the last move failed (refused): not taken"
+
+    run_motion(scenario, attempts=attempts)
+
+
+def test_a_move_that_failed_is_taken_again_after_its_pause_and_forgotten_when_one_arrives():
+    async def scenario(rig):
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves)
+        with pytest.raises(RefusedError, match="the last move failed"):
+            rig.motion.order(Target(10.0, 60.0, "go"))
+        rig.unit.refuses.clear()
+        await asyncio.sleep(95.0)
+        assert rig.motion.doubt is not None
+        await asyncio.sleep(10.0)
+        assert rig.motion.doubt is None
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: len(rig.moves) == 2)
+        assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
+        assert "move-failed" not in rig.raised
+        assert rig.motion.concerns == ()
+
+    run_motion(scenario, attempts=1, retry_after_s=100.0)
+
+
+def test_a_stow_that_failed_waits_for_its_own_pause_and_goes_then_without_being_asked_again():
+    async def scenario(rig):
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
+        await rig.until(lambda: rig.moves)
+        failed_s = rig.clock.monotonic()
+        assert rig.raised["move-failed"].startswith("the stow failed")
+        rig.unit.refuses.clear()
+        at_s = times_of(rig, "move_to")
+        rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
+        await rig.until(lambda: len(rig.moves) == 2, 120.0)
+        assert 59.0 <= at_s[0] - failed_s <= 61.0
+
+    run_motion(scenario, attempts=1)
+
+
+def test_an_axis_that_stalls_is_stopped_and_tried_again():
+    async def scenario(rig):
+        at_s = times_of(rig, "move_to")
+        drive = rig.unit.drive
+        rig.unit.drive = lambda a_deg, b_deg: drive(a_deg / 2.0, b_deg) if len(at_s) == 1 else drive(a_deg, b_deg)
+        rig.unit.says["supply_v"] = 24.0
+        rig.motion.order(Target(20.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves, 90.0)
+        assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
+        assert len(at_s) == 2
+        assert rig.unit.sent.count("halt") >= 2
+        assert not rig.raised
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize(
+    ("says", "outcome"),
+    [({"faults": ("a_hall",)}, MoveOutcome.STALLED), ({"reference_doubt": "a jump"}, MoveOutcome.STALLED)],
+)
+def test_what_the_unit_reports_on_the_way_ends_the_move_without_another_attempt(says, outcome):
+    async def scenario(rig):
+        at_s = times_of(rig, "move_to")
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        await asyncio.sleep(4.0)
+        rig.unit.says |= says
+        await rig.until(lambda: rig.moves, 3.0)
+        await asyncio.sleep(10.0)
+        assert rig.moves[-1].outcome is outcome
+        assert len(at_s) == 1
+        assert rig.unit.place()[0] < 15.0
+
+    run_motion(scenario)
+
+
+def test_a_stow_goes_on_with_the_reference_in_doubt():
+    async def scenario(rig):
+        rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
+        await asyncio.sleep(4.0)
+        rig.unit.says["reference_doubt"] = "a jump"
+        await rig.until(lambda: rig.moves)
+        assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
+
+    run_motion(scenario)
+
+
+def test_own_tracking_that_comes_on_in_an_attempt_ends_the_tries():
+    async def scenario(rig):
+        at_s = times_of(rig, "move_to")
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.unit.refuses["disable_autonomy"] = RefusedError("hand", "stays on")
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        rig.unit.says["autonomous"] = True
+        await asyncio.sleep(6.0)
+        assert len(at_s) <= 1
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("when", ["on the way", "between two attempts", "at a refusal"])
+def test_a_stop_interrupts_a_move_wherever_it_is(when):
+    async def scenario(rig):
+        at_s = times_of(rig, "move_to")
+        if when == "on the way":
+            rig.motion.order(Target(40.0, 60.0, "go"))
+            await asyncio.sleep(3.0)
+        else:
+            rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+            rig.motion.order(Target(40.0, 60.0, "go"))
+            await rig.until(lambda: at_s)
+            await asyncio.sleep(0.1 if when == "at a refusal" else 0.6)
+        rig.motion.rest()
+        asked_s = rig.clock.monotonic()
+        await rig.until(lambda: rig.moves, 5.0)
+        assert rig.clock.monotonic() - asked_s < 1.2
+        assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.INTERRUPTED, "go")
+        assert "move-failed" not in rig.raised
+        await asyncio.sleep(10.0)
+        assert len(at_s) == 1
+
+    run_motion(scenario)
+
+
+def test_what_strays_between_two_attempts_is_stopped_and_ends_the_move():
+    async def scenario(rig):
+        at_s = times_of(rig, "move_to")
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        await rig.until(lambda: at_s)
+        await asyncio.sleep(0.4)
+        rig.unit.drive(0.0, 20.0)
+        await rig.until(lambda: rig.moves, 15.0)
+        assert rig.moves[-1].outcome is MoveOutcome.OVERSHOT
+        assert rig.moves[-1].why.startswith("B moved from +60.0")
+        assert len(at_s) == 1
+        assert rig.motion.unexplained
+
+    run_motion(scenario)
+
+
+def test_an_axis_that_makes_up_the_rest_of_the_last_move_is_halted_before_the_next_one():
+    async def scenario(rig):
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves)
+        sent = len(rig.unit.sent)
+        rig.motion.order(Target(20.0, 60.0, "on"))
+        await rig.until(lambda: len(rig.moves) == 2)
+        assert rig.unit.sent[sent:] == ["halt", ("move", 20.0, 60.0, "a")]
+        await asyncio.sleep(15.0)
+        sent = len(rig.unit.sent)
+        rig.motion.order(Target(30.0, 60.0, "on"))
+        await rig.until(lambda: len(rig.moves) == 3)
+        assert rig.unit.sent[sent:] == [("move", 30.0, 60.0, "a")], "it has settled"
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_clears_homes_both_axes_and_ends_the_doubts():
+    async def scenario(rig):
+        rig.unit.says |= {"was_reset": True, "reference_doubt": "the count jumped"}
+        await asyncio.sleep(2.0)
+
+        async def homed(axis):
+            await home(axis)
+            if axis == "b":
+                rig.unit.says.pop("reference_doubt")
+
+        home, rig.unit.home = rig.unit.home, homed
+        sent, began = len(rig.unit.sent), rig.changes
+        rig.motion.home()
+        await rig.until(lambda: rig.motion.homing, 2.0)
+        assert not rig.motion.resting
+        assert rig.motion._guard.rested is None
+        assert rig.changes > began
+        await rig.until(lambda: not rig.motion.homing, 90.0)
+        assert rig.unit.sent[sent:] == [("clear", False), ("home", "a"), ("home", "b"), "halt"]
+        assert rig.told[-2:] == ["homing", "homing finished"]
+        assert rig.motion.doubt is None
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize(
+    ("says", "words"),
+    [
+        ({"reference_doubt": "axis A missed its switch"}, "axis A missed its switch"),
+        ({"faults": ("a_hall",)}, "a_hall"),
+        ({"was_reset": True}, "the positioner has restarted"),
+    ],
+)
+def test_a_reference_run_that_leaves_a_doubt_has_failed(says, words):
+    async def scenario(rig):
+        rig.motion.home()
+        await asyncio.sleep(5.0)
+        rig.unit.says |= says
+        await rig.until(lambda: not rig.motion.homing, 60.0)
+        assert f"homing failed: {words}" in rig.told
+        assert f"homing failed ({words}), the reference is in doubt: home it" in rig.motion.doubt
+        assert ("home", "b") not in rig.unit.sent
+        assert rig.unit.sent[-1] == "halt"
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_that_does_not_end_is_given_up_after_a_quarter_of_an_hour():
+    async def scenario(rig):
+        rig.unit.homes_s = 1e6
+        rig.motion.home()
+        await asyncio.sleep(890.0)
+        assert rig.motion.homing
+        await asyncio.sleep(20.0)
+        assert not rig.motion.homing
+        assert rig.told[-1] == "homing failed: axis A has not ended its reference run in time"
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("call", ["clear", "home"])
+def test_a_reference_run_that_is_refused_is_told_and_was_not_finished(call):
+    async def scenario(rig):
+        rig.unit.refuses[call] = RefusedError("hand", "not now")
+        rig.motion.home()
+        await rig.until(lambda: "homing refused: not now" in rig.told, 5.0)
+        await asyncio.sleep(2.0)
+        assert not rig.motion.homing
+        assert rig.motion.doubt == "homing was not finished, the reference is in doubt: home it"
+        assert rig.unit.sent[-1] == "halt"
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("doubted", [False, True])
+@pytest.mark.parametrize("ended_by", ["rest", "button"])
+def test_a_reference_run_that_is_stopped_leaves_the_doubt_that_was_there_and_no_other(doubted, ended_by):
+    async def scenario(rig):
+        if doubted:
+            rig.unit.says["faults"] = ("a_hall",)
+            await asyncio.sleep(2.0)
+        rig.motion.home()
+        await asyncio.sleep(5.0)
+        if ended_by == "rest":
+            rig.motion.rest()
+        else:
+            rig.unit.says["button_pressed"] = True
+        await rig.until(lambda: not rig.motion.homing, 3.0)
+        assert rig.told[-1] == "homing was stopped before its end"
+        assert (rig.motion.doubt is not None) == doubted
+        assert rig.unit.sent[-1] == "halt"
+
+    run_motion(scenario)
+
+
+def test_a_clear_that_is_refused_is_told_and_forgives_nothing():
+    async def scenario(rig):
+        rig.unit.says["was_reset"] = True
+        rig.unit.refuses["clear"] = RefusedError("hand", "not now")
+        await asyncio.sleep(2.0)
+        rig.motion.clear_faults()
+        await asyncio.sleep(2.0)
+        assert rig.told[-1] == "nothing was cleared: not now"
+        assert rig.motion.doubt is not None
+        rig.unit.says["faults"] = ("a_hall",)
+        await asyncio.sleep(2.0)
+        rig.unit.says["faults"] = ()
+        await asyncio.sleep(2.0)
+        assert "a_hall cleared by itself" in rig.motion.doubt, "it is not being cleared any more"
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
+    async def scenario(rig):
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves)
+        assert rig.motion.concerns == ("the last move failed (refused): not taken",)
+        before = rig.changes
+        rig.motion.clear_faults(None if shown else ())
+        await asyncio.sleep(2.0)
+        assert (rig.motion.doubt is None) == shown
+        assert rig.changes > before
+
+    run_motion(scenario, attempts=1)
