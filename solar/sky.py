@@ -139,7 +139,7 @@ def sky(model: SkyModel, sun: ArrayLike, dni_w_m2: ArrayLike, dhi_w_m2: ArrayLik
     else:
         near_sun, horizon = _perez_coefficients(sine, dni, dhi, extra)
     near_sun, horizon = np.where(up, near_sun, 0.0), np.where(up, horizon, 0.0)
-    circumsolar = dhi * near_sun / np.maximum(sine, _LOWEST_SINE.get(model, 1.0))
+    circumsolar = dhi * near_sun / np.maximum(sine, _LOWEST_SINE.get(model, np.inf))
     return Sky(
         sun=sun,
         ghi_w_m2=dni * sine + dhi,

@@ -90,7 +90,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     """
     good = np.isfinite(faces_w_m2).all(axis=-1) & (sun[:, 2] >= LOWEST_SINE)
     faces, up = faces_w_m2[good], sun[good]
-    if len(faces) < _LEAST_MINUTES or not np.sort(faces, axis=-1)[:, -2].mean() > _LIT_W_M2:
+    if len(faces) < _LEAST_MINUTES or not np.sort(faces)[:, -2].mean() > _LIT_W_M2:
         return None
     orders = np.array([_order(pair) for pair in PAIRS])
     tried = np.concatenate([np.repeat(faces[None], len(_HELD_BACK), axis=0), np.moveaxis(faces[:, orders], 0, 1)])

@@ -185,7 +185,7 @@ def lit(faces_w_m2: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _second(faces: Array) -> Array:
-    brightest: Array = np.sort(np.where(np.isnan(faces), -np.inf, faces), axis=-1)[:, -2]
+    brightest: Array = np.sort(np.where(np.isnan(faces), -np.inf, faces))[:, -2]
     return brightest
 
 

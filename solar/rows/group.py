@@ -175,9 +175,9 @@ def _views(positions: Array) -> tuple[Array, Array]:
     A tracker with fewer neighbours than another has itself for the rest: a way of no length casts no shade.
     """
     seen = positions[None, :, :] - positions[:, None, :]
-    near = np.argsort(np.linalg.norm(seen, axis=-1), axis=-1, kind="stable")[:, : _MOST_NEIGHBOURS + 1]
+    near = np.argsort(np.linalg.norm(seen, axis=-1), kind="stable")[:, : _MOST_NEIGHBOURS + 1]
     views = np.round(np.take_along_axis(seen, near[..., None], axis=1) / _SAME_M) * _SAME_M + 0.0
-    order = np.lexsort(views.transpose(2, 0, 1)[::-1], axis=-1)
+    order = np.lexsort(views.transpose(2, 0, 1)[::-1])
     views = np.take_along_axis(views, order[..., None], axis=1)
     distinct, counts = np.unique(views.reshape(len(positions), -1), axis=0, return_counts=True)
     return distinct.reshape(len(distinct), -1, 3), counts / len(positions)
@@ -212,7 +212,7 @@ def _union(by_width: Array, by_height: Array, share: Array) -> Array:
     if not several.any():
         return total
     most = int(np.count_nonzero(share[several], axis=-1).max())
-    chosen = np.argsort(-share[several], axis=-1)[:, :most]
+    chosen = np.argsort(-share[several])[:, :most]
     counts, x, y = (np.take_along_axis(value[several], chosen, axis=-1) for value in (share > 0.0, by_width, by_height))
     left, right = (np.where(counts, np.clip(edge, 0.0, 1.0), 0.0) for edge in (x, 1.0 + x))
     tall = np.where(counts, 1.0 - np.abs(y), 0.0)

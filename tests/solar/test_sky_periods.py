@@ -68,3 +68,17 @@ def test_the_cube_tells_the_diffuse_fraction_of_a_uniform_sky():
     assert diffuse_fraction_of_faces(faces) == pytest.approx(100 / 350)
     assert diffuse_fraction_of_faces([60.0, 60.0, 60.0, 100.0]) == pytest.approx(1.0)
     assert np.isnan(diffuse_fraction_of_faces([0.0, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("faces", "fraction"),
+    [
+        ((300.0, 100.0, 400.0, 500.0), 1.0),
+        ((275.0, 100.0, 400.0, 500.0), 0.9),
+        ((20.0, 100.0, 400.0, 500.0), 0.0),
+        ((0.0, 0.0, 0.0, 0.0), np.nan),
+        ((0.1, 0.1, 0.1, 0.5), 0.2),
+    ],
+)
+def test_a_fraction_is_never_more_than_all_nor_less_than_nothing(faces, fraction):
+    assert diffuse_fraction_of_faces(faces) == pytest.approx(fraction, nan_ok=True)

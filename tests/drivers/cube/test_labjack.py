@@ -12,7 +12,7 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import ConfigError, load_settings
 from drivers.cube.labjack import LabjackSettings, build
 from drivers.errors import IdentityError, LinkLostError, ProtocolError
-from drivers.settings import CubeSurroundings
+from drivers.settings import CubeSurroundings, SettingsError
 from sim_drivers.modbus.labjack import SimulatedLabjack
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.transports import InMemoryModbus
@@ -139,3 +139,15 @@ def test_mistakes_are_one_sentence(tmp_path, text, line):
         load_settings(path)
     (problem,) = caught.value.problems
     assert line in problem
+
+
+def test_without_a_line_it_is_said_where_to_name_one():
+    clock = SystemClock()
+    with pytest.raises(SettingsError, match=r"instruments\.cube\.line is missing: name the LabJack"):
+        build(LabjackSettings(), CubeSurroundings(clock.utc, clock.monotonic, 5.0, lambda: None))
+
+
+@pytest.mark.parametrize("inputs", [(0, 2, 4), (0, 2, 4, 6, 8)])
+def test_four_faces_have_four_inputs(inputs):
+    with pytest.raises(ValueError, match="4 items"):
+        LabjackSettings(inputs=inputs)

@@ -128,3 +128,7 @@ def test_many_at_once_are_each_as_alone_complex_or_not():
     assert together.k_ds == pytest.approx([float(one.k_ds) for one in alone])
     assert together.complex_breakpoints.tolist() == [True, False, True, False]
     assert together.k_ds[:2] == pytest.approx([0.209822, 1.110998], abs=1e-6)
+
+
+def test_a_panel_that_looks_away_from_the_sun_counts_with_the_size_of_its_sum():
+    assert printed.k_ds_eq13(10.0, 80.0, 172) > 0.0
