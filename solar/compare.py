@@ -33,7 +33,7 @@ class ChainBias:
     highest_w: float
 
     def corrected(self, power_w: ArrayLike) -> Array:
-        """Return the corrected power, never negative; no power stays none, whatever the constant."""
+        """Return the corrected power, never negative; a power of 0 stays 0, whatever the constant."""
         power = np.asarray(power_w, dtype=np.float64)
         found = self.constant_w + power * (self.linear + power * self.quadratic_per_w)
         return np.where(power > 0.0, np.maximum(found, 0.0), power * 0.0)

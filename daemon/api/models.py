@@ -203,7 +203,7 @@ class ShadowPart(Page):
     """The law of `law.shadow` today: what it would have received, and how far both laws have travelled."""
 
     law: str
-    failed_why: str | None = Field(description="What has befallen it; it is left out until a restart.")
+    failed_why: str | None = Field(description="Why it has failed; it is left out until a restart.")
     received: ReceivedPart | None = Field(description="By the plane that it would have pointed.")
     gain: float | None = Field(description="Share more than the tracker; null until both have counted the same time.")
     travelled_deg: float = Field(ge=0)

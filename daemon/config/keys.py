@@ -93,7 +93,7 @@ _FORMS = {
     "archive": "the address of a database in quotes, without a password, such as"
     ' "postgresql://archive@db.plant/heliocube"',
     "records": 'topics in quotes that end in /records, such as "+/+/records"',
-    "web": 'an address of the web in quotes, such as "https://tracker.lab/"',
+    "web": 'a web address in quotes, such as "https://tracker.lab/"',
     "ipv4": 'a numeric IPv4 address of this machine, such as "192.168.1.20"',
 }
 

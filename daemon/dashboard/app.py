@@ -102,7 +102,7 @@ class Dashboard:
         what, query = request.path_params["what"], dict(request.query_params)
         service = self._fleet.services.get(query.pop("service", ""))
         if what not in _READABLE or service is None:
-            raise HTTPException(404, "the dashboard has no such reading of no such service")
+            raise HTTPException(404, "the dashboard has no such service, or that has no such records")
         url = f"{service.url}/api/{what}"
         async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
             content = b"".join([part async for part in reply.aiter_raw()])

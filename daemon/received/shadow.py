@@ -90,7 +90,7 @@ class ShadowState:
     law
         The one in the shadow.
     failed_why
-        What has befallen it, in a sentence, or None.
+        Why it has failed, in a sentence, or None.
     received
         By the plane that it would have pointed.
     travel
@@ -260,9 +260,9 @@ class Shadow:
             return f"{state.law} in the shadow has not seen the whole day that has ended: no comparison"
         return (
             f"on the day that has ended {state.law} in the shadow would have received {other.actual_kwh_m2:.3f} kWh/m2"
-            f" where {self._settings.law.driver} received {own.actual_kwh_m2:.3f} ({100.0 * more:+z.1f} %), by"
-            f" {travel.travelled_deg:.0f} deg in {travel.moves} moves for {travel.active_deg:.0f} deg in"
-            f" {travel.active_moves}; a model's result from {other.known_s / 3600.0:.1f} h of readings"
+            f" where {self._settings.law.driver} received {own.actual_kwh_m2:.3f} ({100.0 * more:+z.1f} %), with"
+            f" {travel.travelled_deg:.0f} deg of travel in {travel.moves} moves instead of {travel.active_deg:.0f} deg"
+            f" in {travel.active_moves}; a model's result from {other.known_s / 3600.0:.1f} h of readings"
         )
 
     def _load(self) -> Travel | None:

@@ -218,7 +218,7 @@ class Pointing:
 
     @property
     def failed_why(self) -> str | None:
-        """What has befallen the law of the configuration, in a sentence, or None."""
+        """Why the law of the configuration has failed, in a sentence, or None."""
         return self._guarded.failed_why
 
     def receive(self, scan: Scan, utc_s: float) -> None:

@@ -31,7 +31,7 @@ _GLOBAL_SIGMA, _BEAM_SIGMA = 0.015, 0.05
 _TOLERANCE = 0.05
 # What clear days are like before anything is known of this one: 0.08 at 550 nm, and the spread of its logarithm.
 _USUAL_AOD, _LN_AOD_SIGMA = 0.06, 0.6
-# Of the water vapour that one is told [cm].
+# One sigma of the water vapour that the user gives [cm].
 _WATER_SIGMA_CM = 0.5
 # Instants minutes apart share the model's error: a day counts as its two halves.
 _PER_DAY = 2.0

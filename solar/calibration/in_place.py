@@ -22,10 +22,10 @@ _LEAST_LIT = 8
 _LIT_COSINE = 0.26
 _LEAST_AIR_MASS_SPAN = 0.7
 _LARGEST_RESIDUAL = 0.01
-# Standard errors from which on a number is no answer any more: gains (relative), angles [deg], albedo.
+# Standard errors beyond which a result is refused: gains (relative), angles [deg], albedo.
 _TOO_UNSURE = (0.03, 0.5, 0.1)
 _LEAST_WITHOUT_HAZE = 15
-# A level no surer than this (one sigma) says no more than the sensors' maker does.
+# With a larger standard error (one sigma) the level is known no better than by the maker's own tolerance.
 _LEVEL_SIGMA = 0.025
 # What leaving out days cannot show: the sensors' cosine response, the same on all of them [deg].
 _ANGLE_SIGMA = 0.03

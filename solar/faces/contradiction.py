@@ -2,9 +2,9 @@
 
 Beam, uniform sky and horizon (:mod:`solar.laws.light`) are three unknowns for four readings, within bounds: no beam is
 negative, no horizon much darker than the vault. What is left over between the readings and the best such light is the
-misfit. With one face left out a true light is nearly always found, unless a face that stays is the wrong one: over half
-an hour only the leaving out of the wrong one leaves nothing over. Two faces that are swapped are found alike, by
-swapping them back.
+misfit. Three sound faces can nearly always be explained. So each face is left out in turn: over half an hour the misfit
+vanishes only when the one left out is the wrong one, because otherwise that one is still among the three. Two faces
+that are swapped are found in the same way, by swapping them back.
 """
 
 from collections.abc import Collection

@@ -36,7 +36,7 @@ _STAYS_SHARE = 0.1
 _FOLLOWS_SHARE = 0.3
 _LIT_COSINE = 0.15
 _ALBEDO = 0.2
-# Deep dusk gives a millionth of a day's light: more on one face alone is no lamp that anybody puts up.
+# With the sun so low the sky gives a millionth of a day's light: 20 W/m2 on one face alone is a fault and no lamp.
 _NIGHT_SINE = float(np.sin(np.radians(-6.0)))
 _NIGHT_W_M2 = 20.0
 _NIGHT_OTHERS_W_M2 = 5.0

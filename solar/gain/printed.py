@@ -1,6 +1,6 @@
 """The closed forms as Maiga (2022) prints them, and the three scripts of its appendix: for whoever must reproduce it.
 
-Nothing here is right but what docs/theory.md says so; use :mod:`solar.gain` for answers. Latitude and tilt carry the
+Not all of it is right: docs/theory.md says what is. Use :mod:`solar.gain` for answers. Latitude and tilt carry the
 paper's sign rule: in the south both are negative, but for the vertical axis, which takes the size of the tilt.
 
 A value that is not a real number is NaN here: beyond the polar circles T0 is complex, (8) and (9) are complex for large

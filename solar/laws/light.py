@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
 
-# How firmly H is taken to be nothing, against one face reading of the same size: it decides where faces are missing.
+# Weight of the assumption that H is 0, beside one face's reading: it decides only where faces are missing.
 _HORIZON_PRIOR = 0.02
 _RIDGE = 1e-6
 _SMALLEST = 1e-4
@@ -56,9 +56,10 @@ class Light(NamedTuple):
 def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell which of the faces, shape (..., 4) in the order east, south, west, zenith [W/m2], can be believed.
 
-    A face cannot that is no finite number in -20..2000 W/m2; nor one that is covered or dead: a vertical face that
-    reads less than a fifth of another which gets no more beam by the sun's direction (shape (..., 3)), or less than
-    3 % of the zenith face; a zenith face that reads less than a fifth of every vertical one.
+    Not believed are readings that are no finite number in -20..2000 W/m2, and faces that are covered or dead: a
+    vertical face that reads less than 3 % of the zenith face, or less than a fifth of another vertical one that gets
+    no more beam by the sun's direction (shape (..., 3)); a zenith face that reads less than a fifth of every vertical
+    one.
     """
     readings, sun = np.asarray(faces, dtype=np.float64), np.asarray(sun, dtype=np.float64)
     possible = _are_possible(readings)

@@ -65,7 +65,7 @@ class OptimalSettings:
     forget_after_s: float = 900.0
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for a thrift that is no price: at 0 the tracker runs after every flicker of the light."""
+        """Raise `ValueError` for a thrift out of its range: at 0 the tracker runs after every flicker of the light."""
         low, high = THRIFT_RANGE
         if not (low <= self.thrift <= high):
             raise ValueError(f"thrift is {self.thrift:g}, not in {low:g}..{high:g}")

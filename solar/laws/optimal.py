@@ -97,7 +97,7 @@ class OptimalLaw:
         self.open_budget()
 
     def open_budget(self) -> None:
-        """Have travelled nothing today."""
+        """Begin the day's budget: nothing has been travelled yet."""
         self._travelled_deg = np.zeros(self._shape)
         self._moves = np.zeros(self._shape)
 

@@ -22,7 +22,8 @@ _CLOSER = 3
 _TIMES = 5
 # Instants that are searched side by side: more would be slower, for memory.
 _AT_ONCE = 8
-# Greater than the square of any chord between two unit vectors, and greater than both together.
+# Added to the squared distance from the wanted pose, which is 4 at most: any steeper pose costs more than all that are
+# not, and any with shade more than all without.
 _STEEPER = 5.0
 _SHADED = 10.0
 _AS_STEEP = 1e-9
@@ -64,7 +65,7 @@ def out_of_shade(
 def turned_back(
     group: TrackerGroup, suns: Sequence[ArrayLike], a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
 ) -> tuple[Array, Array]:
-    """Return the poses of `out_of_shade`, of a group that turns only if it pays where it gets more of the beam so."""
+    """Return the poses of `out_of_shade`; a group with `only_if_it_pays` turns only where that gives it more beam."""
     turned = out_of_shade(group, suns, a_deg, b_deg, limits)
     if not group.only_if_it_pays:
         return turned
@@ -98,7 +99,7 @@ def _nearest(group: TrackerGroup, suns: Array, a: Array, b: Array, limits: Limit
 
 
 def _best(group: TrackerGroup, suns: Array, wanted: Array, tries_a: Array, tries_b: Array) -> tuple[Array, Array]:
-    """Return of each row the try that costs least: a steeper one is worse than all others, one with shade worst."""
+    """Return the best try of each row: the nearest without shade and no steeper than wanted, if there is one."""
     share = np.max([group.worst_share(sun[:, None, :], tries_a, tries_b) for sun in suns], axis=0)
     tries = normal_from_angles(tries_a, tries_b)
     cost = np.sum((tries - wanted[:, None, :]) ** 2, axis=-1)

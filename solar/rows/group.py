@@ -142,7 +142,7 @@ class TrackerGroup:
         return result
 
     def shade_of_each(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Shade:
-        """Return the shade of every distinct place in the group, shape (..., places): `weights` of all have it."""
+        """Return the shade at every distinct place in the group, shape (..., places); `weights` has their shares."""
         sun, across, along, normal = _frame(sun, a_deg, b_deg)
         by_width, by_height = self._shifts(self.offsets_m, sun, across, along, normal)
         share = _covered(by_width, by_height)
@@ -152,7 +152,7 @@ class TrackerGroup:
         return Shade(covered, 1.0 - (1.0 - covered) * (1.0 - touched / (self.bypass_groups + 1.0)))
 
     def _shifts(self, offsets: Array, sun: Array, across: Array, along: Array, normal: Array) -> tuple[Array, Array]:
-        """Return where neighbours' shadows lie, in edges: beside the module from 1 on, NaN for none."""
+        """Return how far neighbours' shadows are shifted, in edges: from 1 on they miss the module; NaN: no shadow."""
         places = (1,) * (offsets.ndim - 1)
 
         def on(way: Array) -> Array:

@@ -49,7 +49,7 @@ _ALL = (
         "deaf-to-stop",
         Severity.CRITICAL,
         "5 s after stop the positioner still moves",
-        "stop is sent on and on; nothing else is ordered",
+        "stop is sent again and again; nothing else is ordered",
         "switch the supply of the motors off, look for the cause, then `heliocube clear`",
         latched=True,
     ),
@@ -109,7 +109,7 @@ _ALL = (
         "law-failed",
         Severity.WARNING,
         "the pointing law has raised an error of its own, which the log has in full",
-        "the tracker follows the sun by ephemeris; limits, stow and commands are as ever",
+        "the tracker follows the sun by ephemeris; limits, stow and commands work as always",
         "correct the law or choose another, then restart the service",
     ),
     _kind(

@@ -256,7 +256,7 @@ def _wind(source: dict[str, Any]) -> Text:
     text = Text(f"{value}, {'not heard yet' if source['age_s'] is None else _age(source['age_s']) + ' old'}")
     if source["why"]:
         text.append(f"  STOWS: {source['why']}", style=_BAD)
-        text.append("" if release_s is None else f"; let go after {_age(release_s)} more of calm")
+        text.append("" if release_s is None else f"; ends after {_age(release_s)} more of calm")
     return text
 
 

@@ -111,7 +111,7 @@ def installed() -> Installation:
     """Return the installation of this process; raises `UserError` where there is no way back in it."""
     found = Installation.of(Path(sys.prefix))
     if sys.platform != "win32" and os.geteuid() != 0:
-        raise UserError("to go back changes what is installed: run it with sudo")
+        raise UserError("going back changes what is installed: run it with sudo")
     return found
 
 

@@ -183,7 +183,7 @@ def test_a_wrong_value_is_shown_with_what_would_be_right(problems, text, line):
         ),
         ("[notify]\nquiet_until = '06:30'", 'notify.quiet_until = "06:30": needs notify.quiet_from'),
         ("[notify]\nquiet_from = '24:00'", 'notify.quiet_from = "24:00": must be hours and minutes of the day'),
-        ("[notify]\nheartbeat = 'hc.lab'", 'notify.heartbeat = "hc.lab": must be an address of the web'),
+        ("[notify]\nheartbeat = 'hc.lab'", 'notify.heartbeat = "hc.lab": must be a web address'),
         ("[safety]\nrelease_wind_m_s = 15", "safety.release_wind_m_s = 15.0: must be below safety.stow_wind_m_s"),
         (
             "[limits]\nb_min_deg = 50\n[safety]\nstow_b_deg = 20",

@@ -118,7 +118,7 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         await asyncio.sleep(20)
         console = Console(file=io.StringIO(), width=160)
         console.print(render(state_json(rig.see())))
-        stowing = r"wind +20\.0 m/s, .* STOWS: wind 20\.0 m/s, stow from 15 m/s; let go after \d+ min more of calm"
+        stowing = r"wind +20\.0 m/s, .* STOWS: wind 20\.0 m/s, stow from 15 m/s; ends after \d+ min more of calm"
         assert re.search(stowing, console.file.getvalue())
         lines = [line.strip() for line in console.file.getvalue().splitlines()]
         assert lines.index("east") < lines.index("west")
