@@ -81,6 +81,15 @@ def test_the_simulated_one_reads_as_fine_as_its_range():
     assert volts != list(VOLTS.values())
 
 
+def test_opening_anew_closes_what_was_open_and_a_scan_loses_no_time_between_inputs():
+    async def work(cube, device):
+        await cube.open()
+        faces = (await read(cube, device)).faces
+        return faces[3].time_monotonic_s - faces[0].time_monotonic_s
+
+    assert 0.0 <= on_simulated(work) < 0.5
+
+
 def test_beyond_its_range_there_is_no_value():
     faces = on_simulated(read, range_v=0.01).faces
     assert [face.flaw for face in faces] == ["over-range", "over-range", None, "over-range"]

@@ -21,13 +21,13 @@ STANDING = Attitude(3.0, 1.0, -0.7)
 GAINS = np.array([1.03, 0.97, 1.02, 0.98])
 
 
-def faces_of(model):
+def faces_of(model, standing=STANDING):
     """Return what a turned and leaning cube reads, with scatter, a cloud over one instant and haze over another."""
     sun, extra = sun_direction(UTC_S, *SITE), extraterrestrial_dni(UTC_S)
     _, dni, dhi = clear_sky_ghi(SITE, UTC_S, 0.12)
     dni[20], dhi[20] = 0.5 * dni[20], 3.0 * dhi[20]
     overhead = sky(model, sun, dni, dhi, extra)
-    normals = face_normals(STANDING, SITE.latitude_deg)
+    normals = face_normals(standing, SITE.latitude_deg)
     seen = np.stack([overhead.irradiance_on(normal[None, :], 0.25) for normal in normals], axis=-1)
     faces = GAINS * seen * np.random.default_rng(3).normal(1.0, 0.004, seen.shape)
     faces[50] *= [1.0, 1.3, 1.0, 1.0]
@@ -93,3 +93,18 @@ def test_the_anchor():
     beam = 1.02 * (overhead.dni_w_m2 + overhead.circumsolar_w_m2) * rng.normal(1.0, 0.01, ghi.size)
     found = clear_sky_anchor(UTC_S, zenith, beam, SITE)
     assert list(found) == pytest.approx([0.96727, 1.00392, 0.0178409, 0.0223055, 0.021531], rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("standing", "which", "bound_deg"),
+    [
+        (Attitude(36.0, 1.0, -0.7), 0, 30.0),
+        (Attitude(-36.0, 1.0, -0.7), 0, -30.0),
+        (Attitude(3.0, -25.0, -0.7), 1, -20.0),
+        (Attitude(3.0, 1.0, 25.0), 2, 20.0),
+        (Attitude(3.0, 1.0, -25.0), 2, -20.0),
+    ],
+)
+def test_a_cube_that_stands_askew_beyond_all_belief_ends_at_the_bound(standing, which, bound_deg):
+    found = fit_shape(UTC_S, faces_of("haydavies", standing), SITE, model="haydavies", vertical=1.02)
+    assert found.attitude[which] == pytest.approx(bound_deg, abs=0.01)
