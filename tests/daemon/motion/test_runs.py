@@ -2,10 +2,13 @@
 
 import asyncio
 import itertools
+import math
 
 import pytest
 
+from daemon.base.files import StateFolder
 from daemon.base.records import MoveOutcome, Target
+from daemon.motion.reference import NOT_FINISHED, Doubts
 from drivers.errors import RefusedError
 from tests.support.hand_positioner import START_UTC_S, run_motion
 
@@ -26,6 +29,7 @@ def test_the_record_of_a_move_says_whence_whither_how_long_and_why():
     async def scenario(rig):
         before_s = rig.clock.monotonic()
         assert rig.motion.last_move is None
+        assert rig.motion.last_move_started_s == -math.inf
         rig.motion.order(Target(10.0, 50.0, "by the law"))
         await rig.until(lambda: rig.moves)
         move = rig.motion.last_move
@@ -62,7 +66,7 @@ def test_a_refused_target_is_tried_again_after_a_second_each_time_from_rest(atte
         rig.motion.order(Target(10.0, 60.0, "go"))
         await rig.until(lambda: rig.moves)
         assert len(at_s) == attempts
-        assert all(1.3 <= later - earlier <= 2.4 for earlier, later in itertools.pairwise(at_s))
+        assert all(1.3 <= later - earlier <= 1.9 for earlier, later in itertools.pairwise(at_s))
         asked = [what if isinstance(what, str) else what[0] for what in rig.unit.sent[sent:]]
         assert asked == ["move", "halt"] * attempts
         assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.REFUSED, "not taken")
@@ -163,9 +167,10 @@ def test_own_tracking_that_comes_on_in_an_attempt_ends_the_tries():
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
         rig.unit.refuses["disable_autonomy"] = RefusedError("hand", "stays on")
         rig.motion.order(Target(40.0, 60.0, "go"))
+        await rig.until(lambda: at_s)
         rig.unit.says["autonomous"] = True
         await asyncio.sleep(6.0)
-        assert len(at_s) <= 1
+        assert len(at_s) == 1
 
     run_motion(scenario)
 
@@ -190,6 +195,38 @@ def test_a_stop_interrupts_a_move_wherever_it_is(when):
         assert "move-failed" not in rig.raised
         await asyncio.sleep(10.0)
         assert len(at_s) == 1
+        assert rig.unit.place()[0] < 8.0, "it has been stopped"
+
+    run_motion(scenario)
+
+
+def test_a_button_on_the_way_interrupts_the_move_and_stops_it():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.says["button_pressed"] = True
+        await rig.until(lambda: rig.moves, 2.0)
+        await asyncio.sleep(10.0)
+        assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.INTERRUPTED, "go")
+        assert rig.unit.place()[0] < 9.0
+
+    run_motion(scenario)
+
+
+def test_an_axis_that_a_refused_order_has_sent_off_is_halted_and_is_no_stray():
+    async def scenario(rig):
+        async def half_taken(_a_deg, _b_deg, *, first="a"):
+            rig.unit.drive(0.0, 20.0)
+            await asyncio.sleep(0.6)
+            raise RefusedError("hand", f"{first} was taken and the other was not")
+
+        rig.unit.move_to = half_taken
+        rig.motion.order(Target(10.0, 20.0, "go"))
+        await rig.until(lambda: rig.moves)
+        await asyncio.sleep(10.0)
+        assert rig.moves[-1].outcome is MoveOutcome.REFUSED
+        assert rig.motion.unexplained is None
+        assert rig.unit.place()[1] > 50.0
 
     run_motion(scenario)
 
@@ -355,3 +392,91 @@ def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
         assert rig.changes > before
 
     run_motion(scenario, attempts=1)
+
+
+def test_a_doubt_that_both_runs_have_left_is_told_and_stays():
+    async def scenario(rig):
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(2.0)
+        rig.motion.home()
+        await asyncio.sleep(60.0)
+        assert ("home", "b") in rig.unit.sent
+        assert rig.told[-1] == "homing failed: the count jumped"
+        assert "homing finished" not in rig.told
+
+    run_motion(scenario)
+
+
+def test_the_axis_that_is_homed_may_turn():
+    async def scenario(rig):
+        home = rig.unit.home
+
+        async def turning(axis):
+            await home(axis)
+            rig.unit.drive(*((30.0, 60.0) if axis == "a" else (30.0, 90.0)))
+
+        rig.unit.home = turning
+        rig.motion.home()
+        await asyncio.sleep(60.0)
+        assert rig.told == ["homing", "homing finished"]
+        assert rig.motion.unexplained is rig.motion.doubt is None
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_after_a_move_that_was_interrupted_or_has_failed_begins_anew():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.motion.rest()
+        await rig.until(lambda: rig.moves)
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(40.0, 60.0, "go"))
+        await rig.until(lambda: len(rig.moves) == 2)
+        assert "move-failed" in rig.raised
+        rig.motion.home()
+        await asyncio.sleep(60.0)
+        assert rig.told[-1] == "homing finished"
+        assert rig.motion.doubt is None
+        assert "move-failed" not in rig.raised
+
+    run_motion(scenario, attempts=1)
+
+
+def test_a_reference_run_that_the_service_does_not_live_to_finish_is_kept_in_mind(tmp_path):
+    async def scenario(rig):
+        rig.motion.home()
+        await rig.until(lambda: rig.motion.homing, 3.0)
+        assert Doubts(StateFolder(tmp_path)).reference == NOT_FINISHED
+        await rig.until(lambda: not rig.motion.homing, 90.0)
+        assert Doubts(StateFolder(tmp_path)).reference is None
+
+    run_motion(scenario, folder=tmp_path)
+
+
+@pytest.mark.parametrize("ask", ["clear", "home"])
+def test_faults_that_the_unit_clears_for_us_leave_no_doubt_however_long_it_takes(ask):
+    async def scenario(rig):
+        rig.unit.says["faults"] = ("a_hall",)
+        await asyncio.sleep(2.0)
+        clear = rig.unit.clear_faults
+
+        async def slow(*, forgive=True):
+            before = await clear(forgive=forgive)
+            await asyncio.sleep(2.0)
+            return before
+
+        rig.unit.clear_faults = slow
+        if ask == "clear":
+            rig.motion.clear_faults()
+        else:
+            rig.motion.home()
+        await asyncio.sleep(4.0)
+        assert not [text for text in rig.motion.concerns if "cleared by itself" in text]
+        rig.unit.says["faults"] = ("b_hall",)
+        await asyncio.sleep(2.0)
+        rig.unit.says["faults"] = ()
+        await asyncio.sleep(2.0)
+        assert [text for text in rig.motion.concerns if text.startswith("b_hall cleared by itself")]
+
+    run_motion(scenario)
