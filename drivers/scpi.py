@@ -76,7 +76,7 @@ class ScpiSession:
 
     @contextlib.contextmanager
     def doubting(self) -> Iterator[None]:
-        """Leave a doubt unless the block comes to its end: until all answers are in, every way out leaves one."""
+        """Be in doubt until the block has come to its end: an error or a cancellation before that leaves the doubt."""
         self.in_doubt = True
         yield
         self.in_doubt = False

@@ -51,7 +51,7 @@ def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.
 
 
 def keep_start() -> None:
-    """Take what the start has made out of every later look for garbage: it stays, and each look held the loop 0.2 s."""
+    """Leave what the start has made out of all later garbage collections: it stays, and each held the loop 0.2 s."""
     gc.collect()
     gc.freeze()
 

@@ -120,7 +120,7 @@ def decoded(payload: bytes) -> Batch:
     Raises
     ------
     BatchError
-        It is none.
+        It is no page of records.
     """
     try:
         page = json.loads(payload)

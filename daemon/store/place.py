@@ -8,10 +8,10 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 
-# Where 'config init' puts them too: who takes that line out of the file has not lost a stop.
+# As 'config init' names it too: a stop is found again although somebody has taken that line out of the file.
 RECORDS_NAME = "records"
 _USUAL_FILE = "heliocube.toml"
-# Of the units in deploy/, for a person whose shell is not told of it as they are.
+# What systemd tells the units in deploy/, and not the shell of a person.
 _OF_THE_UNITS = Path("/var/lib/heliocube")
 
 

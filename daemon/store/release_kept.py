@@ -78,7 +78,7 @@ class Releases:
         self._kept = self._load()
         self.before = self._before()
         if self._kept is None and self.before is None:
-            # There is nothing to be held against; a first start that is killed leaves no doubt either.
+            # No release ran before this one. It is written at once: the next start knows it even if this one is killed.
             self._save(0.0)
 
     @property

@@ -1,4 +1,4 @@
-"""The service as registers of SunSpec: which model says what, and what stands for a value that there is none of.
+"""The service as registers of SunSpec: which model says what, and what stands where there is no value.
 
 Source: the model files of sunspec/models (1, 302, 305, 307, 601). Angles are those of the module's normal: elevation
 from the horizontal, azimuth from true north by east.

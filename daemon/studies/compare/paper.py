@@ -288,7 +288,7 @@ def as_text(found: Sequence[Spread]) -> str:
 
 
 def as_page(one: Spread) -> dict[str, Any]:
-    """Return one period under one sky for scripts; gains in percent, a bound that is none is infinite."""
+    """Return one period under one sky for scripts; gains in percent, infinite where there is no bound."""
     printed = one.printed
     return {
         "period": printed.span.name,
