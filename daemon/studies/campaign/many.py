@@ -68,8 +68,8 @@ class CampaignSummary:
     def lines(self) -> Iterator[str]:
         """Yield it for people; the same for the same schedules, in whatever order they ended."""
         yield (
-            f"{self.done} schedule{'' if self.done == 1 else 's'}, {self.hours:g} h of virtual time, {self.events} events,"
-            f" {self.moves} moves, {len(self.failed)} with a broken promise"
+            f"{self.done} schedule{'' if self.done == 1 else 's'}, {self.hours:g} h of virtual time,"
+            f" {self.events} events, {self.moves} moves, {len(self.failed)} with a broken promise"
         )
         if self.stop_latencies_s:
             yield (
