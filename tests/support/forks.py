@@ -37,6 +37,8 @@ IMPORTED = (
 )
 _MOST = 1 << 20
 _HEAR_EVERY_S = 0.02
+PROMPT = -10
+"""For what stands for instruments and what talks to them: on a rig neither waits for its turn among tests."""
 # What an interpreter or a library reads when it begins, and not again.
 _READ_ONCE = ("PYTHON", "LD_", "OPENBLAS", "OMP_")
 
@@ -240,11 +242,17 @@ def _number(file):
     return file if isinstance(file, int) else file.fileno()
 
 
-def run(*arguments, timeout=90, env=None, cwd=None):
+def be_prompt(nice):
+    """Let this thread, and those that it will start, have their turn before others, where the system lets it."""
+    with contextlib.suppress(PermissionError):
+        os.nice(nice)
+
+
+def run(*arguments, timeout=90, env=None, cwd=None, nice=0):
     """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
     with contextlib.ExitStack() as stack:
         out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))
-        process = start(arguments, out, err, env, cwd)
+        process = start(arguments, out, err, env, cwd, nice=nice)
         try:
             code = process.wait(timeout)
         except subprocess.TimeoutExpired as error:
@@ -342,8 +350,7 @@ def _become(order, files):
     for file in files:
         os.close(file)
     os.chdir(order["cwd"])
-    with contextlib.suppress(PermissionError):
-        os.nice(order["nice"])
+    be_prompt(order["nice"])
     os.environ.clear()
     os.environ.update(order["environment"])
     time.tzset()

@@ -16,8 +16,6 @@ from tests.support import forks
 HELIOCUBE = Path(sys.executable).with_name("heliocube")
 READY_WITHIN_S = 90.0
 ENDS_WITHIN_S = 40.0
-PROMPT = -10
-"""For what stands for instruments: no instrument waits for its turn among the programs of a busy machine."""
 
 
 def wait_until(condition, within_s, what):
@@ -81,7 +79,7 @@ class BenchProcess(Process):
         # It stays open: the bench may say more.
         self._said = os.fdopen(told, encoding="utf-8")
         with os.fdopen(tells, "wb") as stream:
-            super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream, PROMPT)
+            super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream, forks.PROMPT)
         readable, _, _ = select.select([self._said], [], [], READY_WITHIN_S)
         line = self._said.readline() if readable else ""
         if line != "ready\n":
