@@ -163,9 +163,25 @@ def test_a_quiet_status_says_nothing():
     assert not status.autonomous
 
 
-def test_every_fault_bit_has_its_name():
-    for name, bit in wire.FAULT_BITS.items():
-        assert parse_status(str(1 << bit)).faults == (name,)
+# As the maker's manual numbers them, written here once more: a slip in the table shows against another hand only.
+FAULTS_BY_BIT = {
+    0: "a_overcurrent", 1: "a_hall_fault", 2: "a_homing_too_long", 3: "a_cable",
+    4: "b_overcurrent", 5: "b_hall_fault", 6: "b_homing_too_long", 7: "b_cable",
+    23: "a_pulse_loss", 24: "b_pulse_loss", 28: "a_destination_error", 31: "b_destination_error",
+}  # fmt: skip
+
+
+def test_every_fault_bit_has_its_name_and_no_other_bit_has_one():
+    named = {bit: parse_status(str(1 << bit)).faults for bit in range(32)}
+    assert {bit: names for bit, names in named.items() if names} == {
+        bit: (name,) for bit, name in FAULTS_BY_BIT.items()
+    }
+
+
+def test_the_bits_of_b_are_those_of_the_two_generations():
+    assert (wire.B_OUT_BIT_STM, wire.B_OUT_BIT_LPC, wire.B_HIGH_BIT_STM) == (15, 16, 22)
+    for bit in (14, 30):
+        assert parse_status(str(1 << bit)).memory_fault
 
 
 def test_marks_motion_and_modes_are_read_from_their_bits():

@@ -82,6 +82,11 @@ def test_at_the_zenith_it_stays_turned_as_it_is():
     assert mount((100, 200)).place(0.0, 90.0, RotatorPosition(250.0, 20.0)) == (200.0, 90.0)
 
 
+@pytest.mark.parametrize(("b_deg", "azimuth_deg"), [(89.6, 123.0), (89.4, 180.0), (90.4, 123.0), (90.6, 0.0)])
+def test_half_a_degree_from_the_zenith_the_azimuth_means_something(b_deg, azimuth_deg):
+    assert FULL.place(0.0, b_deg, RotatorPosition(123.0, 20.0)).azimuth_deg % 360.0 == pytest.approx(azimuth_deg)
+
+
 @pytest.mark.parametrize("place", [(0.0, 90.0), (0.2, 89.7), (20.0, 70.0)])
 def test_what_it_cannot_reach_is_said_with_its_range(place):
     low = mount((0, 360), (0, 60))
