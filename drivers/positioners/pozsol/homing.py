@@ -5,6 +5,7 @@ dips. So the verdict takes the homing bit, the position and the end switch toget
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from drivers.interfaces import AxisName
 from drivers.positioners.pozsol.geometry import AxisSetup
@@ -21,8 +22,7 @@ _COAST_DEG = 0.4
 _SLIP_DEG = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class AxisObservation:
+class AxisObservation(NamedTuple):
     """What one look shows of one axis; `time_s` is that of its position, `status_s` that of the status."""
 
     position: float

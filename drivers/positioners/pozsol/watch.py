@@ -124,24 +124,15 @@ class PositionerWatch:
 
     def _telemetry(self, state: LinkState) -> Telemetry:
         known = state.values
-        time_s = max(min(known[field].time_s for field in FAST), state.as_of_s)
+        fast = [known[field] for field in FAST]
+        time_s = max(min([value.time_s for value in fast]), state.as_of_s)
         status_s = max(known[Field.STATUS].time_s, state.as_of_s)
-        self._require_fresh(time_s, max(min(known[field].time_s for field in SLOW), state.as_of_s))
+        self._require_fresh(time_s, max(min([known[field].time_s for field in SLOW]), state.as_of_s))
         text = known[Field.STATUS].text.decode("latin-1")
         position_b = known[Field.B_POSITION].number
         self._layout.update(position_b, time_s, parse_status(text).word, status_s)
         status = parse_status(text, self._layout.bit)
-        a, b, a_at, a_to, b_at, b_to = (
-            known[field].number
-            for field in (
-                Field.A_ANGLE,
-                Field.B_ANGLE,
-                Field.A_POSITION,
-                Field.A_DESTINATION,
-                Field.B_POSITION,
-                Field.B_DESTINATION,
-            )
-        )
+        a, a_at, a_to, b, b_at, b_to = (value.number for value in fast)
         a_amps, b_amps, a_left, b_left = (known[field].number if field in known else math.nan for field in _EXTRA)
         seen: dict[AxisName, AxisObservation] = {
             "a": AxisObservation(
