@@ -54,15 +54,14 @@ class ClockWatch:
         offset_s = self._clock.utc() - now_s
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
-        stepped = abs(step_s) >= _STEP_S
-        if stepped and abs(step_s) > _DISTRUST_S:
+        if abs(step_s) > _DISTRUST_S:
             self._distrust_until_s = now_s + _SETTLE_S
             self._why = (
                 f"the clock was set by {step_s:+z.0f} s: the sun's position is not used before it has kept time for"
                 f" {_SETTLE_S / 60:.0f} minutes; check the time"
             )
         self._report(now_s)
-        return step_s if stepped else None
+        return step_s if abs(step_s) >= _STEP_S else None
 
     @property
     def trusted(self) -> bool:

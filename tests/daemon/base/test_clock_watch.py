@@ -44,6 +44,25 @@ def test_slewing_and_small_corrections_are_no_steps():
     assert watch.trusted
 
 
+@pytest.mark.parametrize(("step", "told", "trusted"), [
+    (1.5, None, True),
+    (2.0, 2.0, True),
+    (-30.0, -30.0, True),
+    (30.5, 30.5, False),
+    (-30.5, -30.5, False),
+])  # fmt: skip
+def test_two_seconds_are_a_step_and_more_than_thirty_make_the_sun_doubtful_for_fifteen_minutes(step, told, trusted):
+    clock = SetClock()
+    watch = ClockWatch(clock)
+    # Halves are exact beside an offset of this size.
+    clock.offset += step
+    assert watch.step_s() == told
+    clock.now += 899.0
+    assert watch.trusted == trusted
+    clock.now += 1.0
+    assert watch.trusted
+
+
 class Told:
     """Alarms on a clock, with the kernel's answer in hand."""
 
@@ -78,6 +97,20 @@ def test_a_clock_that_was_never_synchronised_is_told_and_over_when_it_is():
     assert told.asked == asked
 
 
+def test_a_clock_that_nothing_synchronises_is_asked_for_after_two_minutes_and_every_minute_from_then_on():
+    told = Told(answer=False)
+    assert not told.after(115)
+    assert told.asked == 0
+    assert told.after(5)
+    assert told.asked == 1
+    told.after(55)
+    assert told.asked == 1
+    told.after(5)
+    assert told.asked == 2
+    told.after(600)
+    assert told.asked == 12
+
+
 @pytest.mark.parametrize("answer", [None, True])
 def test_a_clock_that_is_synchronised_or_unknown_is_no_alarm(answer):
     assert not Told(answer).after(3600)
@@ -87,6 +120,7 @@ def test_a_step_is_an_alarm_until_the_clock_has_settled():
     told = Told(answer=None)
     told.clock.offset += 43200
     (text,) = told.after(5)
-    assert "+43200 s" in text
+    assert "the clock was set by +43200 s" in text
+    assert "before it has kept time for 15 minutes" in text
     assert told.after(800)
     assert not told.after(120)
