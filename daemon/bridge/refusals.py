@@ -4,6 +4,7 @@ import logging
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from math import inf
 from typing import TYPE_CHECKING
 
 from daemon.base.addresses import Address
@@ -71,21 +72,21 @@ class Statistics:
         When it came.
     """
 
-    accepted: int = 0
-    lost: int = 0
-    duplicate: int = 0
-    reordered: int = 0
-    late: int = 0
-    skewed: int = 0
-    malformed: int = 0
-    forged: int = 0
-    oversized: int = 0
-    refused_sender: int = 0
-    other_source: int = 0
-    second_cube: int = 0
-    replayed: int = 0
-    last_refusal: str = ""
-    last_refusal_utc_s: float | None = None
+    accepted: int
+    lost: int
+    duplicate: int
+    reordered: int
+    late: int
+    skewed: int
+    malformed: int
+    forged: int
+    oversized: int
+    refused_sender: int
+    other_source: int
+    second_cube: int
+    replayed: int
+    last_refusal: str
+    last_refusal_utc_s: float | None
 
     @property
     def refused(self) -> int:
@@ -105,14 +106,17 @@ class Tally:
         self._refused: Counter[Refusal] = Counter()
         self._last: tuple[Refusal, str | Peer, str] | None = None
         self._last_utc_s: float | None = None
-        self._last_monotonic_s = 0.0
-        self._reported: set[Refusal] = set()
-        self._unreported: Counter[Refusal] = Counter()
-        self._summary_at_s = 0.0
-        self._summary_every_s = HOUR_S
+        self._last_monotonic_s = -inf
         self._gap_began_s: float | None = None
         self._gap: Counter[Refusal] = Counter()
+        self._begin_stretch(-inf)
+
+    def _begin_stretch(self, now_monotonic_s: float) -> None:
+        self._reported: set[Refusal] = set()
+        self._unreported: Counter[Refusal] = Counter()
         self._recovery_reported = False
+        self._summary_every_s = HOUR_S
+        self._summary_at_s = now_monotonic_s + HOUR_S
 
     def accept(self, now_monotonic_s: float) -> None:
         """Count a scan that is passed on."""
@@ -127,7 +131,7 @@ class Tally:
     def refuse(self, refused: ScanRefusedError, sender: "str | Peer", utc_s: float, now_monotonic_s: float) -> None:
         """Count a datagram that is not passed on, and log it if it is news."""
         kind = refused.kind
-        if self._last_utc_s is None or now_monotonic_s - self._last_monotonic_s >= QUIET_S:
+        if now_monotonic_s - self._last_monotonic_s >= QUIET_S:
             self._begin_stretch(now_monotonic_s)
         if self._gap_began_s is None:
             self._gap_began_s = now_monotonic_s
@@ -171,13 +175,6 @@ class Tally:
             last_refusal_utc_s=self._last_utc_s,
             **counts,
         )
-
-    def _begin_stretch(self, now_monotonic_s: float) -> None:
-        self._reported.clear()
-        self._unreported.clear()
-        self._recovery_reported = False
-        self._summary_every_s = HOUR_S
-        self._summary_at_s = now_monotonic_s + HOUR_S
 
     def _summarise(self, now_monotonic_s: float) -> None:
         counts = _listed(self._unreported)

@@ -19,6 +19,8 @@ _log = logging.getLogger("heliocube.bridge")
 # A target counts as back after this long without an error, so that one that comes and goes is one outage.
 BACK_AFTER_S = 600.0
 
+_Options = dict[int, int | bytes]
+
 
 @dataclass(frozen=True, slots=True)
 class TargetStatistics:
@@ -69,7 +71,8 @@ class BridgeSender:
         self._targets = [_Target(parse_address(text)) for text in settings.send_to]
         if settings.multicast_group is not None:
             local = socket.inet_aton(settings.multicast_interface or ANY_INTERFACE)
-            self._targets.append(_Target(parse_address(settings.multicast_group), local, settings.multicast_ttl))
+            options: _Options = {socket.IP_MULTICAST_TTL: settings.multicast_ttl, socket.IP_MULTICAST_IF: local}
+            self._targets.append(_Target(parse_address(settings.multicast_group), options))
         if not self._targets:
             raise BridgeError(
                 "bridge.send_to is empty and bridge.multicast_group is not set: name at least one tracker"
@@ -113,10 +116,9 @@ def pack(scan: "Scan", key: bytes | None) -> bytes:
 class _Target:
     """One destination: a connected socket, opened when needed, and what became of the datagrams."""
 
-    def __init__(self, address: Address, multicast_from: bytes | None = None, multicast_ttl: int = 1) -> None:
+    def __init__(self, address: Address, options: _Options | None = None) -> None:
         self.address = address
-        self._multicast_from = multicast_from
-        self._multicast_ttl = multicast_ttl
+        self._options = options or {}
         self._socket: socket.socket | None = None
         self._sent = 0
         self._failed = 0
@@ -148,9 +150,8 @@ class _Target:
         except OSError as failure:
             error = failure
             self._failed += 1
-            if not isinstance(failure, ConnectionRefusedError | BlockingIOError):
-                # A socket stays bound to the address that this machine had; a new one learns the new address.
-                self.close()
+            # A socket stays bound to the address that this machine had; a new one learns the new address.
+            self.close()
         self._failing = error is not None
         if error is not None:
             self._last_error = error.strerror or str(error)
@@ -169,9 +170,8 @@ class _Target:
             opened = socket.socket(self.address.family, socket.SOCK_DGRAM)
             try:
                 opened.setblocking(False)
-                if self._multicast_from is not None:
-                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self._multicast_ttl)
-                    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, self._multicast_from)
+                for option, value in self._options.items():
+                    opened.setsockopt(socket.IPPROTO_IP, option, value)
                 opened.connect((self.address.host, self.address.port))
             except OSError:
                 opened.close()

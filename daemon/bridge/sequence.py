@@ -101,7 +101,7 @@ class SequenceGuard:
     def _refuse_second(self, session: "_Session", now_s: float) -> None:
         """Refuse a session while one that is elder is there."""
         followed = self._followed
-        if followed is None or session is followed or not now_s - followed.accepted_at_s < HELD_S:
+        if followed is None or not now_s - followed.accepted_at_s < HELD_S:
             return
         if self._sessions.index(followed) < self._sessions.index(session):
             raise ScanRefusedError(

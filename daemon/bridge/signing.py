@@ -65,8 +65,12 @@ def verify(datagram: bytes, *keys: bytes) -> bytes:
         )
     if _PAYLOAD.fullmatch(parts[1]) is None or len(parts[1]) % 4 == 1:
         raise ScanRefusedError(Refusal.MALFORMED, "is not in the compact form of a JWS")
-    # One more than is needed is passed over.
-    return base64.urlsafe_b64decode(parts[1] + b"==")
+    return _decoded(parts[1])
+
+
+def _decoded(part: bytes) -> bytes:
+    # More padding than is needed is passed over.
+    return base64.urlsafe_b64decode(part + b"==")
 
 
 def _signature(signed: bytes, key: bytes) -> bytes:
@@ -76,7 +80,7 @@ def _signature(signed: bytes, key: bytes) -> bytes:
 def _check_header(part: bytes) -> None:
     """Refuse every header but ours: no other algorithm, no ``none``, no extension marked critical."""
     try:
-        header = json.loads(base64.urlsafe_b64decode(part + b"=" * (-len(part) % 4)))
+        header = json.loads(_decoded(part))
     except (ValueError, RecursionError):
         raise ScanRefusedError(Refusal.MALFORMED, "does not begin with the header of a JWS") from None
     if header != HEADER:
@@ -130,8 +134,7 @@ def _is_no_key(line: bytes) -> bool:
 
 
 def _key(line: bytes, path: Path, remedy: str) -> bytes:
-    text = line.rstrip(b"=")
-    key = base64.urlsafe_b64decode(text + b"=" * (-len(text) % 4))
+    key = _decoded(line.rstrip(b"="))
     if len(key) < KEY_BYTES:
         raise KeyFileError(
             f"the key in {path} is too short, {len(key)} bytes where {KEY_BYTES} are the least: {remedy}"

@@ -5,6 +5,8 @@ import base64
 import logging
 from dataclasses import asdict
 
+import pytest
+
 from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.key_file import READ_EVERY_S, KeyFileWatch
@@ -102,18 +104,26 @@ def test_while_two_keys_are_alive_both_are_accepted_and_no_third(tmp_path):
     run(scenario, tmp_path)
 
 
-def test_new_keys_are_taken_once(tmp_path):
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_new_keys_are_taken_once_and_told(tmp_path, caplog, speed):
     async def scenario():
         taken = []
         file = tmp_path / "bridge.key"
         write(file, OLD)
-        watch = asyncio.create_task(KeyFileWatch(file, load_keys(file), taken.append, 1.0).run())
-        await asyncio.sleep(3 * READ_EVERY_S)
+        watch = asyncio.create_task(KeyFileWatch(file, load_keys(file), taken.append, speed).run())
+        await asyncio.sleep(3.5 * speed * 5.0)
         assert taken == []
         write(file, NEW, OLD)
-        await asyncio.sleep(5 * READ_EVERY_S)
-        watch.cancel()
+        await asyncio.sleep(0.4 * speed * 5.0)
+        assert taken == []
+        await asyncio.sleep(2.6 * speed * 5.0)
         assert taken == [(NEW, OLD)]
+        write(file, NEW)
+        await asyncio.sleep(2 * speed * 5.0)
+        watch.cancel()
+        assert taken == [(NEW, OLD), (NEW,)]
+        told = f"the bridge's key file {file} has changed: its first key signs scans"
+        assert caplog.messages == [f"{told}, and a second one is accepted", told]
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())

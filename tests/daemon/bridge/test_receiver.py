@@ -408,6 +408,35 @@ def test_only_listed_senders_are_heard():
     assert desk.counts == {"refused_sender": 1, "accepted": 2}
 
 
+def test_what_comes_over_another_transport_is_judged_like_a_datagram_and_asked_for_no_address():
+    desk = Desk(accept_from=("192.168.1.10",))
+    desk.receiver.take(GOOD, "the broker")
+    desk.receiver.take(GOOD, "the broker")
+    desk.receiver.take(b"x" * 2048, "the broker")
+    desk.receiver.take(b"x" * 2049, "the broker")
+    assert [got.time_monotonic_s for got in desk.scans] == [1000.0]
+    assert desk.counts == {"accepted": 1, "duplicate": 1, "malformed": 1, "oversized": 1}
+    assert desk.reason.startswith("oversized: a datagram from the broker has 2049 bytes")
+
+
+def test_what_waited_is_judged_and_dated_by_when_it_came():
+    desk = Desk()
+    desk.clock.now_s += 40.0
+    desk.receiver.datagram_received(GOOD, PEER, 40.0)
+    assert [got.time_monotonic_s for got in desk.scans] == [1000.0]
+
+
+def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
+    settings = BridgeSettings(listen="0.0.0.0:20578", multicast_group="239.255.20.71:20578")
+    receiver = BridgeReceiver(settings, KEY, HandClock(), print)
+    try:
+        receiver.bind()
+    except BridgeError as error:
+        assert "cannot be joined" in str(error)  # noqa: PT017 - no network is as good
+    finally:
+        asyncio.run(receiver.close())
+
+
 def test_a_receiver_without_a_key_never_takes_signed_scans_and_says_why():
     desk = Desk(None, insecure=True)
     desk.take(GOOD)

@@ -20,6 +20,11 @@ def refuse(tally, kind, *times_s):
         tally.refuse(ScanRefusedError(kind, "is wrong"), ("10.0.0.7", 40000), UTC_S + time_s, time_s)
 
 
+def test_nothing_refused_is_no_refusal():
+    found = Tally().statistics(lost=0)
+    assert (found.accepted, found.refused, found.last_refusal, found.last_refusal_utc_s) == (0, 0, "", None)
+
+
 def test_what_was_refused_since_the_last_good_scan_is_listed_by_its_names():
     tally = Tally()
     assert tally.since_accepted == ""
@@ -52,6 +57,21 @@ def test_the_first_of_a_kind_is_told_and_the_others_after_1_2_and_4_hours(log):
     counted = [text.split(": ")[1].split(";")[0] for text in told[1:]]
     # At the 1st, 3rd and 7th hour.
     assert counted == ["4 forged", "8 forged", "16 forged"]
+
+
+def test_a_stretch_begins_with_nothing_told_and_an_hour_to_the_first_summary(log):
+    tally = Tally()
+    refuse(tally, Refusal.FORGED, 0.0, HOUR_S, HOUR_S + 10.0)
+    assert len(log.records) == 2
+    # A new stretch: what was counted and not told in the one before is none of its summary.
+    began_s = HOUR_S + QUIET_S + 10.0
+    refuse(tally, Refusal.FORGED, began_s, began_s + HOUR_S - 1.0, began_s + HOUR_S)
+    assert len(log.records) == 4
+    assert "not logged yet: 2 forged; the latest was forged: " in log.records[-1].getMessage()
+    refuse(tally, Refusal.FORGED, began_s + 3 * HOUR_S - 1.0)
+    assert len(log.records) == 4
+    refuse(tally, Refusal.FORGED, began_s + 3 * HOUR_S)
+    assert len(log.records) == 5
 
 
 @pytest.mark.parametrize(("quiet_s", "lines"), [(QUIET_S - 1.0, 1), (QUIET_S, 2)])

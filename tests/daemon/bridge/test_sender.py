@@ -1,8 +1,11 @@
 """Every scan goes out at once to everyone who can be reached, and nobody's outage floods the log."""
 
 import asyncio
+import errno
 import logging
+import os
 import socket
+import sys
 from contextlib import contextmanager
 
 import pytest
@@ -134,10 +137,15 @@ def test_the_end_of_an_outage_is_told_once(caplog):
             sender.send(scan())
             clock.now_s += 5
         with listening(port):
+            sent_until_told = 0
             for _ in range(60):
                 sender.send(scan())
+                sent_until_told += len(caplog.records) < 2
                 clock.now_s += 30
     down, up = caplog.records
+    # The last error comes with one of the first sends, 15 s after the outage was found at the latest.
+    assert sent_until_told == 20, "ten minutes without an error"
+    assert up.fields["down_s"] <= 15.0
     assert (down.levelname, up.levelname) == ("WARNING", "INFO")
     assert "Connection refused" in down.getMessage()
     assert up.getMessage() == f"the way of the scans to 127.0.0.1:{port} is back"
@@ -173,11 +181,52 @@ def test_a_sender_without_a_target_is_refused():
 
 def test_an_interface_that_this_machine_does_not_have_is_an_outage_not_an_error():
     with sending(multicast_group="239.255.20.71:20571", multicast_interface="192.0.2.1") as sender:
+        assert not sender.statistics[0].down
         sender.send(scan())
         assert sender.statistics[0].failed == 1
+        assert sender.statistics[0].last_error == os.strerror(errno.EADDRNOTAVAIL)
 
 
-def test_a_closed_sender_does_not_send():
+def test_a_group_needs_no_interface():
+    with sending(multicast_group="239.255.20.71:20571") as sender:
+        assert [target.target for target in sender.statistics] == ["239.255.20.71:20571"]
+
+
+def test_a_sender_that_is_opened_again_sends_again():
+    with listening() as listener, sending(address_of(listener)) as sender:
+        for number in range(2):
+            sender.send(scan(number))
+            assert senml.decode(signing.verify(listener.recv(4096), KEY)).sequence == number
+            asyncio.run(sender.close())
+            asyncio.run(sender.open())
+        assert sender.statistics[0].failed == 0
+
+
+# ip(7), <linux/in.h>: says with each datagram how far it may go.
+IP_RECVTTL = 12
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the option has another number elsewhere")
+def test_a_scan_for_the_group_goes_as_far_as_the_settings_let_it():
+    with listening(host="0.0.0.0") as listener:
+        membership = socket.inet_aton("239.255.20.71") + socket.inet_aton("127.0.0.1")
+        try:
+            listener.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        except OSError as error:
+            pytest.skip(f"multicast does not work here: {error}")
+        listener.setsockopt(socket.IPPROTO_IP, IP_RECVTTL, 1)
+        group = f"239.255.20.71:{listener.getsockname()[1]}"
+        with sending(multicast_group=group, multicast_interface="127.0.0.1", multicast_ttl=3) as sender:
+            sender.send(scan())
+            if sender.statistics[0].failed:
+                pytest.skip(f"multicast does not work here: {sender.statistics[0].last_error}")
+            _, ((_, _, hops),), _, _ = listener.recvmsg(4096, 64)
+        assert int.from_bytes(hops, sys.byteorder) == 3
+
+
+def test_a_sender_that_is_not_open_does_not_send():
+    with pytest.raises(RuntimeError, match="not open"):
+        BridgeSender(BridgeSettings(send_to=("127.0.0.1:20571",)), KEY, HandClock()).send(scan())
     with sending("127.0.0.1:20571") as sender:
         pass
     with pytest.raises(RuntimeError, match="not open"):

@@ -142,9 +142,12 @@ def test_a_pack_with_any_value_replaced_is_decoded_or_refused_and_raises_nothing
         ({"session": {"n": "session", "vs": "a\nb"}}, "session that is not"),
         ({"session": {"n": "session", "vs": "s" * 33}}, "session that is not"),
         ({"monotonic": {"n": "monotonic", "u": "s", "v": -1}}, "monotonic that is not"),
+        ({"monotonic": {"n": "monotonic", "u": "ms", "v": 1}}, "not in s"),
         ({"monotonic": None}, "no record monotonic"),
         ({"simulated": {"n": "simulated", "vb": 1}}, "neither true nor false"),
         ({"simulated": None}, "no record simulated"),
+        ({"calibration": {"n": "calibration", "vs": 20220320}}, "calibration that is no identifier"),
+        ({"session": {"n": "session", "vs": 5}}, "session that is not"),
     ],
 )
 def test_a_pack_that_breaks_a_rule_is_refused_and_the_reason_names_the_place(changes, words):
@@ -157,6 +160,34 @@ def test_a_base_time_outside_our_century_is_refused(base_time):
     records = json.loads(senml.encode(scan()))
     records[0]["bt"] = base_time
     assert "bt" in refusal(json.dumps(records).encode())
+
+
+@pytest.mark.parametrize("base_time", [2**28, 4102444800])
+def test_times_from_the_first_that_is_no_relative_one_to_the_end_of_the_century_are_taken(base_time):
+    records = json.loads(senml.encode(scan()))
+    records[0]["bt"] = base_time
+    assert senml.decode(json.dumps(records).encode()).time_utc_s == base_time
+    records[0]["bt"] = base_time - 1 if base_time == 2**28 else base_time + 1
+    assert "bt" in refusal(json.dumps(records).encode())
+
+
+@pytest.mark.parametrize(("record", "most", "too_much"), [
+    ({"n": "monotonic", "u": "s"}, 10_000_000_000, 10_000_000_001),
+    ({"n": "monotonic", "u": "s"}, 0, -0.001),
+    ({"n": "sequence", "u": "count"}, 2**53 - 1, 2**53),
+    ({"n": "sequence", "u": "count"}, 0, -1),
+    ({"n": "west", "u": "W/m2"}, 10_000, 10_000.001),
+    ({"n": "west", "u": "W/m2"}, -10_000, -10_000.001),
+])  # fmt: skip
+def test_each_number_is_taken_up_to_its_bound_and_not_beyond(record, most, too_much):
+    senml.decode(pack(**{record["n"]: record | {"v": most}}))
+    assert record["n"] in refusal(pack(**{record["n"]: record | {"v": too_much}}))
+
+
+def test_a_face_may_be_an_hour_old_and_no_older():
+    oldest = {"n": "west", "u": "W/m2", "v": 1, "t": -3600}
+    assert senml.decode(pack(west=oldest)).west.time_monotonic_s == STEADY_S - 3600.0
+    refusal(pack(west=oldest | {"t": -3600.001}))
 
 
 @pytest.mark.parametrize("base_name", ["cube", "/", "a/b/", "-cube/", "c" * 33 + "/", 5])
@@ -191,6 +222,11 @@ def test_a_reason_is_one_short_ascii_line_whatever_was_sent():
     assert len(reason) < 200
 
 
+@pytest.mark.parametrize(("letters", "shown"), [(78, "'" + "!" * 78 + "'"), (79, "'" + "!" * 76 + "...")])
+def test_of_foreign_text_eighty_letters_are_shown(letters, shown):
+    assert refusal(pack(session={"n": "session", "vs": "!" * letters})).endswith(f": {shown}")
+
+
 @pytest.mark.parametrize(
     ("value", "quality"),
     [(math.nan, Quality.MISSING), (math.inf, Quality.IMPLAUSIBLE), (-1e9, Quality.IMPLAUSIBLE)],
@@ -199,6 +235,30 @@ def test_a_reading_that_claims_to_be_ok_without_a_possible_number_is_sent_as_wha
     got = senml.decode(senml.encode(scan(west=reading(value)))).west
     assert math.isnan(got.irradiance_w_m2)
     assert got.quality is quality
+
+
+def test_numbers_travel_in_thousandths():
+    sent = scan(west=FaceReading(123.45678, Quality.OK, UTC_S, STEADY_S - 0.12345))
+    sent = replace(sent, time_utc_s=UTC_S + 0.00049, time_monotonic_s=STEADY_S + 0.00049)
+    records = {record["n"]: record for record in json.loads(senml.encode(sent))}
+    assert records["west"] == {"n": "west", "u": "W/m2", "v": 123.457, "t": -0.124}
+    assert records["east"]["bt"] == UTC_S
+    assert records["monotonic"]["v"] == STEADY_S
+
+
+@pytest.mark.parametrize(("age_s", "offset_s"), [(-0.5, None), (0.0, None), (3600.0, -3600.0), (7200.0, -3600.0)])
+def test_a_face_is_sent_as_no_younger_than_its_scan_and_no_older_than_an_hour(age_s, offset_s):
+    records = {record["n"]: record for record in json.loads(senml.encode(scan(west=reading(age_s=age_s))))}
+    assert records["west"].get("t") == offset_s
+
+
+def test_a_scan_without_a_time_is_no_pack():
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        senml.encode(scan(time_utc_s=math.nan))
+
+
+def test_a_pack_takes_no_blank_more_than_it_needs():
+    assert b" " not in senml.encode(scan(west=reading(math.nan, Quality.LATE)))
 
 
 def test_a_face_whose_time_is_not_known_is_sent_as_the_oldest_there_can_be():

@@ -2,9 +2,12 @@
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daemon.bridge.refusals import ScanRefusedError
+from daemon.bridge.sequence import SequenceGuard
 from tests.daemon.bridge.test_receiver import UTC_S, Desk, scan, signed
 
 
@@ -110,6 +113,82 @@ def test_whoever_sends_and_whatever_is_replayed_no_scan_comes_through_twice_and_
     assert len(came) == len(set(came))
     stamps = [got.time_utc_s for got in desk.scans]
     assert stamps == sorted(stamps)
+
+
+@pytest.mark.parametrize(("behind", "refused"), [(63, {"reordered": 1}), (64, {"replayed": 1})])
+def test_the_numbers_of_the_last_64_are_remembered(behind, refused):
+    desk = Desk()
+    desk.follow(scan(0), scan(100))
+    desk.take(signed(scan(100 - behind)))
+    lost = 99 - (behind == 63)
+    assert desk.counts == {"accepted": 2, "lost": lost} | refused
+    desk.take(signed(scan(100 - behind)))
+    assert desk.counts.get("duplicate", 0) == (behind == 63)
+
+
+@pytest.mark.parametrize("ahead", [1, 2, 63, 64, 65])
+def test_after_a_leap_what_came_before_it_is_known_as_far_as_64_go(ahead):
+    desk = Desk()
+    desk.follow(scan(100), scan(100 + ahead))
+    desk.take(signed(scan(100)))
+    kind = "duplicate" if ahead < 64 else "replayed"
+    assert {name: count for name, count in desk.counts.items() if name != "lost"} == {"accepted": 2, kind: 1}
+    assert desk.counts.get("lost", 0) == ahead - 1
+
+
+@pytest.mark.parametrize(("sessions", "words"), [(64, "has been replaced"), (65, "begins the session run-0")])
+def test_of_64_sessions_it_is_known_that_they_were_there(sessions, words):
+    desk = Desk()
+    for number in range(sessions):
+        desk.follow(scan(0, time_s=0.1 * number, session=f"run-{number}"))
+    desk.take(signed(scan(0, time_s=0.0, session="run-0")))
+    assert desk.counts == {"accepted": sessions, "replayed": 1}
+    assert words in desk.reason
+
+
+def test_what_a_forgotten_session_lost_stays_counted():
+    desk = Desk()
+    desk.follow(scan(0, time_s=0.0), scan(4, time_s=0.05))
+    for number in range(1, 70):
+        desk.follow(scan(0, time_s=0.1 * number, session=f"run-{number}"))
+    assert desk.counts == {"accepted": 71, "lost": 3}
+    desk.follow(scan(7, time_s=100.0, source="other"), scan(9, time_s=105.0, source="other"))
+    assert desk.counts == {"accepted": 73, "lost": 4}
+
+
+@pytest.mark.parametrize(("silence_s", "counts"), [(550.0, {"accepted": 1, "late": 1}), (610.0, {"accepted": 2})])
+def test_the_fastest_way_is_remembered_for_five_to_ten_minutes(silence_s, counts):
+    desk = Desk()
+    desk.follow(scan(0))
+    # It comes 11 s after it was made, and 10 s are allowed.
+    desk.take(signed(scan(1, time_s=silence_s)), time_s=silence_s + 11.0)
+    assert desk.counts == counts
+
+
+def test_what_is_known_of_delays_can_be_forgotten():
+    guard = SequenceGuard(clock_skew_s=30.0, late_after_s=10.0)
+    guard.admit(scan(0), UTC_S, 1000.0)
+    with pytest.raises(ScanRefusedError):
+        guard.admit(scan(1), UTC_S + 5.0, 1016.0)
+    guard.forget_delays()
+    assert guard.admit(scan(2), UTC_S + 10.0, 1021.0).time_monotonic_s == 1021.0
+
+
+@pytest.mark.parametrize(("stamp_s", "words"), [(31.0, "31.0 s ahead of"), (-31.0, "31.0 s behind")])
+def test_it_is_said_on_which_side_of_the_clock_a_stamp_is(stamp_s, words):
+    desk = Desk()
+    desk.take(signed(scan(0, time_s=stamp_s)))
+    assert desk.counts == {"skewed": 1}
+    assert f"is stamped {words} this machine's clock, more than 30 s" in desk.reason
+
+
+def test_a_scan_may_be_ten_seconds_later_than_the_fastest_and_no_more():
+    desk = Desk()
+    desk.follow(scan(0))
+    desk.take(signed(scan(1)), time_s=15.0)
+    assert desk.counts == {"accepted": 2}
+    desk.take(signed(scan(2)), time_s=20.125)
+    assert desk.counts == {"accepted": 2, "late": 1}
 
 
 def test_of_very_many_sessions_the_one_that_is_followed_is_never_forgotten():

@@ -96,6 +96,17 @@ def test_a_header_that_is_no_object_is_refused(header):
     refusal(signing_input + b"." + b64(hmac.new(KEY, signing_input, hashlib.sha256).digest()))
 
 
+def test_of_a_foreign_header_eighty_letters_are_shown():
+    # The quotes and brackets of {'alg': '...'} take the first nine.
+    reason = refusal(jws({"alg": "x" * 200})).reason
+    assert f"has the header {{'alg': '{'x' * 71} and not " in reason
+
+
+@pytest.mark.parametrize("letters", range(1, 5))
+def test_a_foreign_header_of_any_length_is_read(letters):
+    assert f"'{'x' * letters}'" in refusal(jws({"alg": "x" * letters})).reason
+
+
 def test_no_algorithm_but_hs256_is_taken():
     for header, digest in (("HS512", hashlib.sha512), ("HS384", hashlib.sha384)):
         assert refusal(jws({"alg": header, "typ": "heliocube-scan"}, digest=digest)).kind is Refusal.FORGED
@@ -214,6 +225,13 @@ def test_two_keys_can_be_in_force_and_the_first_signs(tmp_path):
     write(path, b"\n".join([b64(KEY)] * 3))
     with pytest.raises(KeyFileError, match="has 3 keys, and 2 can be in force: delete the old ones"):
         signing.load_keys(path)
+
+
+def test_a_key_file_of_a_kibibyte_is_read_and_a_longer_one_is_none(tmp_path):
+    path = write(tmp_path / "bridge.key", b64(KEY).ljust(1024, b"\n"))
+    assert signing.load_key(path) == KEY
+    with pytest.raises(KeyFileError, match="not one line of base64url"):
+        signing.load_key(write(path, b64(KEY).ljust(1025, b"\n")))
 
 
 @pytest.mark.parametrize("ending", [b"", b"\n", b"\r\n", b"=\n"])
