@@ -254,6 +254,7 @@ def paper(
         str, typer.Option(metavar="SKY", help="Built-in weather after 12:10 on the 12th: broken or variable.")
     ] = "broken",
     law: Annotated[str, typer.Option(metavar="LAW", help="Law of T-Cube.")] = DEFAULT_LAW,
+    config: ConfigOption = None,
     jobs: JobsOption = 1,
     cluster: ClusterOption = None,
     force: ForceOption = False,
@@ -274,11 +275,15 @@ def paper(
     names: tuple[WeatherName, ...] = get_args(WeatherName)
     weather, cube_law = _one_of(afternoon, names, "--afternoon"), _one_of(law, law_names(), "--law")
     from daemon.commands.studies.simulate import progress_bar
+    from daemon.config.file import load_settings
     from daemon.config.settings import Settings
     from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, spreads, write_paper
     from daemon.studies.spread.workers import check_workers
 
     settings = Settings()
+    if config is not None:
+        # The periods are by the clock of the paper's place.
+        settings = load_settings(config).model_copy(update={"site": settings.site})
     check_workers(workers)
     with progress_bar(Console(stderr=True), "correcting") as progress:
         correction = find_correction(settings, progress)
