@@ -137,10 +137,7 @@ class Firmware:
     def twin(self) -> "Simulated":
         """Return a simulated unit that stands where this one stands, with the same bytes left over in its input."""
         state = self.unit.state()
-        twin = Simulated(*(axis["true"] / COUNTS_PER_MM for axis in state["axes"]))
-        left_over = bytes.fromhex(state["rx"])
-        twin.core._buffer[: len(left_over)] = left_over
-        return twin
+        return Simulated.like([axis["true"] for axis in state["axes"]], state["rx"])
 
     def close(self) -> None:
         """End the emulator."""
@@ -158,6 +155,14 @@ class Simulated:
         setup = Setup(start=start, high_switches=False, own_target=lambda _now: sun)
         self.core = PositionerCore(0.0, setup)
         self._ms = 0
+
+    @classmethod
+    def like(cls, true_counts: list[float], left_over_hex: str) -> "Simulated":
+        """Return one that stands so many counts from its low ends, with bytes left over in its input."""
+        twin = cls(*(count / COUNTS_PER_MM for count in true_counts))
+        left_over = bytes.fromhex(left_over_hex)
+        twin.core._buffer[: len(left_over)] = left_over
+        return twin
 
     @property
     def _now(self) -> float:

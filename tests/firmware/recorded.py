@@ -1,0 +1,109 @@
+"""What the maker's firmware did in the sequences of the oracle, so that most of them need no emulator.
+
+    python -m tests.firmware.recorded
+
+writes the recordings anew. Without anything before it the firmware does the same each time; that it still does what is
+recorded is tested with every tenth sequence.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from tests.firmware.odd_sequences import odd_sequence
+from tests.firmware.peer import BUILD, FIRMWARE, Firmware, Look, Simulated, driver, missing
+from tests.firmware.sequences import Outcome, Sequence, compare, sequence
+
+MAKERS: dict[str, Callable[[int], Sequence]] = {"ordinary": sequence, "odd": lambda seed: odd_sequence(seed)[1]}
+# Always the same, so that a red test is a change; tests/measurements/firmware_agreement.py draws others.
+SEEDS = range(1_000_000, 1_000_040)
+_FOLDER = Path(__file__).parent / "recordings"
+_DIGITS = 3
+Page = dict[str, Any]
+
+
+class _Heard(Firmware):
+    """The firmware, with all that it shows written down."""
+
+    def __init__(self, module: ModuleType, a_deg: float, b_deg: float) -> None:
+        super().__init__(module, a_deg, b_deg)
+        state = self.unit.state()
+        self.page: Page = {"true": [axis["true"] for axis in state["axes"]], "rx": state["rx"], "looks": []}
+
+    def look(self) -> Look:
+        look = super().look()
+        millimetres = (*look.position_mm, *look.destination_mm)
+        self.page["looks"].append([*(round(value, _DIGITS) for value in millimetres), *look.motion, look.status])
+        return look
+
+
+class Recorded:
+    """Stands where the firmware stood, and shows what it showed; what is done to it was done."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._looks: Iterator[list[float]] = iter(page["looks"])
+
+    def step(self, ms: int) -> None:
+        """Let time pass."""
+
+    def feed(self, packet: bytes) -> None:
+        """Send bytes."""
+
+    def cause(self, event: str) -> None:
+        """Do something to the unit that is no command."""
+
+    def look(self) -> Look:
+        """Return what it showed next."""
+        a_mm, b_mm, to_a_mm, to_b_mm, a, b, status = next(self._looks)
+        return Look((a_mm, b_mm), (to_a_mm, to_b_mm), (int(a), int(b)), int(status))
+
+    def twin(self) -> Simulated:
+        """Return a simulated unit that stands where the firmware stood."""
+        return Simulated.like(self._page["true"], self._page["rx"])
+
+
+def fingerprint(what: object) -> str:
+    """Return what tells one case, or the firmware's bytes, from another."""
+    return hashlib.sha256(what if isinstance(what, bytes) else repr(what).encode()).hexdigest()[:16]
+
+
+def firmware() -> str:
+    """Return the fingerprint of the firmware that lies beside the repository."""
+    return fingerprint(b"".join((FIRMWARE / name).read_bytes() for name in (f"firmware_{BUILD}", "fw.py")))
+
+
+def heard(module: ModuleType, case: Sequence) -> tuple[Page, Outcome]:
+    """Give a case to a fresh firmware and return what it showed, and where a fresh simulated unit differed."""
+    unit = _Heard(module, case.a_deg, case.b_deg)
+    try:
+        outcome = compare(unit, unit.twin(), case)
+        return {"case": fingerprint(case), **unit.page}, outcome
+    finally:
+        unit.close()
+
+
+def read(which: str) -> tuple[str, dict[int, Page]]:
+    """Return the fingerprint of the firmware that was recorded, and the recording of each seed."""
+    first, *lines = (_FOLDER / f"{which}.jsonl").read_text().splitlines()
+    return json.loads(first)["firmware"], {page["seed"]: page for page in map(json.loads, lines)}
+
+
+def main() -> None:
+    """Record all sequences."""
+    if why := missing():
+        sys.exit(why)
+    module = driver()
+    _FOLDER.mkdir(exist_ok=True)
+    for which, make in MAKERS.items():
+        pages = [{"firmware": firmware()}, *({"seed": seed, **heard(module, make(seed))[0]} for seed in SEEDS)]
+        lines = (json.dumps(page, separators=(",", ":")) for page in pages)
+        (_FOLDER / f"{which}.jsonl").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
