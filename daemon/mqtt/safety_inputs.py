@@ -146,7 +146,7 @@ class SafeStow:
             self._safe_s = now_s
         if self._heard_safe:
             self._safe_s = now_s
-        elif self._why is not None and self.heard_s is None:
+        elif self.heard_s is None:
             # Safe begins to count when it has been said, and not at a restart.
             self._unsafe_s = now_s
         silent_s = now_s - self._safe_s

@@ -43,7 +43,6 @@ class Orders:
         self._released_s = float("-inf")
         self.stow = OperatorStow()
         self.hold_at: Target | None = None
-        self.wishes = Wishes()
         self._set(file.load())
         if hold_why is not None and self.wishes == Wishes():
             self.latch("hold", hold_why, PROGRAM)

@@ -208,10 +208,6 @@ class Window:
             stands_for_s = elapsed_s if elapsed_s <= self._longest_s else self._nominal_s
             window.add(face.time_monotonic_s, stands_for_s, face.irradiance_w_m2)
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._faces = tuple(_FaceWindow(self._mean_s) for _ in range(4))
-
     def mean(self, now_s: float, faces_needed: int = 4) -> Irradiances | None:
         """Return the mean over (now - mean_s, now], or None while too many faces have no fresh good reading in it.
 

@@ -1,6 +1,7 @@
 """Wind and safety over the broker: silent, garbled and old messages never count as safe."""
 
 import asyncio
+import math
 
 import pytest
 
@@ -29,7 +30,7 @@ def wind(**settings):
     readings = WindReadings(
         WindInput(topic="lab/wind", **settings),
         SafetySettings().stow_wind_m_s,
-        lambda: 0.0,
+        lambda: 40.0,
         lambda: woken.append(1),
         told,
     )
@@ -129,9 +130,37 @@ def test_a_retained_calm_proves_nothing_and_a_retained_storm_stows():
     assert stow.reason(0.0) is not None
 
 
-def safe(**settings):
+def test_only_a_fresh_word_shows_that_the_wind_sensor_lives():
+    readings, _, _, _ = wind()
+    readings.take(said("30", retained=True))
+    assert readings.heard_s is None
+    readings.take(said("30"))
+    assert readings.heard_s == 40.0
+
+
+@pytest.mark.parametrize("speed", ["0", "0.5"])
+def test_still_air_and_a_breath_are_readings_of_their_own(speed):
+    readings, _, told, _ = wind()
+    readings.take(said(speed))
+    assert readings.strongest_since_last_read() == float(speed)
+    assert not told.now
+
+
+def test_a_message_of_64_kib_is_the_longest():
+    readings, _, told, _ = wind()
+    readings.take(said(b"3".rjust(65_536)))
+    assert readings.strongest_since_last_read() == 3.0
+    readings.take(said(b"3".rjust(65_537)))
+    assert "longer than 65536 bytes" in told.now["mqtt.wind of lab/wind"]
+
+
+def safe(heard_s=0.0, **settings):
     told, woken = Told(), []
-    return SafeStow(SafeInput(topic="lab/safe", **settings), lambda: 0.0, lambda: woken.append(1), told), told, woken
+    return (
+        SafeStow(SafeInput(topic="lab/safe", **settings), lambda: heard_s, lambda: woken.append(1), told),
+        told,
+        woken,
+    )
 
 
 def test_unsafe_stows_at_once_and_safe_releases_after_the_minimum_stay():
@@ -156,6 +185,47 @@ def test_a_short_unsafe_between_two_looks_is_not_missed():
     for word in ("safe", "unsafe", "safe"):
         source.take(said(word))
     assert source.reason(0.0) is not None
+
+
+def test_a_safe_that_was_taken_back_between_two_looks_releases_nothing():
+    source, _, _ = safe(stow_at_least_s=60.0)
+    for word in ("safe", "unsafe"):
+        source.take(said(word))
+    for now_s in range(0, 100, 5):
+        assert source.reason(float(now_s)) == "lab/safe says unsafe"
+    source.take(said("safe"))
+    assert source.reason(100.0) is not None, "it has been safe for no minute yet"
+
+
+def test_the_minimum_stay_goes_on_between_two_words_and_ends_with_one():
+    source, _, _ = safe(stow_at_least_s=60.0)
+    assert not source.stowing
+    source.take(said("unsafe"))
+    assert source.reason(0.0) is not None
+    assert source.stowing
+    for now_s in (5.0, 35.0):
+        source.take(said("safe"))
+        assert source.reason(now_s) is not None
+    assert source.reason(59.0) is not None
+    assert source.reason(65.0) is not None, "nobody has said safe since the minute is over"
+    source.take(said("safe"))
+    assert source.reason(66.0) is None
+
+
+def test_one_who_is_silent_after_a_restart_releases_nothing_however_late_the_first_look():
+    source, _, _ = safe(stow_at_least_s=60.0)
+    source.resume("stowed before the restart", 0.0)
+    assert source.reason(100.0) is not None
+
+
+def test_a_word_that_can_be_read_ends_the_trouble_and_has_an_age():
+    source, told, _ = safe(heard_s=40.0)
+    source.take(said("perhaps"))
+    assert told.now
+    assert source.status(41.0).age_s == math.inf
+    source.take(said("safe"))
+    assert not told.now
+    assert source.status(100.0).age_s == 60.0
 
 
 @pytest.mark.parametrize("noise", [None, b"", b"Safe", b"perhaps", b'{"x": 1}', b"null"])

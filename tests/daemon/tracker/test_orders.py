@@ -6,8 +6,9 @@ import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.files import StateFolder
+from daemon.base.records import Target
 from daemon.tracker.orders import Orders
-from daemon.tracker.wishes import WishFile
+from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import RefusedError
 
 COMMANDS = ("stow", "snow", "hold", "goto", "home", "clear", "maintenance")
@@ -84,3 +85,42 @@ def test_in_maintenance_a_button_is_no_news():
     orders.latch("maintenance", "mirrors", "Ann")
     assert not orders.note_buttons(seen(True, 100.0))
     assert orders.wishes.buttons is None
+
+
+def elsewhere():
+    """Return orders that hold the tracker at a place, and stow it."""
+    orders = Orders(Hand(), WishFile(StateFolder(None)))
+    orders.latch("hold", "mirrors", "Ann")
+    orders.latch("stow", "hail", "Ann")
+    orders.hold_at = Target(10.0, 60.0, "mirrors")
+    return orders
+
+
+def test_release_ends_the_place_of_a_hold_and_the_stow():
+    orders = elsewhere()
+    assert orders.stow.reason(0.0) == "hail"
+    orders.release()
+    assert (orders.wishes, orders.hold_at, orders.stow.reason(0.0)) == (Wishes(), None, None)
+
+
+def test_a_stow_that_gives_way_to_another_wish_asks_for_nothing_more():
+    orders = elsewhere()
+    orders.latch("hold", "look", "Ann", instead_of="stow")
+    assert (orders.wishes.stow, orders.stow.reason(0.0)) == (None, None)
+
+
+def test_whoever_presses_a_button_holds_the_tracker_where_it_stands():
+    orders = elsewhere()
+    assert orders.note_buttons(seen(True, 100.0))
+    assert orders.hold_at is None
+
+
+def test_what_persons_asked_before_a_restart_goes_before_a_hold_by_the_program(tmp_path):
+    new = Orders(Hand(), WishFile(StateFolder(tmp_path / "new")), hold_why="a new release")
+    assert new.wishes.held_by_program
+    asked = Orders(Hand(), WishFile(StateFolder(tmp_path)))
+    assert asked.wishes == Wishes()
+    asked.latch("stow", "hail", "Ann")
+    asked.keep()
+    again = Orders(Hand(), WishFile(StateFolder(tmp_path)), hold_why="a new release")
+    assert (again.stow.reason(0.0), again.wishes.hold) == ("hail", None)

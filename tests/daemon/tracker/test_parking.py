@@ -41,6 +41,14 @@ def test_what_stands_there_within_the_tolerance_is_left_alone(a_deg, b_deg, ther
     assert ordered([0.0], pose=at(a_deg, b_deg)) == ([] if there else [0.0])
 
 
+def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_never():
+    stow = Target(-30.0, 80.0, "stow")
+    for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (None, [stow])):
+        found = []
+        Parking(SimpleNamespace(pose=pose, target=None, homing=False), 0.8, found.append).park(stow, 0.0)
+        assert found == orders
+
+
 def test_what_is_on_its_way_there_is_left_alone_and_what_goes_elsewhere_is_not():
     assert ordered([0.0, 100.0], target=Target(0.0, 90.0, "stow")) == []
     assert ordered([0.0], target=Target(0.0, 89.0, "law")) == [0.0]

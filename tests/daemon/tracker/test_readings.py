@@ -59,10 +59,9 @@ class Rig:
 class Believing:
     """A law that can do without a face, and believes the zenith face or does not."""
 
-    faces_needed = 3
-
-    def __init__(self, believes):
+    def __init__(self, believes, faces_needed=3):
         self.believes = believes
+        self.faces_needed = faces_needed
 
     def believes_zenith(self, _faces, _utc_s):
         return self.believes
@@ -119,6 +118,55 @@ def test_a_law_is_asked_whether_the_zenith_face_is_to_be_believed_only_by_day(be
     assert "zenith face reads 2.0" in rig.minutes(2.0)[2], "below the horizon dark is dark"
 
 
+def test_a_vertical_face_is_sunlit_from_ten_times_the_end_of_night():
+    rig = Rig()
+    rig.sun_deg = 5.0
+    assert "zenith face reads 4.0" in rig.minutes(4.0, south=95.0)[2], "dusk under clouds"
+    # A vertical face in the sun at 5 deg gives the zenith face tan 5 deg = 0.087 of that, half of it at the least.
+    assert rig.minutes(4.0, south=105.0)[2] is None
+
+
+def test_beside_a_sunlit_face_half_of_its_share_is_enough_to_believe_the_zenith_face():
+    rig = Rig()
+    rig.sun_deg = 1.0
+    # 0.5 * 200 W/m2 * tan 1 deg = 1.75 W/m2.
+    assert "zenith face reads 2.0" in rig.minutes(2.0, south=200.0)[2]
+    assert rig.minutes(1.5, south=200.0)[2] is None
+
+
+def test_a_missing_face_hides_no_sunlit_one():
+    rig = Rig(Believing(believes=True))
+    rig.sun_deg = 5.0
+    assert rig.minutes(4.0, south=600.0, bad=("east",))[0] is Data.BAD
+
+
+def test_a_law_that_needs_the_zenith_face_alone_has_its_night():
+    rig = Rig(Believing(believes=True, faces_needed=1))
+    rig.sun_deg = 5.0
+    assert "zenith face reads 4.0" in rig.minutes(4.0, bad=("east", "south", "west"))[2]
+
+
+def test_a_zenith_face_that_is_not_believed_makes_no_night_while_the_sun_is_up():
+    rig = Rig(Believing(believes=False))
+    rig.sun_deg = 0.5
+    assert rig.minutes(2.0)[::2] == (Data.FRESH, None)
+
+
+def test_a_dark_zenith_face_is_a_fault_for_every_law_while_the_clock_is_in_doubt():
+    rig = Rig(Believing(believes=False))
+    rig.minutes(2.0)
+    assert rig.judge(sun_known=False)[0] is Data.BAD
+
+
+def test_four_faces_that_are_never_good_in_one_scan_are_no_readings():
+    rig = Rig()
+    for _ in range(18):
+        rig.scan(100.0, bad=("east",))
+        rig.scan(100.0, bad=("west",))
+    assert rig.readings.mean(rig.now).coverage > 0.9
+    assert rig.judge()[0] is Data.BAD
+
+
 def test_a_scan_of_which_a_face_is_bad_is_good_enough_for_a_law_that_needs_three():
     for law, expected in ((FOUR_FACES, Data.WAITING), (Believing(believes=True), Data.FRESH)):
         rig = Rig(law)
@@ -160,6 +208,9 @@ def test_with_the_clock_in_doubt_the_sun_begins_no_night_and_light_ends_one():
     assert rig.judge(sun_known=False)[2] is None
     assert rig.judge()[2] is not None
     assert rig.judge(sun_known=False)[2] is not None, "as it was"
+    for _ in range(36):
+        rig.scan(9.0)
+    assert rig.judge(sun_known=False)[2] is not None, "dusk is no light"
     for _ in range(36):
         rig.scan(100.0)
     assert rig.judge(sun_known=False)[2] is None

@@ -63,9 +63,13 @@ def test_no_readings_no_mean():
     assert window.mean(0) is None
     window.add(scan(0, 100))
     assert window.mean(500) is None
-    window.add(scan(500, 100))
-    window.clear()
-    assert window.mean(500) is None
+
+
+def test_readings_that_stand_for_more_than_the_window_cover_it_once():
+    window = Window(10, nominal_s=20, longest_s=5)
+    window.add(scan(0, 100))
+    window.add(scan(9, 100))
+    assert window.mean(9).coverage == 1.0
 
 
 @given(st.lists(st.tuples(st.floats(0.5, 90), st.floats(-20, 1500)), min_size=1, max_size=80))
