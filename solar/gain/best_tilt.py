@@ -17,7 +17,8 @@ from solar.gain.horizontal import horizontal_parts
 from solar.gain.static import static_energy
 from solar.gain.vertical import half_day_cosine, half_day_sine
 
-_SHARP_DEG = 1e-4
+# How the search goes on from every second degree: each step is looked for between two of the one before.
+_CLOSER_DEG = (0.1, 0.005, 0.00025)
 
 
 class BestTilt(NamedTuple):
@@ -45,7 +46,7 @@ def best_tilt_horizontal(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: 
     parts = horizontal_parts(np.asarray(phi_deg, dtype=np.float64)[..., None], days)
     level, southward, upward = (part.sum(axis=-1) for part in parts)
     cos_lambda = cosdg(np.asarray(lambda_deg, dtype=np.float64))
-    return _peak(cos_lambda * southward, upward + 0.0 * cos_lambda, cos_lambda * level)
+    return _peak(cos_lambda * southward, upward, cos_lambda * level)
 
 
 def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: ArrayLike = DAYS) -> BestTilt:
@@ -59,16 +60,15 @@ def best_tilt_static(phi_deg: ArrayLike, lambda_deg: ArrayLike = 0.0, days: Arra
     best = BestTilt(np.full(phi.shape, np.nan), np.zeros(phi.shape))
     for at in np.ndindex(phi.shape):
         # At the poles every direction is as good as its opposite; the tilt towards the equator is the one to name.
-        tilts, step = np.copysign(1.0, phi[at]) * np.linspace(90.0, -90.0, 91), 2.0
-        while step > _SHARP_DEG:
+        tilts = np.copysign(1.0, phi[at]) * np.linspace(90.0, -90.0, 91)
+        for closer_deg in (*_CLOSER_DEG, 0.0):
             energy = static_energy(phi[at], tilts[:, None], days, deviation[at]).clip_h.sum(axis=-1)
             top = energy.max()
             if not top > 0.0:
                 break
             best.tilt_deg[at] = tilts[np.argmax(energy >= top * (1.0 - 1e-12))]
             best.energy_h[at] = top
-            step /= 20.0
-            tilts = np.clip(best.tilt_deg[at] + step * np.arange(-20.0, 21.0), -90.0, 90.0)
+            tilts = np.clip(best.tilt_deg[at] + closer_deg * np.arange(-20.0, 21.0), -90.0, 90.0)
     return best
 
 

@@ -68,9 +68,9 @@ def script1(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: A
     c3 = sindg(beta) * day.cos_delta * sindg(deviation)
     with np.errstate(divide="ignore", invalid="ignore"):
         tangent = day.sin_delta / day.cos_delta
-        cotangent = np.where(deviation == 0.0, np.inf, cotdg(deviation))
+        cotangent = cotdg(deviation)
         under_root = cotangent**2 + day.sin_phi**2 - day.cos_phi**2 * tangent**2
-        root = np.sqrt(under_root.astype(np.complex128)) if np.any(under_root < 0.0) else np.sqrt(under_root)
+        root = np.emath.sqrt(under_root)
         g = 2.0 * _HOURS * np.arctan((root - cotangent) / (day.cos_phi * tangent + day.sin_phi))
         total = _sizes(c1, c2, c3, day.t0_h, g)
     is_complex = (under_root < 0.0) | np.isnan(day.t0_h)
@@ -145,7 +145,7 @@ def _k_dv(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, quartic: float)
     c = day.c
     across = x1 * (1.0 - c) + x2 / 2.0 * (1.0 - c**2) + x3 / 3.0 * (1.0 - c**3) + x4 / 4.0 * (1.0 - c**4)
     upward = day.a * day.t0_h + _HOURS * day.b * day.sin_w0
-    return _quotient(day.t0_h, np.abs(_HOURS * sindg(beta) * across + cosdg(beta) * upward))
+    return _quotient(day.t0_h, _HOURS * sindg(beta) * across + cosdg(beta) * upward)
 
 
 def _k_dh(day: _Day, beta_deg: ArrayLike, lambda_deg: ArrayLike, *, quartic: float, x5: Array, upward: Array) -> Array:
@@ -153,7 +153,7 @@ def _k_dh(day: _Day, beta_deg: ArrayLike, lambda_deg: ArrayLike, *, quartic: flo
     sin_beta, sin_lambda, cos_lambda = sindg(beta), sindg(deviation), cosdg(deviation)
     a, b, c, t0, w0 = day.a, day.b, day.c, day.t0_h, day.w0
     x1, x2, x3, x4 = _series(day, quartic)
-    noon = np.arcsin(np.clip(a + b, -1.0, 1.0))
+    noon = np.arcsin(np.minimum(a + b, 1.0))
     d = _HOURS * sin_lambda * day.sin_delta * day.cos_phi
     e = -_HOURS * sin_lambda * day.cos_delta * day.sin_phi
     p1 = -a * sin_beta * cos_lambda * day.sin_delta * day.cos_phi
@@ -173,6 +173,6 @@ def _k_dh(day: _Day, beta_deg: ArrayLike, lambda_deg: ArrayLike, *, quartic: flo
 
 
 def _quotient(numerator: Array, denominator: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore"):
         quotient: Array = numerator / denominator
     return quotient

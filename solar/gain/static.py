@@ -101,4 +101,4 @@ def _arc(level: Array, swing: Array, psi: Array, begin: Array, end: Array) -> Ar
     """Integral of level + swing cos(w - psi) from `begin` to `end`, as a new array."""
     length = end - begin
     total: Array = level * length + 2.0 * swing * np.sin(0.5 * length) * np.cos(0.5 * (begin + end) - psi)
-    return np.array(total, ndmin=0)
+    return np.array(total)

@@ -80,3 +80,26 @@ def test_a_loss_of_nothing_and_of_all_have_their_tolerance(loss, tolerance_deg):
 def test_what_is_no_share_is_no_loss(loss):
     with pytest.raises(ValueError, match=r"0\.\.1"):
         gain.tilt_tolerance_deg(loss)
+
+
+@pytest.mark.parametrize("best_tilt", [gain.best_tilt_vertical, gain.best_tilt_horizontal, gain.best_tilt_static])
+def test_latitudes_and_days_together_are_each_as_alone(best_tilt):
+    phi, days = np.array([[-30.0, 48.7], [10.0, 80.0]]), [172, 200, 300]
+    together = best_tilt(phi, days=days)
+    alone = [[best_tilt(float(one), days=days) for one in row] for row in phi]
+    np.testing.assert_allclose(together.tilt_deg, [[float(one.tilt_deg) for one in row] for row in alone])
+    np.testing.assert_allclose(together.energy_h, [[float(one.energy_h) for one in row] for row in alone])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_day_of_an_hour_has_its_best_tilt(side):
+    # The sun is before the panel all day: the best one looks along the sum of the sun's directions.
+    n, p, d = (355 if side > 0 else 172), np.radians(66.4), np.radians(-23.4498)
+    w0 = np.arccos(-np.tan(p) * np.tan(d))
+    assert 24.0 / np.pi * w0 < 1.0
+    upward = 24.0 / np.pi * (w0 * np.sin(d) * np.sin(p) + np.sin(w0) * np.cos(d) * np.cos(p))
+    towards = 24.0 / np.pi * (-w0 * np.sin(d) * np.cos(p) + np.sin(w0) * np.cos(d) * np.sin(p))
+    tilt_deg, energy_h = np.degrees(np.arctan2(towards, upward)), np.hypot(towards, upward)
+    for best in (gain.best_tilt_static(side * 66.4, days=[n]), gain.best_tilt_vertical(side * 66.4, days=[n])):
+        assert abs(best.tilt_deg) == pytest.approx(tilt_deg, abs=2e-3)
+        assert best.energy_h == pytest.approx(energy_h, rel=3e-3)

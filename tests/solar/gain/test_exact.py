@@ -250,3 +250,58 @@ def test_years_agree_with_the_reference(theory):
     for name, field in {"Rmax_h": "dual", "RS_abs_h": "static_abs", "RS_clip_h": "static", "RV_h": "vertical",
                         "RH_day_signed_h": "horizontal"}.items():  # fmt: skip
         np.testing.assert_allclose(getattr(year, field), table[name], rtol=1e-12, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "arguments"),
+    [
+        (gain.k_dv, (0.0, 90.5, 1)),
+        (gain.k_dh, (0.0, 90.5, 1)),
+        (gain.k_dh, (0.0, 0.0, 1, 360.5)),
+        (gain.k_ds, (0.0, 90.5, 1)),
+        (gain.k_ds, (0.0, 0.0, 1, 360.5)),
+    ],
+)
+def test_each_device_refuses_numbers_without_meaning_by_itself(ratio, arguments):
+    with pytest.raises(ValueError, match=r"(tilt|azimuth) must be in .* not (90|360)\.5"):
+        ratio(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("what", "arguments"),
+    [
+        (gain.static_energy, (45.0, 60.0, 172)),
+        (gain.k_ds, (45.0, 60.0, 172)),
+        (gain.horizontal_energy_h, (45.0, 60.0, 172)),
+        (gain.k_dh, (45.0, 60.0, 172)),
+        (gain.eta_vs, (45.0, 60.0, 60.0, 172)),
+        (gain.best_tilt_static, (45.0,)),
+        (gain.best_tilt_horizontal, (45.0,)),
+    ],
+)
+def test_who_names_no_azimuth_means_towards_the_equator(what, arguments):
+    said = {"lambda_deg": 0.0}
+    np.testing.assert_array_equal(what(*arguments), what(*arguments, **said))
+
+
+def test_days_years_and_gains_of_the_horizontal_axis_are_towards_the_equator_too():
+    for whole, arguments in ((gain.daily, (45.0, 60.0, 172)), (gain.yearly, (45.0, 60.0))):
+        assert whole(*arguments).static == whole(*arguments, 0.0).static
+    both = (45.0, 60.0, 30.0, 172)
+    assert gain.eta_hs(*both) == gain.eta_hs(*both, 0.0, 0.0)
+
+
+def test_gains_of_energies_by_hand():
+    some = gain.Energies(*(np.array(hours) for hours in (12.0, 6.0, 8.0, 9.0, 10.0)))
+    assert (some.k_ds_clip, some.k_ds_abs, some.k_dh) == pytest.approx((2.0, 1.5, 1.2))
+    assert (some.k_dv, some.eta_vs, some.eta_hs) == pytest.approx((4.0 / 3.0, 0.5, 2.0 / 3.0))
+
+
+def test_a_horizontal_axis_with_its_back_to_the_sun_loses_all_of_what_a_static_panel_has():
+    # Upright and turned to the north in the northern winter, neither receives anything.
+    assert gain.eta_hs(50.0, 30.0, -90.0, 355, 0.0, 180.0) == -1.0
+    assert np.isnan(gain.eta_hs(50.0, -90.0, -90.0, 355, 0.0, 180.0))
+
+
+def test_some_minutes_of_sun_have_a_ratio_and_the_rounding_of_zero_has_none():
+    assert energy_ratio([0.5, 1.0, 1.0], [0.25, 1.5e-15, 0.5e-15]) == pytest.approx([2.0, 1.0 / 1.5e-15, np.inf])

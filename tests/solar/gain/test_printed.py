@@ -132,3 +132,21 @@ def test_many_at_once_are_each_as_alone_complex_or_not():
 
 def test_a_panel_that_looks_away_from_the_sun_counts_with_the_size_of_its_sum():
     assert printed.k_ds_eq13(10.0, 80.0, 172) > 0.0
+
+
+def test_on_the_equator_at_the_equinox_a_panel_to_the_west_has_its_times_at_midnight():
+    # The root of (9) is |cot| and the denominator 0: g = 12 h, so (3) has the rows C2 + C3, 0 and C2 - C3, times 12/pi;
+    # to the east 0/0 is no number.
+    k_ds, is_complex = printed.script1(0.0, 30.0, 81, np.array([-10.0, 10.0]))
+    np.testing.assert_allclose(k_ds, [np.pi / 2.0 / np.cos(np.radians(30.0)), np.nan])
+    assert not is_complex.any()
+
+
+@pytest.mark.parametrize("deviation", [5.0, 90.0])
+def test_at_the_poles_the_printed_horizontal_axis_is_nan_without_a_warning(deviation):
+    assert np.isnan([form(90.0, 40.0, 172, deviation) for form in (printed.k_dh_eq49, printed.script3)]).all()
+
+
+def test_a_sun_in_the_zenith_is_no_higher_than_that():
+    days = gain.DAYS
+    assert not np.isnan(printed.k_dh_eq49(gain.declination_deg(days), 0.0, days, 0.0)).any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solar import gain
-from solar.ephemeris import Site
+from solar.ephemeris import Site, sun_position
 from solar.gain import real_sky
 
 DAY_S = 86400.0
@@ -99,3 +99,66 @@ def test_the_horizontal_axis_turns_by_the_elevation_across_its_azimuth(latitude,
     cosine = np.cos(elevation) * across + up * (np.cos(b) * up - np.sin(b) * along)
     received = real_sky.horizontal_irradiance(series, tilt, 40.0, albedo=0.0)
     assert received == pytest.approx(1000.0 * np.maximum(cosine, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("altitude_m", [0.0, 2000.0])
+@pytest.mark.parametrize("n", [4, 185])
+def test_the_clear_beam_is_that_of_ineichen_2008_by_hand(altitude_m, n):
+    site = Site(35.0, 0.0, altitude_m)
+    noon = real_sky.year_instants(0.0, 3600.0)[(n - 1) * 24 + 12 :][:1]
+    # Aerosol 0.1 at 700 nm, 1.5 cm of water, the standard atmosphere's pressure; the earth's way to the sun by Spencer.
+    aod, ln_w, ln_p = 0.1, np.log(1.5), np.log((1.0 - 2.25577e-5 * altitude_m) ** 5.25588)
+    turn = 2.0 * np.pi * (n - 1) / 365.0
+    extra = 1366.1 * (
+        1.00011
+        + 0.034221 * np.cos(turn)
+        + 0.00128 * np.sin(turn)
+        + 0.000719 * np.cos(2 * turn)
+        + 7.7e-5 * np.sin(2 * turn)
+    )
+    above = extra * (0.12 * 1.5**0.56 * aod**2 + 0.97 * 1.5**0.032 * aod + 1.08 * 1.5**0.0051 + 0.071 * ln_p)
+    depth = (1.82 + 0.056 * ln_w + 0.0071 * ln_w**2) * aod + 0.33 + 0.045 * ln_w + 0.0096 * ln_w**2
+    depth += (0.0089 * 1.5 + 0.13) * ln_p
+    power = (0.00925 * aod**2 + 0.0148 * aod - 0.0172) * ln_w - 0.7565 * aod**2 + 0.5057 * aod + 0.4557
+    sine = np.sin(np.radians(sun_position(noon, *site).elevation_deg))
+    dni, _ = real_sky.clear_sky(site, noon)
+    assert dni == pytest.approx(above * np.exp(-depth / sine**power), rel=2e-3)
+
+
+def test_the_days_are_those_of_the_place():
+    site = Site(30.0, 150.0, 0.0)
+    # Its morning is the evening of the day before in Greenwich.
+    instants = real_sky.daylight(site, real_sky.year_instants(150.0, 3600.0)[7 * 24 : 8 * 24])
+    nothing = np.zeros(instants.size)
+    series = real_sky.sky_series(site, instants, nothing, nothing, "isotropic")
+    assert instants.size > 8
+    assert set(series.day.tolist()) == {8}
+
+
+def test_under_a_beam_alone_the_best_tilt_is_that_of_the_sums_and_one_percent_eight_degrees_wide():
+    series = series_of_day(48.7, 172, 1000.0, 0.0)
+    elevation = np.radians(series.elevation_deg)
+    expected = np.degrees(np.arctan2(np.cos(elevation).sum(), np.sin(elevation).sum()))
+    best = real_sky.best_tilt_vertical_sky(series, 0.01, albedo=0.0)
+    assert best.best_deg == pytest.approx(expected, abs=1e-3)
+    assert (best.best_deg - best.low_deg, best.high_deg - best.best_deg) == pytest.approx((8.11, 8.11), abs=0.02)
+
+
+def test_under_a_uniform_cloud_flat_is_best():
+    best = real_sky.best_tilt_vertical_sky(series_of_day(48.7, 100, 0.0, 200.0), 0.01, albedo=0.0)
+    # (1 + cos tilt)/2 = 0.99.
+    assert best == pytest.approx((0.0, 0.0, np.degrees(np.arccos(0.98))), abs=0.02)
+
+
+def test_with_the_sun_on_the_horizon_upright_is_best_and_further_is_not_looked():
+    series = series_of_day(66.9, 355, 1000.0, 0.0)
+    assert series.elevation_deg.max() < 0.3
+    best = real_sky.best_tilt_vertical_sky(series, 0.01, albedo=0.0)
+    assert 89.7 < best.best_deg < 90.0
+    assert best.high_deg == 90.0
+
+
+def test_a_panel_of_which_nothing_is_said_faces_the_equator():
+    series = series_of_day(48.7, 100, 800.0, 100.0)
+    for device in (real_sky.static_irradiance, real_sky.horizontal_irradiance):
+        np.testing.assert_array_equal(device(series, 40.0), device(series, 40.0, 0.0))
