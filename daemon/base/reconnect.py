@@ -32,14 +32,27 @@ class Outage:
     def __init__(self, logger: logging.Logger, subject: str) -> None:
         self._logger = logger
         self._subject = subject
-        self._remind_s = 0.0
-        self._reminders = 0
         self._recurrence = Recurrence(_FEW)
-        self._reported_plainly = False
         self._up_s = -math.inf
         self.since: float | None = None
         self.reason = ""
         self.repeats = 0
+
+    def _begin(self, now_s: float) -> str:
+        self.since = self._began_s = now_s
+        self.repeats = 0
+        said = self._recurrence.note(now_s)
+        self._reported_plainly = said is Wording.PLAINLY
+        # The second reminder of an outage comes after as long as a true one has to last in the middle of others.
+        self._reminders = 0 if self._reported_plainly else REMIND_AFTER_S.index(_LONG_S)
+        self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
+        if said is Wording.PLAINLY:
+            return self._warn(f"{self._subject} is down: {self.reason}", now_s)
+        often = f"{self._subject} comes and goes: {self._recurrence.how_often(now_s)}: {self.reason}"
+        if said is Wording.OFTEN:
+            return self._warn(often, now_s)
+        self._logger.debug("%s", often)
+        return ""
 
     @property
     def is_down(self) -> bool:
@@ -86,22 +99,6 @@ class Outage:
         self._up_s = now_s
         return back if self._reported_plainly else ""
 
-    def _begin(self, now_s: float) -> str:
-        self.since = now_s
-        self.repeats = 0
-        said = self._recurrence.note(now_s)
-        self._reported_plainly = said is Wording.PLAINLY
-        # The second reminder of an outage comes after as long as a true one has to last in the middle of others.
-        self._reminders = 0 if self._reported_plainly else REMIND_AFTER_S.index(_LONG_S)
-        self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
-        if said is Wording.PLAINLY:
-            return self._warn(f"{self._subject} is down: {self.reason}", now_s)
-        often = f"{self._subject} comes and goes: {self._recurrence.how_often(now_s)}: {self.reason}"
-        if said is Wording.OFTEN:
-            return self._warn(often, now_s)
-        self._logger.debug("%s", often)
-        return ""
-
     def _steady(self, now_s: float) -> str:
         count = self._recurrence.over(now_s, self._up_s)
         if not count:
@@ -116,14 +113,12 @@ class Outage:
         return text
 
     def _next_reminder(self, now_s: float) -> float:
-        longest_s = REMIND_AFTER_S[-1]
-        if self.since is not None and self._reminders < len(REMIND_AFTER_S):
-            return max(self.since + REMIND_AFTER_S[self._reminders], now_s + REMIND_AFTER_S[0])
-        return now_s + longest_s
+        if self._reminders < len(REMIND_AFTER_S):
+            return max(self._began_s + REMIND_AFTER_S[self._reminders], now_s + REMIND_AFTER_S[0])
+        return now_s + REMIND_AFTER_S[-1]
 
     def _fields(self, now_s: float) -> dict[str, dict[str, float]]:
-        length_s = 0.0 if self.since is None else now_s - self.since
-        return {"fields": {"down_s": round(length_s, 1), "repeats": self.repeats}}
+        return {"fields": {"down_s": round(now_s - self._began_s, 1), "repeats": self.repeats}}
 
 
 class Backoff:

@@ -41,7 +41,7 @@ def test_repeats_are_debug_lines_that_carry_their_count(outage, caplog):
 
 
 def test_it_says_since_when_and_why_only_while_it_lasts(outage):
-    assert (outage.is_down, outage.since, outage.reason) == (False, None, "")
+    assert (outage.is_down, outage.since, outage.reason, outage.repeats) == (False, None, "", 0)
     outage.down(5.0, "no answer")
     outage.down(9.0, "refused")
     assert (outage.is_down, outage.since, outage.reason, outage.repeats) == (True, 5.0, "refused", 1)
@@ -52,6 +52,22 @@ def test_it_says_since_when_and_why_only_while_it_lasts(outage):
 def test_up_without_an_outage_says_nothing(outage, caplog):
     assert not outage.up(1.0)
     assert told(caplog, logging.DEBUG) == []
+
+
+def test_a_reminder_is_never_sooner_than_ten_minutes_after_the_one_before(outage):
+    outage.down(0.0, "x")
+    assert outage.down(3590.0, "x"), "late, for nobody asked meanwhile"
+    assert not outage.down(3600.0, "x")
+    assert not outage.down(4189.0, "x")
+    assert outage.down(4190.0, "x")
+
+
+def test_only_the_first_sentence_of_an_outage_has_no_length(outage, caplog):
+    outage.down(100.0, "x")
+    outage.down(700.06, "x")
+    first, reminder = caplog.records
+    assert not hasattr(first, "fields")
+    assert reminder.fields == {"down_s": 600.1, "repeats": 1}
 
 
 def test_a_second_outage_counts_from_nought(outage, caplog):
@@ -97,6 +113,12 @@ def test_what_comes_and_goes_is_told_six_times_and_then_by_its_number(outage, ca
     assert told(caplog) == [
         *[("WARNING", "the positioner is down: unplugged"), ("INFO", "the positioner is back")] * 6,
         ("WARNING", "the positioner comes and goes: 7 times in the last hour: unplugged"),
+    ]
+    quiet = [record.getMessage() for record in caplog.records if record.levelno == logging.DEBUG]
+    assert quiet[:3] == [
+        "the positioner is back",
+        "the positioner comes and goes: 8 times in the last hour: unplugged",
+        "the positioner is back",
     ]
 
 
@@ -191,6 +213,40 @@ def test_a_lost_device_is_forgotten_reported_closed_and_used_again_after_growing
 @pytest.mark.parametrize("error", [HungError("no answer"), ValueError("a defect")])
 def test_what_only_a_new_process_can_mend_is_not_tried_again(outage, error):
     assert reconnecting(outage, [error]) == [(0, "use"), (0, type(error).__name__)]
+
+
+def test_beginning_and_end_of_an_outage_are_notified_and_reminders_are_not():
+    class Steady(Random):
+        def random(self):
+            return 0.0
+
+    told = []
+    outage = Outage(logging.getLogger("heliocube.test"), "the positioner")
+    loop = VirtualTimeLoop()
+
+    async def use():
+        # At 8 s a try that is more than an hour of them, with two reminders.
+        if loop.time() < 4000.0:
+            raise GoneError("no port")
+        assert reconnection.works()
+        assert not reconnection.works()
+        raise ValueError("enough")
+
+    async def close():
+        pass
+
+    reconnection = Reconnection(outage, Steady(), loop.time, told.append, lost=GoneError)
+    with pytest.raises(ValueError, match="enough"):
+        loop.run_until_complete(reconnection.run(use, close))
+    loop.close()
+    assert told == ["the positioner is down: no port", "the positioner is back"]
+    assert outage.repeats > 400
+
+
+def test_what_is_not_said_of_coming_and_going_is_not_notified(outage):
+    flap(outage, 20, start_s=-450.0)
+    seen = reconnecting(outage, [GoneError("no port"), None])
+    assert [what for _, what in seen] == ["use", "forget", "close", "use", "CancelledError"]
 
 
 def test_a_rhythm_keeps_to_its_start_and_counts_what_it_leaves_out():

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import re
 from random import Random
 from types import SimpleNamespace
 
@@ -174,6 +175,52 @@ def test_the_dark_offset_is_learnt_at_night_and_subtracted(run):
         await scans(rig, 1)
 
     assert run(scenario, sun_deg=NIGHT).scans[-1].east.irradiance_w_m2 == pytest.approx(300.0, abs=0.3)
+
+
+def test_without_the_correction_nothing_is_learnt_of_the_dark(run):
+    async def scenario(rig):
+        rig.mv |= dict.fromkeys(range(4), 0.2)
+        await scans(rig, 300)
+
+    rig = run(scenario, sun_deg=NIGHT, dark_correction=False)
+    # With it, an e-th would be left of them.
+    assert rig.scans[-1].east.irradiance_w_m2 == pytest.approx(2.0, abs=0.1)
+
+
+def test_scans_are_numbered_from_nought_under_one_name_and_it_is_ready_with_the_first(run):
+    async def scenario(rig):
+        began_s = rig.loop.time()
+        assert not rig.acquisition.ready
+        assert rig.acquisition.last_scan_s == began_s
+        await scans(rig, 3)
+        assert rig.acquisition.ready
+        assert rig.acquisition.last_scan_s == rig.at[-1]
+        rig.cables.voltmeter.link_up = False
+        await asyncio.sleep(10)
+        assert not rig.acquisition.ready
+
+    rig = run(scenario)
+    assert [scan.sequence for scan in rig.scans] == [0, 1, 2]
+    (session,) = {scan.session for scan in rig.scans}
+    assert re.fullmatch("[0-9a-f]{16}", session)
+    assert {(scan.source, scan.simulated, scan.calibration) for scan in rig.scans} == {("cube", True, "")}
+
+
+def test_that_the_instruments_are_open_is_told_once_and_a_loss_and_its_end_each_once(run, caplog):
+    async def scenario(rig):
+        await scans(rig, 1)
+        for _ in range(2):
+            rig.cables.voltmeter.link_up = False
+            await asyncio.sleep(30)
+            rig.cables.voltmeter.link_up = True
+            rig.scanned.clear()
+            await scans(rig, 2)
+
+    caplog.set_level(logging.INFO)
+    rig = run(scenario)
+    assert caplog.messages.count("instruments of the cube are open") == 1
+    told = [event.text.split(":")[0] for event in rig.events]
+    assert told == ["the cube is down", "the cube is back"] * 2
 
 
 def test_missed_scans_are_left_out_and_the_rhythm_stays(run):
