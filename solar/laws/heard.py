@@ -99,7 +99,7 @@ class Heard:
         if self._turned is None or self._turned.day != day:
             memory = self.memory().copied()
             memory.site.end_of_day()
-            self._turned = self._changed(day=day, _memory=memory, _waiting=())
+            self._turned = self._changed(day=day, _memory=memory)
         return self._turned
 
     def relearned(self, learned: Learned) -> "Heard":
@@ -108,7 +108,7 @@ class Heard:
         memory = self.memory().copied()
         memory.site.reset()
         memory.site.learned = learned
-        return self._changed(_memory=memory, _waiting=())
+        return self._changed(_memory=memory)
 
     @property
     def learned(self) -> Learned:

@@ -50,10 +50,10 @@ def best_among(
         The best poses [deg] of a tracker without neighbours, shape (...).
     """
     shape = np.shape(beam)
-    rows_vector = vector.reshape(-1, 3)
-    rows_suns = [np.broadcast_to(sun, vector.shape).reshape(-1, 3) for sun in suns]
-    rows_beam = np.asarray(beam, dtype=np.float64).reshape(-1)
-    best_a, best_b = (np.array(np.broadcast_to(angle, shape), dtype=np.float64).reshape(-1) for angle in alone)
+    rows_beam = np.ravel(np.asarray(beam, dtype=np.float64))
+    rows_vector = vector.reshape(rows_beam.size, 3)
+    rows_suns = [np.broadcast_to(sun, vector.shape).reshape(rows_beam.size, 3) for sun in suns]
+    best_a, best_b = (np.array(np.broadcast_to(angle, shape), dtype=np.float64).ravel() for angle in alone)
     shaded = np.flatnonzero(taken_by_neighbours(group, rows_beam, rows_suns, best_a, best_b) > 0.0)
     for first in range(0, shaded.size, _AT_ONCE):
         some = shaded[first : first + _AT_ONCE]

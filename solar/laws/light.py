@@ -94,8 +94,7 @@ def _are_possible(readings: Array) -> NDArray[np.bool_]:
 
 def _zenith_believed(readings: Array, possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
     least = _DEAD_SHARE * np.where(possible[..., :3], readings[..., :3], np.inf).min(axis=-1)
-    zenith = np.where(possible[..., 3], readings[..., 3], 0.0)
-    result: NDArray[np.bool_] = ~(np.isfinite(least) & (zenith < least - _NOISE_W_M2))
+    result: NDArray[np.bool_] = ~(np.isfinite(least) & (readings[..., 3] < least - _NOISE_W_M2))
     return result
 
 

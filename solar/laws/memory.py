@@ -164,5 +164,5 @@ class LightMemory:
 
 
 def _towards(memory: Array, value: Array, good: Flags, fresh: Flags, half_lives: Array) -> Array:
-    share = np.where(fresh, 1.0, np.where(good, 1.0 - 0.5**half_lives, 0.0))
+    share = np.where(fresh, 1.0, 1.0 - 0.5**half_lives)
     return memory + share * (np.where(good, value, memory) - memory)

@@ -58,7 +58,7 @@ class LiveOptimalSettings(LawSettings):
 class Kept(BaseModel):
     """Albedo and relative gains of the vertical faces, and the budget used on a solar day (counted from 1970)."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     albedo: float = Field(ge=ALBEDO_RANGE[0], le=ALBEDO_RANGE[1])
     gain_east: float = Field(1.0, ge=GAIN_RANGE[0], le=GAIN_RANGE[1])

@@ -163,7 +163,7 @@ def _step(now: Array, seconds: Array, total: Array, base: Array | float = 0.0) -
     """Go from `now` towards `base` plus the day's mean, by a share that grows with the seconds behind it."""
     mean = np.divide(total, seconds, out=np.zeros_like(total), where=seconds > 0.0)
     share = _STEP * np.minimum(seconds / _ENOUGH_S, 1.0)
-    result: Array = now + share * np.where(seconds > 0.0, base + mean - now, 0.0)
+    result: Array = now + share * (base + mean - now)
     return result
 
 

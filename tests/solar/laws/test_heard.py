@@ -8,8 +8,9 @@ import pytest
 
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Angles, Limits
+from solar.laws.heard import Begun, Heard, solar_day
 from solar.laws.law import Moment, Reading, TrackerFacts
-from solar.laws.memory import LightMemory
+from solar.laws.memory import LightMemory, OptimalSettings
 from solar.laws.optimal_live import SETTINGS, LiveOptimal
 from solar.sky import sky
 
@@ -63,6 +64,56 @@ def drive(numbers, common=None, befalls=None):
                 said[number].append(repr((found.target, *light, found.azimuth_deg, found.why, law.to_dict())))
                 headings[number] = found.target or headings[number]
     return said
+
+
+TODAY = solar_day(BEGIN_UTC_S, SITE.longitude_deg)
+
+
+def first_link(scan_every_s=15.0):
+    return Heard(SITE, scan_every_s, TODAY, LightMemory(OptimalSettings()))
+
+
+def read_at(seconds, faces=(450.0, 450.0, 60.0, 660.0)):
+    return Reading(BEGIN_UTC_S + seconds, seconds, faces)
+
+
+def test_the_link_after_a_reading_is_worked_out_once_and_another_reading_has_another():
+    first = first_link()
+    after = first.after(read_at(0.0))
+    assert first.after(read_at(0.0)) is after
+    other = first.after(read_at(1.0))
+    assert (after.waiting_utc_s, other.waiting_utc_s) == ([BEGIN_UTC_S], [BEGIN_UTC_S + 1.0])
+
+
+def test_a_day_is_begun_once_and_another_day_or_one_reading_more_has_a_link_of_its_own():
+    first = first_link()
+    turned = first.on(TODAY + 1)
+    assert first.on(TODAY) is first
+    assert first.on(TODAY + 1) is turned
+    assert [link.day for link in (first, turned, first.on(TODAY + 2))] == [TODAY, TODAY + 1, TODAY + 2]
+    first.on(TODAY + 1)
+    after = first.after(read_at(0.0)).on(TODAY + 1)
+    assert (turned.memory().expect().known, after.memory().expect().known) == (False, True)
+
+
+@pytest.mark.parametrize(("count", "waiting"), [(39, 39), (40, 0), (41, 1)])
+def test_forty_means_are_taken_in_whether_somebody_asks_or_not(count, waiting):
+    link = first_link()
+    for number in range(count):
+        link = link.after(read_at(15.0 * number))
+    assert len(link.waiting_utc_s) == waiting
+
+
+@pytest.mark.parametrize(("scan_every_s", "means"), [(14.9995, 1), (14.9985, 0)])
+def test_a_mean_is_of_fifteen_seconds_but_for_a_millisecond(scan_every_s, means):
+    assert len(first_link(scan_every_s).after(read_at(0.0)).waiting_utc_s) == means
+
+
+def test_a_face_that_was_read_for_less_than_a_second_has_its_mean():
+    begun = Begun().with_reading(read_at(0.0, (math.nan, 200.0, math.nan, 400.0)), 0.5)
+    ended = begun.with_reading(read_at(1.0, (100.0, 300.0, math.nan, 500.0)), 0.5).ended()
+    assert ended[:2] == (BEGIN_UTC_S + 0.5, 1.0)
+    assert ended[2] == pytest.approx([100.0, 250.0, math.nan, 450.0], nan_ok=True)
 
 
 @pytest.fixture

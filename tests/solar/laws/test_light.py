@@ -138,6 +138,8 @@ SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
     (1, (400.0, 75.0, 400.0, 500.0), False),
     # It is no reason for doubt that the sun shines on the other face alone.
     (0, (75.0, 1900.0, 60.0, 500.0), True),
+    # Where nothing else is read, nothing says that a face reads too little.
+    (0, (-3.9, np.nan, np.nan, np.nan), True),
     # 3 % of the zenith.
     (0, (27.0, 27.0, 27.0, 1000.0), True),
     (0, (25.0, 27.0, 27.0, 1000.0), False),
@@ -198,13 +200,23 @@ DAY, HIGH = (300.0, 410.0, 60.0, 470.0), (0.6, 0.5, 0.62)
 ])  # fmt: skip
 def test_what_is_made_of_readings_that_contradict_each_other(faces, sun, counts, expected):
     light = light_from_faces(faces, sun, 0.2, np.array(counts, dtype=np.bool_))
-    assert [*light, *aim_vector(light, sun, 0.2)] == pytest.approx(expected, rel=2e-5, abs=1e-9)
+    assert [*light, *aim_vector(light, sun, 0.2)] == pytest.approx(expected, rel=2e-5, abs=1e-10)
+
+
+# As B = -20, D = 112.8, H = 0 and albedo 0.2 would read: the lit faces darker than the one in the shade.
+LESS_THAN_NO_BEAM, ASIDE = (56.8, 54.4, 66.4, 100.0), (0.6, 0.48, 0.64)
+
+
+def test_without_a_beam_the_vertical_faces_keep_their_mean():
+    light = light_from_faces(LESS_THAN_NO_BEAM, ASIDE, 0.2)
+    # Their mean of 59.2 less the 10 of the ground is 0.8 less than half of the 100 on the zenith face.
+    assert [*light] == pytest.approx([0.0, 100.0, -0.8], abs=1e-3)
 
 
 def test_of_many_at_once_each_has_the_light_that_it_has_alone():
-    faces = np.array([DAY, (5.0, 8.0, 4.0, 20.0), (100.0, 90.0, 110.0, 240.0)])
-    suns = np.array([HIGH, (0.9, -0.3, 0.3), (0.1, -0.9, 0.42)])
-    counts = np.array([(1, 1, 0, 1), (1, 1, 1, 1), (0, 1, 1, 1)], dtype=np.bool_)
+    faces = np.array([DAY, (5.0, 8.0, 4.0, 20.0), (100.0, 90.0, 110.0, 240.0), LESS_THAN_NO_BEAM])
+    suns = np.array([HIGH, (0.9, -0.3, 0.3), (0.1, -0.9, 0.42), ASIDE])
+    counts = np.array([(1, 1, 0, 1), (1, 1, 1, 1), (0, 1, 1, 1), (1, 1, 1, 1)], dtype=np.bool_)
     together = np.stack(light_from_faces(faces, suns, 0.2, counts), axis=-1)
     alone = [light_from_faces(*one, 0.2, counted) for *one, counted in zip(faces, suns, counts, strict=True)]
     np.testing.assert_allclose(together, alone)

@@ -99,6 +99,17 @@ def test_readings_together_are_readings_one_after_the_other():
     np.testing.assert_allclose(np.array(together.light), np.array(alone.light))
 
 
+def test_trackers_side_by_side_have_faces_and_seconds_of_their_own():
+    together = LightMemory(SETTINGS, (2,))
+    together.observe([CLEAR, CLEAR], [SUN, SUN], 60.0)
+    together.observe([HAZY, DARK], [SUN, SUN], [60.0, 30.0])
+    together.observe([CLOUDY, CLOUDY], [SUN, SUN], [90.0, 30.0])
+    alone = heard((CLEAR, 60.0), (HAZY, 60.0), (CLOUDY, 90.0)), heard((CLEAR, 60.0), (DARK, 30.0), (CLOUDY, 30.0))
+    found = np.array(together.expect().light)
+    for place, memory in enumerate(alone):
+        np.testing.assert_allclose(found[:, place], np.array(memory.expect().light))
+
+
 def test_below_the_horizon_no_reading_is_good():
     memory = LightMemory(SETTINGS)
     memory.observe(CLOUDY, SUN * [1, 1, -1], 60.0)

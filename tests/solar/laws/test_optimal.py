@@ -88,6 +88,7 @@ def test_the_budget_is_never_exceeded(travel, moves):
     assert way.sum() <= travel + 1e-9
     assert np.count_nonzero(way) <= moves
     assert law.moves == np.count_nonzero(way)
+    assert law.travelled_deg == pytest.approx(way.sum())
 
 
 @pytest.mark.parametrize("fault", range(4))
@@ -101,6 +102,16 @@ def test_with_two_faces_missing_the_law_is_chronometric():
     assert not law.expect().known
     a_deg, b_deg = angles_within(sun_direction(NOON + 7200 - 60 + 240, *SITE), LIMITS)
     np.testing.assert_allclose(poses[-1], [a_deg, b_deg], atol=2.5)
+
+
+def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say():
+    # Without faces the sun counts, as 500 W/m2 of beam; by A from 10 to 0 deg and by B from 60 to 30 deg are 40 deg.
+    sun = normal_from_angles(0.0, 30.0)
+    choice = OptimalLaw(replace(SETTINGS, thrift=2.0), LIMITS).choose(10.0, 60.0, sun, 1.0)
+    assert (choice.a_deg, choice.b_deg) == (pytest.approx(0.0, abs=1e-6), pytest.approx(30.0))
+    assert choice.price_w_m2 == pytest.approx(2.0 * (0.2 + 0.02 * 40.0))
+    cosine = math.cos(math.radians(10.0)) * math.cos(math.radians(30.0))
+    assert choice.gain_w_m2 == pytest.approx(500.0 * (1.0 - cosine))
 
 
 def test_after_a_long_gap_the_memory_starts_again():
@@ -135,7 +146,9 @@ def test_days_side_by_side_are_the_days_one_by_one():
 def test_a_new_day_has_a_new_budget():
     _, law = day(lambda minute: 800.0 * (minute % 20 < 10))
     assert law.moves > 0
+    before = law.site.learned
     law.new_day()
+    assert law.site.learned != before, "what the day taught is taken over"
     assert law.moves == 0
     assert law.travelled_deg == 0
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from solar.energy import build_sky, faces_under, lay_out
 from solar.ephemeris import DAY_S, Site, sun_day, sun_direction, sun_position
 from solar.frames import Angles, Limits, azimuth_from_direction
 from solar.laws import optimal_live
@@ -130,6 +131,8 @@ def test_what_waits_for_long_is_taken_in_all_the_same():
 
 def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left():
     law, readings = live(), list(scans(3, start_s=NOON - 14_400.0))
+    # The daylight is that of the day, not of the one before for which it was asked, too.
+    law.aim(Moment(NOON - DAY_S, None, Angles(0.0, 90.0)))
     for reading in readings:
         law.observe(reading)
     law.book(1000.0)
@@ -227,6 +230,39 @@ def test_where_the_sun_does_not_set_the_day_is_as_long_as_it_is():
         assert exact == pytest.approx(left, abs=0.01)
         choice = same.choose(0.0, 90.0, sun_direction(utc_s + SETTINGS.lead_s, *site), exact)
         assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
+
+
+def test_it_decides_once_a_minute_and_shows_what_it_learned_apart_from_the_day():
+    law = live()
+    assert law.decide_every_s == 60.0
+    assert law.shown()["learned"] == Learned().to_dict()
+
+
+def test_what_is_kept_may_be_of_a_day_without_moves_and_must_be_finite():
+    fresh = live().to_dict()
+    assert (fresh["travelled_deg"], fresh["moves"]) == (0.0, 0)
+    assert live(kept=fresh).to_dict() == fresh
+    assert live(kept={"albedo": 0.2, "day": fresh["day"]}).to_dict() == fresh
+    with pytest.raises(ValueError, match="travelled_deg"):
+        live(kept={**fresh, "travelled_deg": math.inf})
+
+
+@pytest.mark.parametrize("site", [Site(-33.9, 18.4, 0.0), Site(48.7, -2.2, 0.0)])
+def test_without_faces_it_aims_at_the_sun_four_minutes_ahead_in_either_hemisphere(site):
+    aim = live(site=site).aim(Moment(NOON - 10_800.0, None, Angles(0.0, 90.0)))
+    ahead = sun_position(NOON - 10_800.0 + 240.0, *site)
+    assert (aim.azimuth_deg, aim.elevation_deg) == (
+        pytest.approx(ahead.azimuth_deg),
+        pytest.approx(ahead.elevation_deg),
+    )
+
+
+def test_each_morning_knows_what_the_clear_days_before_taught():
+    # By hand: every clear day of more than an hour goes a fifth of the way from 0.2 to the ground's albedo.
+    utc_s = NOON - DAY_S / 2 + 600.0 * np.arange(3 * 144)
+    weather = lay_out(utc_s, np.full(utc_s.size, 800.0), np.full(utc_s.size, 1e-3), SITE, 600.0)
+    known = optimal_live.learned_by_day(weather, faces_under(build_sky(weather, "isotropic"), 0.5))
+    np.testing.assert_allclose(known.albedo, [0.2, 0.26, 0.308], atol=0.01)
 
 
 def test_what_each_reading_shows_by_itself():

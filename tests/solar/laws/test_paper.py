@@ -135,8 +135,9 @@ def test_east_west_alone_is_a_beam():
     assert vector == pytest.approx([0, 360, 0], abs=1e-9)
 
 
-def test_beyond_the_east_west_plane_the_ephemeris_gives_the_component_that_no_face_sees():
-    sun = direction_from_azimuth(70.0, 15.0, 48.7)
+@pytest.mark.parametrize("azimuth_deg", [70.0, 290.0])
+def test_beyond_the_east_west_plane_the_ephemeris_gives_the_component_that_no_face_sees(azimuth_deg):
+    sun = direction_from_azimuth(azimuth_deg, 15.0, 48.7)
     seen = np.array([0.0, sun[1], sun[2]])
     assert separation_deg(complete_poleward(seen, sun), sun) == pytest.approx(0, abs=1e-9)
     assert complete_poleward(seen, sun)[0] < 0, "towards the pole"

@@ -9,7 +9,7 @@ from solar.energy import Drive, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits
 from solar.laws import chronometric, flat, mu_prime, optimal_live, sun_vector
-from solar.laws.steer import by_readings
+from solar.laws.steer import by_readings, by_the_mean
 
 pytestmark = pytest.mark.slow
 
@@ -51,6 +51,15 @@ def test_the_optimal_law_reading_by_reading_comes_near_its_fast_way_and_keeps_it
     fast, slow = (harvest(weather, light, 0.2, IDEAL, steer) for steer in ways)
     assert slow.energy_kwh_m2 == pytest.approx(fast.energy_kwh_m2, rel=5e-3)
     assert (slow.moves <= 40).all()
+
+
+def test_a_step_that_is_longer_than_the_mean_is_its_own_mean():
+    utc_s = 1465084800.0 + 300.0 * np.arange(288)
+    weather = lay_out(utc_s, 700.0 * (utc_s // 1800 % 2), np.full(utc_s.size, 150.0), LYNGBY, 300.0)
+    faces = faces_under(build_sky(weather, "isotropic"), 0.2)
+    asked = []
+    by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3])
+    np.testing.assert_array_equal(asked[0], weather.gridded(faces, np.nan))
 
 
 def test_flat_never_moves(two_days):
