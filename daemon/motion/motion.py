@@ -106,8 +106,8 @@ class Motion(MotionState):
         self._reconnection = Reconnection(
             self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
         )
-        self._wanted: Target | None = None
-        self._stowing = False
+        # Where to, and whether it is a stow.
+        self._wanted: tuple[Target, bool] | None = None
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
         self._was_connected = False
@@ -154,7 +154,7 @@ class Motion(MotionState):
         if self.homing and not stow:
             raise RefusedError("positioner", "cannot move while homing")
         self._home_wanted = False
-        self._wanted, self._stowing = target, stow
+        self._wanted = target, stow
         self._runs.interrupt()
         self._wake.set()
 
@@ -237,7 +237,8 @@ class Motion(MotionState):
     async def _leave(self) -> None:
         """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""
         try:
-            if self.connected and (self.moving or self.stands_since_s is None):
+            # A move has forgotten its target by now; until a look shows it, what was sent off seems to stand.
+            if self.connected and (self._guard.rested is None or self.stands_since_s is None):
                 with contextlib.suppress(DeviceError, TimeoutError):
                     async with asyncio.timeout(_HALT_AT_END_S):
                         await self._positioner.halt()
@@ -263,11 +264,10 @@ class Motion(MotionState):
             if told:
                 self._report(text)
             self._guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
-        self._note_readiness()
 
     def _note_link(self, name: str = "") -> bool:
         """Take note that the unit answers; return whether there was anything to tell of it."""
-        if name and not self._was_connected:
+        if not self._was_connected:
             self._was_connected = True
             if not self.outage.is_down:
                 log.info("the positioner is connected: %s", name)
@@ -300,11 +300,10 @@ class Motion(MotionState):
             await look_until(self._wake, self._polling.idle_s, self._may_be_new)
 
     def _may_be_new(self) -> bool:
-        """Glance at a unit that rests; tell whether it has to be looked at, or there is or may be something to do."""
-        asked = self._wanted is not None or self._retries.text is not None
-        if asked or (self._rehoming.enabled and self._guard.doubts.reference is not None):
-            return True
-        return not self._guard.glance()
+        """Glance at a unit that rests; tell whether it has to be looked at, or something may be due by now."""
+        # An order waits only for the pause after a failure.
+        waits = self._retries.text is not None or self._guard.doubts.reference is not None
+        return waits or not self._guard.glance()
 
     async def _do_what_is_asked(self) -> bool:
         """Do the most urgent thing; return False if there is nothing to do."""
@@ -324,9 +323,9 @@ class Motion(MotionState):
         elif self._home_wanted:
             self._home_wanted = False
             await self._runs.home()
-        elif self._wanted is not None and self._retries.due_s(stow=self._stowing) <= self._clock.monotonic():
-            target, self._wanted = self._wanted, None
-            await self._take_up(target)
+        elif self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) <= self._clock.monotonic():
+            (target, stow), self._wanted = self._wanted, None
+            await self._take_up(target, stow=stow)
         elif self._must_rehome():
             await self._runs.home()
             self._rehoming.ended(good=self._guard.doubts.reference is None)
@@ -334,10 +333,10 @@ class Motion(MotionState):
             return False
         return True
 
-    async def _take_up(self, target: Target) -> None:
-        obstacle = self._guard.frozen or self.blocked or (None if self._stowing else self._guard.doubts.reference)
+    async def _take_up(self, target: Target, *, stow: bool) -> None:
+        obstacle = self.blocked or (None if stow else self._guard.doubts.reference)
         if obstacle is None:
-            await self._runs.move(target, stow=self._stowing)
+            await self._runs.move(target, stow=stow)
         else:
             # It came up after the order was taken.
             self._report(f"no move: {obstacle}")

@@ -145,7 +145,7 @@ class Runs:
                 await self._pause()
             if guard.stray is not None:
                 return await self._quell()
-            if not self._is_interrupted() and not guard.watch.settled:
+            if not guard.watch.settled:
                 # What is left of the last move begins any moment, and a target that finds an axis turning is lost.
                 await guard.halt()
             if self._is_interrupted():
@@ -181,7 +181,7 @@ class Runs:
     def _hopeless(self) -> bool:
         telemetry = self._guard.telemetry
         faulty = telemetry is not None and bool(telemetry.faults or telemetry.autonomous)
-        return faulty or bool(self._guard.unexplained or self._guard.frozen or self._doubt())
+        return faulty or bool(self._guard.unexplained or self._doubt())
 
     def _doubt(self) -> str | None:
         """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
@@ -233,7 +233,6 @@ class Runs:
         if self._retries.text in shown:
             self._retries.forget()
         guard.forget()
-        await guard.poll(moving=False)
         self._changed()
 
     async def home(self) -> None:
@@ -249,7 +248,8 @@ class Runs:
         self._report("homing")
         self._changed()
         try:
-            left = await self._home_both(doubted=doubted)
+            await self._home_both()
+            left = None
         except _HomingFailedError as error:
             await guard.halt()
             left = f"homing failed ({error}), the reference is in doubt: home it"
@@ -266,8 +266,7 @@ class Runs:
             doubts.homing_ends(left)
             self._changed()
 
-    async def _home_both(self, *, doubted: bool) -> str | None:
-        """Return the doubt that is left."""
+    async def _home_both(self) -> None:
         guard = self._guard
         guard.clearing = True
         try:
@@ -279,10 +278,6 @@ class Runs:
             guard.clearing = False
         for axis in _AXES:
             await self._home_one(axis)
-            if self._interrupted:
-                await guard.halt()
-                self._report("homing was stopped before its end")
-                return NOT_FINISHED if doubted else None
         await guard.halt()
         telemetry = await guard.poll(moving=False)
         if telemetry.reference_doubt:
@@ -290,7 +285,6 @@ class Runs:
         guard.doubts.referenced()
         self._retries.forget()
         self._report("homing finished")
-        return None
 
     async def _home_one(self, axis: AxisName) -> None:
         guard = self._guard
@@ -301,8 +295,7 @@ class Runs:
         while True:
             telemetry = await guard.poll(moving=True)
             self._interrupted = self._interrupted or telemetry.button_pressed
-            if self._interrupted:
-                return
+            self._refuse_interrupted()
             if guard.stray is not None:
                 text = guard.stray.text
                 await guard.quell()
@@ -321,9 +314,12 @@ class Runs:
 
     async def _unless_interrupted(self, call: Callable[[], Coroutine[Any, Any, T]]) -> T:
         """Return what the driver's call returns; it is looked at with the call itself, for a stop may come any time."""
+        self._refuse_interrupted()
+        return await call()
+
+    def _refuse_interrupted(self) -> None:
         if self._interrupted:
             raise RefusedError("positioner", "a stop came in between")
-        return await call()
 
     def _report(self, text: str) -> None:
         log.info(text)

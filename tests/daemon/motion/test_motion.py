@@ -10,7 +10,7 @@ from daemon.base.records import MoveOutcome, Target
 from daemon.motion.motion import Polling
 from drivers.errors import DriverHungError, LinkLostError, RefusedError
 from drivers.interfaces import PositionerIdentity
-from tests.support.hand_positioner import HandPositioner, run_motion
+from tests.support.hand_positioner import HandPositioner, RepeatingPositioner, run_motion
 
 
 @pytest.mark.parametrize("target", [(-50.1, 60), (50.1, 60), (0, 14.9), (0, 90.1), (math.nan, 60), (0, math.nan)])
@@ -248,12 +248,16 @@ def test_what_was_asked_before_the_link_was_lost_is_forgotten_and_a_clear_is_tol
     run_motion(scenario)
 
 
-@pytest.mark.parametrize(("place", "jumps"), [((0.7, 60.7), False), ((0.9, 60.0), True), ((0.0, 59.1), True)])
+@pytest.mark.parametrize(
+    ("place", "jumps"),
+    [((10.7, 60.7), False), ((10.9, 60.0), True), ((9.1, 60.0), True), ((10.0, 59.1), True), ((10.0, 60.9), True)],
+)
 def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jumps):
     async def scenario(rig):
         await asyncio.sleep(10.0)
         rig.unit.is_lost = True
         await asyncio.sleep(3.0)
+        assert not rig.motion.resting, "nobody knows"
         rig.unit.put(*place)
         rig.unit.is_lost = False
         await asyncio.sleep(15.0)
@@ -261,12 +265,17 @@ def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jum
         assert (doubt is not None) == jumps
         if jumps:
             stands = f"positioner stands at A {place[0]:.1f}, B {place[1]:.1f} deg"
-            text = f"{stands}; before the loss it stood at A 0.0, B 60.0"
+            text = f"{stands}; before the loss it stood at A 10.0, B 60.0"
             assert doubt.startswith(text)
             assert doubt.endswith(": compare with the arms, then clear or home it")
             assert sum(told.startswith(text) for told in rig.told) == 1
 
-    run_motion(scenario)
+    def at_ten(clock):
+        unit = HandPositioner(clock)
+        unit.put(10.0, 60.0)
+        return unit
+
+    run_motion(scenario, make=at_ten)
 
 
 def test_what_was_on_its_way_when_the_link_was_lost_may_stand_elsewhere():
@@ -442,3 +451,118 @@ def test_it_looks_as_often_as_it_is_told():
         assert 5 <= rig.unit.looks - looks <= 8, "one ends the rest"
 
     run_motion(scenario, polling=Polling(idle_s=7.0, moving_s=2.0))
+
+
+def test_a_reference_run_ends_the_move_that_is_on_and_is_made():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.motion.home()
+        await rig.until(lambda: rig.motion.homing, 2.0)
+        assert rig.moves[-1].outcome is MoveOutcome.INTERRUPTED
+        await rig.until(lambda: not rig.motion.homing, 90.0)
+        assert rig.told == ["homing", "homing finished"]
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("asks", ["order", "home", "clear"])
+def test_what_is_asked_at_rest_begins_without_waiting_for_the_next_look(asks):
+    async def scenario(rig):
+        await asyncio.sleep(10.0)
+        await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s < 0.1)
+        if asks == "order":
+            rig.motion.order(Target(10.0, 60.0, "go"))
+        elif asks == "home":
+            rig.motion.home()
+        else:
+            rig.motion.clear_faults()
+        sent = len(rig.unit.sent)
+        await rig.until(lambda: len(rig.unit.sent) > sent, 0.5)
+
+    run_motion(scenario, polling=Polling(idle_s=7.0))
+
+
+def test_after_unexplained_motion_no_reference_run_is_made():
+    async def scenario(rig):
+        rig.unit.drive(10.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 5.0)
+        await asyncio.sleep(10.0)
+        with pytest.raises(RefusedError, match="cannot be homed: A moved from"):
+            rig.motion.home()
+
+    run_motion(scenario)
+
+
+def test_a_unit_that_repeats_itself_is_read_each_time_while_something_may_be_due():
+    async def scenario(rig):
+        async def looks_in_5_s():
+            looks = rig.unit.looks
+            await asyncio.sleep(5.0)
+            return rig.unit.looks - looks
+
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() <= 2
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() >= 9, "a pause may end"
+        rig.motion.clear_faults()
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() <= 2
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() >= 9, "control may let it home"
+
+    run_motion(scenario, make=RepeatingPositioner, attempts=1)
+
+
+def test_a_second_restart_after_a_good_run_is_homed_at_once_and_a_run_that_was_no_good_waits():
+    async def scenario(rig):
+        rig.motion.may_rehome = True
+        for runs in (1, 2):
+            rig.unit.says["was_reset"] = True
+            await rig.until(lambda runs=runs: rig.told.count("homing finished") == runs, 120.0)
+
+    run_motion(scenario, rehome="automatic")
+
+    async def in_vain(rig):
+        rig.motion.may_rehome = True
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(590.0)
+        assert rig.told.count("homing") == 1
+        await asyncio.sleep(60.0)
+        assert rig.told.count("homing") == 2
+
+    run_motion(in_vain, rehome="automatic")
+
+
+def test_at_the_end_a_target_that_was_only_just_sent_is_halted_too():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await rig.until(lambda: rig.unit.sent[-1] == ("move", 40.0, 60.0, "a"), 1.0)
+        assert rig.motion.stands_since_s is not None
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent[-2:] == ["halt", "close"]
+
+
+def test_at_the_end_a_stop_that_is_broken_off_is_sent_again():
+    async def scenario(rig):
+        await asyncio.sleep(30.0)
+        rig.halts = rig.unit.sent.count("halt")
+        rig.motion.freeze("ana")
+        await rig.until(lambda: rig.unit.sent.count("halt") > rig.halts)
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent.count("halt") == rig.halts + 2
+
+
+def test_at_the_end_a_unit_that_does_not_answer_is_not_waited_for():
+    async def scenario(rig):
+        rig.unit.is_lost = True
+        await asyncio.sleep(3.0)
+        rig.halts = rig.unit.sent.count("halt")
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent.count("halt") == rig.halts
