@@ -177,6 +177,26 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
     run_rig(scenario)
 
 
+def test_a_fault_keeps_the_tracker_until_whoever_has_looked_clears_it_and_the_answer_names_it(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+        await rig.until_mode(Mode.FAULT, 15)
+        await at_rest(rig)
+        with pytest.raises(CommandError, match=r"the tracker cannot go anywhere: .*a_overcurrent"):
+            await operator(rig).goto(0, 60, "x")
+        answer = await operator(rig).clear("it turns freely", "ana")
+        assert answer.done
+        assert answer.text.startswith("forgiven: ")
+        assert "a_overcurrent" in answer.text
+        assert "; mode fault: " not in answer.text, "what is cleared keeps it no longer"
+        again = await operator(rig).clear("once more")
+        assert again.text.startswith("nothing was shown that could be cleared; ")
+        assert "acknowledged positioner-fault by ana: clear" in [event.text for event in rig.of(Event)]
+
+    run_rig(scenario)
+
+
 def test_a_stop_that_cannot_be_sent_says_so_and_is_sent_first_when_the_link_is_back(run_rig, monkeypatch):
     async def scenario(rig):
         await under_way(rig)
@@ -205,19 +225,32 @@ def test_without_telemetry_nothing_is_ordered_in_one_sentence_each(run_rig):
         for call in (operator(rig).home, operator(rig).clear, lambda why: operator(rig).goto(0, 60, why)):
             with pytest.raises(CommandError, match=r"the tracker cannot .*: positioner: is unplugged"):
                 await call("x")
+        with pytest.raises(CommandError, match="outside the limits"):
+            await operator(rig).goto(51, 60, "x")
+        with pytest.raises(CommandError, match="stop could not be sent"):
+            await operator(rig).stop("x")
+        with pytest.raises(CommandError, match="no clear: the tracker is stopped"):
+            await operator(rig).clear("x")
 
     run_rig(scenario)
 
 
 def test_every_command_is_an_event_with_its_reason(run_rig):
     async def scenario(rig):
+        with pytest.raises(CommandError, match="the tracker cannot be homed: the positioner has not answered yet"):
+            await operator(rig).home("too early")
         await tracking(rig)
-        await operator(rig).goto(-20, 70, "shading test")
-        await operator(rig).auto("done")
+        desk = operator(rig)
+        with pytest.raises(CommandError, match="there is nothing to forget: the law flat learns nothing"):
+            await desk.relearn("nothing came of it")
+        await desk.goto(-20, 70, "shading test")
+        for command in (desk.auto, desk.snow, desk.hold, desk.stow, desk.auto, desk.home, desk.clear, desk.maintenance):
+            await command("because", "ana")
         told = [event.text for event in rig.of(Event) if event.subject == "operator"]
-        assert told == ["goto A -20, B 70 deg: shading test", "auto: done"]
+        names = ("auto", "snow", "hold", "stow", "auto", "home", "clear faults", "maintenance")
+        assert told == ["goto A -20, B 70 deg: shading test", *(f"{name}: because (ana)" for name in names)]
 
-    run_rig(scenario)
+    run_rig(scenario, law={"name": "flat"})
 
 
 def test_the_cubes_process_has_no_tracker_to_command():
@@ -253,3 +286,29 @@ def test_under_way_is_a_tracker_that_was_seen_to_come_nearer_to_the_place_that_w
     assert approach.seen() is None
     motion.pose = SimpleNamespace(a_deg=a_deg, b_deg=b_deg)
     assert approach.seen() == seen
+
+
+@pytest.mark.parametrize(
+    ("a_deg", "b_deg", "homing", "stands_s", "seen"),
+    [
+        (20.5, 40.5, False, 7.0, "done"),
+        (20.0, 41.0, False, 7.0, None),
+        (21.0, 40.0, False, 7.0, None),
+        (20.0, 40.0, True, 7.0, None),
+        (20.0, 40.0, False, None, None),
+    ],
+)
+def test_done_is_a_tracker_that_stands_with_both_axes_at_the_place(a_deg, b_deg, homing, stands_s, seen):
+    pose = SimpleNamespace(a_deg=a_deg, b_deg=b_deg)
+    motion = SimpleNamespace(pose=pose, connected=True, target=None, homing=homing, stands_since_s=stands_s)
+    assert _Approach(motion, Target(20.0, 40.0, ""), 0.5).seen() == seen
+
+
+def test_nearer_counts_from_the_farthest_place_that_was_seen():
+    heading = Target(20.0, 40.0, "")
+    motion = SimpleNamespace(pose=None, connected=True, target=heading, homing=False)
+    approach = _Approach(motion, heading, 0.5)
+    assert approach.seen() is None, "nobody knows where it is"
+    for a_deg, seen in ((0.0, None), (-5.0, None), (-4.9, None), (-4.8, "under-way")):
+        motion.pose = SimpleNamespace(a_deg=a_deg, b_deg=40.0)
+        assert approach.seen() == seen

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from daemon.base.files import StateFolder
 from daemon.base.records import Event, Mode, Move
 from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
-from daemon.tracker.wishes import Wishes
+from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
 from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.api import serve
@@ -236,12 +237,13 @@ def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_r
 # A person at the unit
 
 
-def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_rig):
+def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_rig, tmp_path):
     async def scenario(rig):
         await under_way(rig)
         let_go = press_a_button(rig)
         await rig.until_mode(Mode.HOLD, 2)
         assert "a button was pressed at the unit: a person is there" in rig.control.why
+        assert WishFile(StateFolder(tmp_path)).load().buttons is not None, "a restart does not forget it"
         await at_rest(rig)
         stands = rig.truth()
         let_go()
@@ -255,7 +257,7 @@ def test_a_button_pressed_at_the_unit_holds_it_until_a_person_releases_it(run_ri
         await asyncio.sleep(60)
         assert rig.mode is Mode.TRACKING
 
-    run_rig(scenario)
+    run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
