@@ -26,7 +26,7 @@ from tests.mutation import cold
 from tests.mutation.nearest import Reached
 from tests.mutation.operators import Mutant, mutants
 from tests.mutation.verdict import Verdict
-from tests.mutation.warm import is_of_a_function, tried_warm
+from tests.mutation.warm import is_of_a_function, keeps_its_cells, tried_warm
 from tests.support import ROOT
 
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
@@ -87,7 +87,8 @@ def _tried(
     for mutant in chosen:
         tests = list(itertools.chain.from_iterable(reached.stages(mutant)))
         # What no test reaches may be called while the tests are read.
-        warm = reached.knows(mutant) and is_of_a_function(mutant, sources[mutant.path])
+        source = sources[mutant.path]
+        warm = reached.knows(mutant) and is_of_a_function(mutant, source) and keeps_its_cells(mutant, source)
         (functions if warm else others).append((mutant, tests))
     # Neighbours one after the other: a test that has noticed one change is likely to notice the next.
     functions.sort(key=lambda work: (work[0].path, work[0].begin))

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from tests.mutation.operators import mutants
-from tests.mutation.warm import Program, is_of_a_function
+from tests.mutation.warm import Program, is_of_a_function, keeps_its_cells
 
 SOURCE = b"""import functools
 
@@ -66,6 +66,12 @@ def change(line, was):
 
 def test_what_runs_when_the_file_is_read_is_of_no_function():
     assert {line for line in range(1, 36) if is_of_a_function_at(line)} == {7, 8, 9, 17, 18, 19, 23, 27, 31, 35}
+
+
+def test_a_function_that_needs_another_cell_is_read_anew():
+    source = b"class A(B):\n    def f(self):\n        super().f(1)\n"
+    kept = {mutant.now: keeps_its_cells(mutant, source) for mutant in mutants("f.py", source)}
+    assert kept == {"pass": False, "(2)": True}
 
 
 def is_of_a_function_at(line):

@@ -49,6 +49,15 @@ def is_of_a_function(mutant: Mutant, source: bytes) -> bool:
     return False
 
 
+def keeps_its_cells(mutant: Mutant, source: bytes) -> bool:
+    """Whether the functions can take the new code: one that says `super()` no more has a cell less, and cannot."""
+    before, after = (
+        [code.co_freevars for code in _codes(compile(text, mutant.path, "exec"))]
+        for text in (source, mutant.applied(source))
+    )
+    return len(before) != len(after) or before == after
+
+
 def tried_warm(work: list[Work], reached: Reached, limit_s: float, jobs: int, folder: Path) -> Iterator[Verdict]:
     """Yield what the tests say, as it comes; each test may be the name of a file, for all of it."""
     if not work:
