@@ -99,7 +99,7 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
         return _none("no power")
     first, last = _window(power, top)
     voc_v = _voc(voltage, current)
-    if first == top or last == top or voltage[first] == voltage[top] or voltage[last] == voltage[top]:
+    if voltage[top] in (voltage[first], voltage[last]):
         return _none("the highest power is at an end of the curve: the knee is not in it", voc_v)
     fit = _fit(voltage[first : last + 1], power[first : last + 1], float(voltage[top]))
     if fit is None:

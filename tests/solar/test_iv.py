@@ -84,6 +84,16 @@ def test_a_curve_without_its_knee_has_no_maximum(lowest, highest):
     assert "the knee is not in it" in found.why_not
 
 
+@pytest.mark.parametrize(("lowest", "highest", "end"), [(3.0, 25.0, 25.0), (37.0, 40.0, 37.0)])
+def test_nor_has_one_whose_end_was_measured_twice(lowest, highest, end):
+    voltage = np.append([end], np.linspace(lowest, highest, 30))
+    current = curve(MODULE, 1000.0, 25.0, voltage)
+    # Whichever of the two comes first, the one with more power has nothing beyond it.
+    for less in (0, 1 if end == lowest else 30):
+        weaker = current - 1e-3 * (np.arange(31) == less)
+        assert "the knee is not in it" in measured_maximum(voltage, weaker).why_not
+
+
 def noisy(irradiance, temperature, points, seed, noise_a, wild=()):
     _, voltage, current = swept(irradiance, temperature, points)
     current = current + np.random.default_rng(seed).normal(0.0, noise_a, current.size)
