@@ -4,7 +4,6 @@ import pytest
 
 from daemon.studies.report.material import from_store
 from daemon.studies.report.span import Wanted
-from daemon.studies.report.write import write_reports
 from tests.support.stored_day import T0, stored_days
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -19,6 +18,8 @@ pytestmark = [
 
 
 def test_the_page_needs_nothing_but_itself_and_anybody_can_read_it(tmp_path):
+    from daemon.studies.report.write import write_reports  # noqa: PLC0415 - every process that waits would load plots
+
     store = stored_days(tmp_path / "store", days=2)
     materials = from_store(store, Wanted(start="2022-10-14", end="2022-10-16"), None, T0 + 9e6, lambda _share: None)
     (path,) = write_reports(materials, tmp_path / "out", None, lambda _share: None, force=False)
