@@ -147,7 +147,7 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     """
     faces, up = np.asarray(faces_w_m2, float), np.asarray(sun, float)
     found = np.full(4, Response.UNKNOWN, dtype=np.int64)
-    if np.isnan(faces).any() or not (up[:, 2] >= LOWEST_SINE).all():
+    if not (up[:, 2] >= LOWEST_SINE).all():
         return found
     reached = np.stack([up[:, 1], up[:, 0], -up[:, 1], up[:, 2]]).min(axis=1) > _LIT_COSINE
     reached[3] = True
@@ -219,6 +219,5 @@ def _over(faces: Array, cosines: Array) -> NDArray[np.bool_]:
     # A vertical face sees half of the sky that the zenith face sees, and the ground that this sky lights.
     found[:, :3] = faces[:, :3] > sun_w_m2[:, :3] + faces[:, 3:] + _SHADED_W_M2
     accused = found[:, :3].sum(axis=-1) >= 2
-    found[accused, :3] = False
-    found[accused, 3] = True
+    found[accused] = [False, False, False, True]
     return found

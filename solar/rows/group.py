@@ -89,8 +89,7 @@ class TrackerGroup:
         self.bypass_groups = int(bypass_groups)
         self.only_if_it_pays = only_if_it_pays
         self.offsets_m, self.weights = _views(positions)
-        every = self.offsets_m.reshape(-1, 3)
-        self._distinct_m = np.unique(every[np.any(every != 0.0, axis=-1)], axis=0)
+        self._distinct_m = np.unique(self.offsets_m.reshape(-1, 3), axis=0)
 
     @classmethod
     def on_map(
@@ -122,7 +121,7 @@ class TrackerGroup:
         """
         sun, across, along, normal = _frame(sun, a_deg, b_deg)
         shifts = self._shifts(self._distinct_m, sun, across, along, normal)
-        covered = _covered(*shifts).max(axis=-1, initial=0.0)
+        covered = _covered(*shifts).max(axis=-1)
         result: Array = np.where(np.sum(sun * normal, axis=-1) > _GRAZING, covered, 1.0)
         return result
 
@@ -207,7 +206,7 @@ def _union(by_width: Array, by_height: Array, share: Array) -> Array:
     Each is as large as the module, so that it covers a corner of it: in a strip between two vertical edges, what is
     covered is a piece from below and one from above.
     """
-    total: Array = share.max(axis=-1, initial=0.0)
+    total: Array = share.max(axis=-1)
     several = np.count_nonzero(share, axis=-1) > 1
     if not several.any():
         return total
@@ -216,19 +215,19 @@ def _union(by_width: Array, by_height: Array, share: Array) -> Array:
     counts, x, y = (np.take_along_axis(value[several], chosen, axis=-1) for value in (share > 0.0, by_width, by_height))
     left, right = (np.where(counts, np.clip(edge, 0.0, 1.0), 0.0) for edge in (x, 1.0 + x))
     tall = np.where(counts, 1.0 - np.abs(y), 0.0)
-    edges = np.sort(np.concatenate([left, right], axis=-1), axis=-1)
+    edges = np.sort(np.concatenate([left, right], axis=-1))
     middle = 0.5 * (edges[:, 1:] + edges[:, :-1])[..., None]
     inside = (left[:, None, :] < middle) & (middle < right[:, None, :])
     below, above = (
         np.where(inside & side[:, None, :], tall[:, None, :], 0.0).max(axis=-1) for side in (y <= 0.0, y > 0.0)
     )
-    total[several] = np.sum(np.diff(edges, axis=-1) * np.minimum(below + above, 1.0), axis=-1)
+    total[several] = np.sum(np.diff(edges) * np.minimum(below + above, 1.0), axis=-1)
     return total
 
 
 def _touched(by_width: Array, casts: NDArray[np.bool_], groups: int) -> Array:
     """Return how many of the groups side by side across the width have shade, over the last axis."""
     reach = np.where(casts, 1.0 - np.abs(by_width), 0.0)
-    sides = (np.where(side, reach, 0.0).max(axis=-1, initial=0.0) for side in (by_width <= 0.0, by_width > 0.0))
+    sides = (np.where(side, reach, 0.0).max(axis=-1) for side in (by_width <= 0.0, by_width > 0.0))
     result: Array = np.minimum(sum(np.ceil(groups * side - _TOUCH) for side in sides), float(groups))
     return np.maximum(result, 0.0)

@@ -5,7 +5,8 @@ import pytest
 
 from solar.energy import build_sky, faces_under, lay_out
 from solar.ephemeris import Site
-from solar.faces.contradiction import PAIRS, misfits
+from solar.faces.contradiction import PAIRS, Misfits, faces_of, misfits
+from solar.laws.light import Light
 
 SITE = Site(48.7176, 2.2090, 156.0)
 MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
@@ -80,3 +81,49 @@ def test_gaps_and_dusk_tell_nothing(share, missing, known):
 def test_a_sun_at_the_horizon_tells_nothing():
     faces, sun = half_hour()
     assert misfits(faces, sun * [1.0, 1.0, 0.05]) is None
+
+
+@pytest.mark.parametrize(
+    ("without", "accused"),
+    [
+        # Without one face 6 % are left at most, and without any other twice as much, and 8 %.
+        ((0.059, 0.13, 0.4, 0.4), (0,)),
+        ((0.4, 0.061, 0.4, 0.4), ()),
+        ((0.4, 0.4, 0.05, 0.099), ()),
+        ((0.4, 0.4, 0.05, 0.101), (2,)),
+        ((0.079, 0.4, 0.4, 0.02), ()),
+        ((0.081, 0.4, 0.4, 0.02), (3,)),
+    ],
+)
+def test_who_is_accused_leaves_little_and_the_others_clearly_more(without, accused):
+    nothing = np.full(len(PAIRS), 0.4)
+    assert Misfits(0.3, 0.151, np.array(without), nothing).accused == accused
+    assert Misfits(0.3, 0.149, np.array(without), nothing).accused == ()
+
+
+@pytest.mark.parametrize(
+    ("whole", "swapped", "in_order"), [(0.079, 0.151, True), (0.081, 0.151, False), (0.079, 0.149, False)]
+)
+def test_faces_are_in_order_that_agree_and_would_contradict_each_other_swapped(whole, swapped, in_order):
+    found = Misfits(whole, 0.05, np.full(4, 0.05), np.array([swapped, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert found.in_order((0, 1)) == in_order
+    # One alone cannot be swapped.
+    assert found.in_order((0,)) == (whole < 0.08)
+
+
+def test_how_bright_the_light_is_makes_no_difference():
+    faces, sun = half_hour()
+    bright, dim = misfits(faces, sun), misfits(0.15 * faces, sun)
+    assert (dim.without.shape, dim.swapped.shape) == ((4,), (6,))
+    np.testing.assert_allclose(np.concatenate(dim[2:]), np.concatenate(bright[2:]), rtol=1e-9)
+
+
+def test_light_on_one_face_alone_is_not_enough():
+    _, sun = half_hour()
+    assert misfits(np.full((30, 4), [400.0, 10.0, 10.0, 10.0]), sun) is None
+
+
+@pytest.mark.parametrize(("horizon", "vertical"), [(-50.0, 30.0), (-10.0, 40.0), (60.0, 110.0), (90.0, 120.0)])
+def test_a_horizon_is_not_darker_than_a_fifth_less_nor_brighter_than_seven_tenths_of_the_sky(horizon, vertical):
+    light = Light(np.array(0.0), np.array(100.0), np.array(horizon))
+    np.testing.assert_allclose(faces_of(light, np.array([0.6, 0.0, 0.8]), 0.0), [vertical] * 3 + [100.0])

@@ -111,6 +111,7 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
         ((461.0, 300.0, 80.0, 400.0), 40.0, (OVER, OK, OK, OK)),
         ((80.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OVER, OK)),
         ((461.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OK, OVER)),
+        ((1310.0, 300.0, 80.0, 1240.0), 40.0, (OVER, OK, OK, OVER)),
         ((461.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
         ((80.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
         ((261.0, 300.0, 0.0, 200.0), 5.1, (OVER, OK, DEAD, OK)),
@@ -128,6 +129,11 @@ def test_what_a_face_cannot_be(faces_w_m2, elevation_deg, expected):
         # 0.015 mV and two thousandths.
         ((5.0, 2.0, 2.0, 5.0249), True),
         ((5.0, 2.0, 2.0, 5.0260), False),
+        # The larger of both counts: 5.015/0.998 = 5.02505.
+        ((5.0, 2.0, 2.0, 5.02503), True),
+        ((5.02503, 2.0, 2.0, 5.0), True),
+        ((-5.0, -2.0, -2.0, -5.02503), True),
+        ((-5.02503, -2.0, -2.0, -5.0), True),
         ((5.0, 2.0, 2.0180, 5.0), True),
         ((5.0, 2.0, 2.0200, 5.0), False),
         ((-5.02, -2.0, -2.0, -5.0), True),
@@ -175,8 +181,46 @@ def test_light_enough_is_30_w_m2_on_the_second_brightest_face(faces_w_m2, elevat
         ((0.1, 300.0, -0.2, 0.0), -0.08, []),
         ((0.1, 15.0, -0.2, 0.0), -0.2, []),
         ((8.0, 300.0, -0.2, 0.0), -0.2, []),
+        ((0.1, 300.0, -8.0, 0.0), -0.2, []),
         ((np.nan, 300.0, -0.2, 0.0), -0.2, []),
     ],
 )
 def test_light_on_one_face_alone_in_the_night_is_none(faces_w_m2, sine, named):
     assert np.flatnonzero(lit_at_night(faces_w_m2, (0.9, 0.1, sine))).tolist() == named
+
+
+def test_many_minutes_are_each_judged_by_themselves():
+    faces = [(100.0, 300.0, 80.0, 400.0), (0.5, 0.5, 0.5, 0.5), (2.0, 300.0, 80.0, 400.0), (461.0, 300.0, 80.0, 400.0)]
+    voltages = [(5.0, 2.0, 2.0, 5.0), (0.05, 0.05, 0.05, 0.05), DIFFERENT_MV, DIFFERENT_MV]
+    suns = np.repeat(towards_south(40.0)[None], 4, axis=0)
+    assert doubts(faces, voltages, suns, NORMALS).tolist() == [
+        [SAME] * 4,
+        [DARK] * 4,
+        [DEAD, OK, OK, OK],
+        [OVER, OK, OK, OK],
+    ]
+
+
+def test_in_the_afternoon_south_and_west_follow_the_light():
+    faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 5.5 * 3600.0)
+    assert responses(faces, sun, ALL).tolist() == [
+        Response.UNKNOWN,
+        Response.FOLLOWS,
+        Response.FOLLOWS,
+        Response.FOLLOWS,
+    ]
+
+
+def test_a_face_that_the_sun_leaves_meanwhile_is_not_judged():
+    faces, sun = half_hour(at_utc_s=MORNING_UTC_S + 110.0 * 60.0)
+    assert sun[0, 1] > 0.15 > sun[-1, 1]
+    assert responses(faces, sun, ALL)[0] == Response.UNKNOWN
+
+
+@pytest.mark.parametrize(("minutes", "judged"), [(0, False), (17, True)])
+def test_all_of_the_half_hour_the_sun_is_five_degrees_up(minutes, judged):
+    # A December morning, with the sun in the south-east: it rises through 5 degrees at 08:22.
+    faces, sun = half_hour(beam_w_m2=1500.0, at_utc_s=1671062400.0 + 8.12 * 3600.0 + 60.0 * minutes)
+    assert sun[-1, 2] > np.sin(np.radians(5.0))
+    follows = [Response.FOLLOWS, Response.FOLLOWS, Response.UNKNOWN, Response.FOLLOWS]
+    assert responses(faces, sun, ALL).tolist() == (follows if judged else [Response.UNKNOWN] * 4)

@@ -109,6 +109,8 @@ def test_a_pose_for_a_rest_has_no_shade_at_its_beginning_nor_at_its_end():
     at_once, lasting = (out_of_shade(FIELD, suns, *wanted, LIMITS) for suns in (evening[:1], evening))
     assert FIELD.worst_share(evening[0], *at_once) <= 1e-6 < 0.05 < FIELD.worst_share(evening[1], *at_once)
     assert max(FIELD.worst_share(sun, *lasting) for sun in evening) <= 1e-6
+    again = out_of_shade(FIELD, evening, *at_once, LIMITS)
+    assert max(FIELD.worst_share(sun, *again) for sun in evening) <= 1e-6
 
 
 def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
@@ -119,3 +121,11 @@ def test_on_a_slope_where_every_pose_has_shade_the_least_is_taken():
     lattice = south_is_higher.worst_share(sun, *every)
     assert lattice.min() > 0.01
     assert south_is_higher.worst_share(sun, a_deg, b_deg) <= lattice.min() + 1e-3
+
+
+def test_a_sun_that_is_not_known_leaves_its_own_pose_alone():
+    sun = direction_from_azimuth(100.0, 8.0, LYNGBY[0])
+    pairs = np.stack([sun, [np.nan] * 3]), np.stack([sun, sun])
+    a_deg, b_deg = out_of_shade(FIELD, pairs, np.array([-40.0, -40.0]), np.array([60.0, 60.0]), LIMITS)
+    assert (a_deg[1], b_deg[1]) == (-40.0, 60.0)
+    assert (a_deg[0], b_deg[0]) != (-40.0, 60.0)

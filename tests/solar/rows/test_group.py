@@ -69,14 +69,14 @@ def test_long_rows_shade_each_other_as_pvlib_says():
 
 def test_bypass_groups_take_the_beam_that_pvlib_s_martinez_takes():
     # Due east, the shadow is shifted across the groups alone: it touches as many as it is wide.
-    for elevation_deg in (4.0, 9.0, 15.0):
-        sun = direction_from_azimuth(90.0, elevation_deg, LYNGBY_DEG)
-        places = field(2, 1).shade_of_each(sun, -45.0, 90.0)
+    for elevation_deg, side in ((4.0, 1), (9.0, 1), (15.0, 1), (4.0, -1), (9.0, -1), (15.0, -1)):
+        sun = direction_from_azimuth(180.0 - 90.0 * side, elevation_deg, LYNGBY_DEG)
+        places = field(2, 1).shade_of_each(sun, -45.0 * side, 90.0)
         share = places.share.max()
         lost = direct_martinez(1.0, 1.0, share, np.ceil(3.0 * share), 3)
         assert 0.1 < share < 0.9
         np.testing.assert_allclose(np.sort(places.lost), [0.0, lost], atol=1e-9)
-        bare = field(2, 1, groups=0).shade_of_each(sun, -45.0, 90.0)
+        bare = field(2, 1, groups=0).shade_of_each(sun, -45.0 * side, 90.0)
         np.testing.assert_allclose(bare.lost, bare.share, atol=1e-12)
 
 
@@ -108,7 +108,13 @@ def test_alike_places_of_a_large_field_are_looked_at_once():
 
 @pytest.mark.parametrize(
     ("positions", "size"),
-    [([[0, 0, 0]], (2, 2)), ([[0, 0, 0], [np.nan, 0, 0]], (2, 2)), ([[0, 0], [1, 0]], (2, 2)), (np.eye(3), (-2, 2))],
+    [
+        (np.zeros((2, 3, 3)), (2, 2)),
+        ([[0, 0, 0]], (2, 2)),
+        ([[0, 0, 0], [np.nan, 0, 0]], (2, 2)),
+        ([[0, 0], [1, 0]], (2, 2)),
+        (np.eye(3), (-2, 2)),
+    ],
 )
 def test_no_group_is_made_of_what_is_none(positions, size):
     with pytest.raises(ValueError, match="group"):
@@ -124,6 +130,7 @@ def test_no_module_is_made_of_what_is_none(size):
 def test_a_module_of_one_piece_and_one_without_bypass_are_modules():
     assert [TrackerGroup(np.eye(3), 2, 1, groups).bypass_groups for groups in (0, 1)] == [0, 1]
     assert TrackerGroup(np.eye(3)[:2], 2, 1).size_m == (2.0, 1.0)
+    assert TrackerGroup(np.eye(3)[:2], 0.5, 0.25).size_m == (0.5, 0.25)
 
 
 def test_who_stands_higher_on_the_map_is_higher():
@@ -131,3 +138,25 @@ def test_who_stands_higher_on_the_map_is_higher():
     # The frame looks south, east and up: north is behind it.
     far = group.offsets_m.reshape(-1, 3)
     np.testing.assert_allclose(far[far[:, 2] > 0], [[-4.0, 3.0, 1.5]], atol=1e-9)
+
+
+def test_who_stands_nowhere_level_with_another_shades_it_too():
+    group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 2.0), 48.0)
+    sun = np.array([-4.0, 3.0, 1.5]) / np.sqrt(27.25)
+    # The sun stands behind the neighbour's middle: all is dark.
+    assert group.worst_share(sun, -30.0, 90.0) == pytest.approx(1.0)
+
+
+def test_many_suns_are_each_as_alone():
+    group = field()
+    suns = direction_from_azimuth([90.0, 120.0, 250.0], [9.0, 20.0, 6.0], LYNGBY_DEG)
+    together, share = group.shade(suns, 45.0, 90.0), group.beam_share(suns, 45.0, 90.0)
+    alone = [group.shade(sun, 45.0, 90.0) for sun in suns]
+    np.testing.assert_allclose(together, np.transpose(alone))
+    np.testing.assert_allclose(share, [float(group.beam_share(sun, 45.0, 90.0)) for sun in suns])
+    assert together.share[2] > 0.0 == together.share[0]
+
+
+def test_a_flat_field_has_the_sine_of_the_sun_s_height():
+    suns = direction_from_azimuth([180.0, 200.0], [30.0, -5.0], LYNGBY_DEG)
+    np.testing.assert_allclose(field().beam_share(suns, 0.0, 90.0), [0.5, 0.0], atol=1e-12)
