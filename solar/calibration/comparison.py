@@ -120,7 +120,7 @@ def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: fl
         )
     ratios, middles = reference[whole] / voltage[whole], (number[whole] + 0.5) * series_s
     kept = np.ones(ratios.size, dtype=np.bool_)
-    while True:
+    for _ in ratios:
         deviation = np.where(kept, np.abs(ratios / ratios[kept].mean() - 1.0), 0.0)
         worst = int(np.argmax(deviation))
         if deviation[worst] <= _STRAY:

@@ -81,12 +81,11 @@ def clear_and_stable(
     clear_w_m2, _, _ = clear_sky_ghi(site, utc_s)
     index = np.where(high, irradiance_w_m2 / np.where(high, clear_w_m2, 1.0), np.nan)
     step_s = float(np.median(np.diff(utc_s)))
-    series = pd.Series(index, index=pd.to_datetime(utc_s, unit="s", utc=True))
+    series = pd.Series(index, index=pd.to_datetime(utc_s, unit="s"))
     rolling = series.rolling(pd.Timedelta(seconds=wanted.window_s), center=True, closed="both")
     mean, spread = rolling.mean().to_numpy(), rolling.std(ddof=0).to_numpy()
     enough = rolling.count().to_numpy() * step_s >= wanted.coverage * wanted.window_s
-    with np.errstate(invalid="ignore"):
-        stable = (spread <= wanted.spread * mean) & (wanted.lowest <= mean) & (mean <= wanted.highest)
+    stable = (spread <= wanted.spread * mean) & (wanted.lowest <= mean) & (mean <= wanted.highest)
     return np.asarray(stable & enough & np.isfinite(index), dtype=np.bool_)
 
 
@@ -129,5 +128,5 @@ def night_offset(utc_s: Array, readings: Array, site: Site) -> tuple[Array, Arra
         return nothing, nothing, 0
     middle = np.median(seen, axis=0)
     sigma = 1.4826 * np.median(np.abs(seen - middle), axis=0)
-    pieces = max(np.unique(np.floor(utc_s[dark] / 1800.0)).size, 1)
+    pieces = np.unique(np.floor(utc_s[dark] / 1800.0)).size
     return middle, 1.2533 * sigma / np.sqrt(pieces), len(seen)
