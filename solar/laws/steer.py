@@ -17,7 +17,7 @@ PAPER_MEAN_S = 120.0
 
 def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
     """Return the first pose [deg] where it is known, and the second one elsewhere."""
-    known = np.isfinite(a_deg) & np.isfinite(b_deg)
+    known = np.isfinite(a_deg + b_deg)
     return np.where(known, a_deg, a_now), np.where(known, b_deg, b_now)
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from solar.ephemeris import Site, sun_position
 from solar.frames import Limits, direction_from_azimuth, normal_from_angles
-from solar.laws import chronometric
-from solar.laws.law import DirectionLaw, Moment, TrackerFacts
+from solar.laws import chronometric, mu_prime, sun_vector
+from solar.laws.law import NO_DIRECTION, DirectionLaw, Moment, Reading, TrackerFacts
 
 FORENOON = 1665565200.0  # 2022-10-12 09:00 UTC
 PALAISEAU = Site(48.7, 2.2, 0.0)
@@ -40,3 +40,48 @@ def test_half_a_direction_is_none():
     assert aim.target is None
     assert math.isnan(aim.elevation_deg)
     assert aim.why == "the readings tell no direction"
+
+
+def test_a_law_that_says_no_more_than_a_direction_keeps_nothing_and_stands_in_nobodys_way():
+    law = HalfBlind(tracker())
+    law.observe(Reading(FORENOON, 0.0, (1.0, 1.0, 1.0, 1.0)))
+    law.book(1.0)
+    assert (law.faces_needed, law.needs_sun, law.decide_every_s) == (4, False, 300.0)
+    assert (law.learned, law.to_dict(), law.shown(), law.turn(FORENOON + 86400.0)) == (None, None, {}, False)
+    assert law.affords(1e6)
+    assert law.believes_zenith((1.0, 1.0, 1.0, 0.0), FORENOON)
+    found = law.estimates(np.ones((5, 4)), np.ones((5, 3)), None)
+    assert [part.shape for part in found] == [(5,)] * 3
+    assert np.isnan(found).all()
+
+
+@pytest.mark.parametrize("law", [chronometric, mu_prime, sun_vector])
+def test_where_a_law_has_no_direction_it_has_none_of_three_parts(law):
+    made = law.build(law.SETTINGS(), tracker())
+    np.testing.assert_array_equal(
+        made.direction(Moment(FORENOON, None, None, sun_known=False), NO_DIRECTION), [math.nan] * 3
+    )
+
+
+def test_the_sun_vector_is_completed_by_the_ephemeris_while_the_sun_is_known_and_not_else():
+    # In June the morning sun stands north of east, where no face sees it: south and west read alike.
+    morning = 1655614800.0
+    law = sun_vector.build(sun_vector.SETTINGS(), tracker())
+    sure, unsure = (
+        law.aim(Moment(morning, (600.0, 100.0, 100.0, 300.0), None, sun_known=known)) for known in (True, False)
+    )
+    assert sure.azimuth_deg == pytest.approx(law.sun(morning).azimuth_deg)
+    assert sure.azimuth_deg < 80.0
+    assert unsure.azimuth_deg == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize(("name", "usual", "greatest"), [
+    ("albedo", 0.2, 1.0), ("uniform_threshold", 0.01, 0.5), ("gain_uncertainty", 0.03, 0.2),
+])  # fmt: skip
+def test_the_parameters_of_the_sun_vector_are_shares_in_their_bounds(name, usual, greatest):
+    assert getattr(sun_vector.SETTINGS(), name) == usual
+    for value in (0.0, greatest):
+        assert getattr(sun_vector.SETTINGS(**{name: value}), name) == value
+    for value in (-1e-3, greatest + 1e-3, math.nan):
+        with pytest.raises(ValueError, match=name):
+            sun_vector.SETTINGS(**{name: value})
