@@ -112,8 +112,10 @@ class _Day:
             return heading
         good = int(np.isfinite(mean).sum()) >= law.faces_needed
         target = law.aim(Moment(utc_s, _four(mean) if good else None, heading)).target
-        distance_deg = 0.0 if target is None else abs(target.a_deg - heading.a_deg) + abs(target.b_deg - heading.b_deg)
-        if target is None or not law.affords(distance_deg):
+        if target is None:
+            return heading
+        distance_deg = abs(target.a_deg - heading.a_deg) + abs(target.b_deg - heading.b_deg)
+        if not law.affords(distance_deg):
             return heading
         law.book(distance_deg)
         return target

@@ -7,8 +7,9 @@ import pytest
 
 from solar.energy import Drive, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import Site
-from solar.frames import Limits
+from solar.frames import Angles, Limits
 from solar.laws import chronometric, flat, mu_prime, optimal_live, sun_vector
+from solar.laws.law import Aim, Law
 from solar.laws.steer import by_readings, by_the_mean
 
 pytestmark = pytest.mark.slow
@@ -60,6 +61,48 @@ def test_a_step_that_is_longer_than_the_mean_is_its_own_mean():
     asked = []
     by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3])
     np.testing.assert_array_equal(asked[0], weather.gridded(faces, np.nan))
+
+
+class Listener(Law):
+    """Takes down what it is told, and wants to the sun's side once it knows four faces."""
+
+    def __init__(self, tracker):
+        super().__init__(tracker)
+        self.heard, self.asked, self.booked = [], [], []
+
+    def observe(self, reading):
+        """Take it down."""
+        self.heard.append(reading)
+
+    def affords(self, _distance_deg):
+        """Whether this is one of its first two moves."""
+        return len(self.booked) < 2
+
+    def book(self, distance_deg):
+        """Take it down."""
+        self.booked.append(distance_deg)
+
+    def aim(self, now):
+        """Go on by 3 and 4 deg, but not at first."""
+        self.asked.append(now)
+        target = Angles(now.heading.a_deg + 3.0, now.heading.b_deg - 4.0) if len(self.asked) > 1 else None
+        return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=self.sun(now.utc_s), target=target)
+
+
+def test_a_law_hears_each_reading_once_before_the_step_that_it_steers():
+    utc_s = 1465084800.0 + 300.0 * np.arange(288)
+    weather = lay_out(utc_s, np.full(utc_s.size, 700.0), np.full(utc_s.size, 150.0), LYNGBY, 300.0)
+    faces = faces_under(build_sky(weather, "isotropic"), 0.2)
+    made = []
+    steer = by_readings(lambda tracker: made.append(Listener(tracker)) or made[-1], weather, faces, LIMITS)
+    a, b = np.zeros(1), np.full(1, 90.0)
+    for step in range(5):
+        a, b = steer(step, a, b)
+    (law,) = made
+    first = weather.utc_s[:4].tolist()
+    assert [reading.utc_s for reading in law.heard] == [now.utc_s for now in law.asked] == first
+    np.testing.assert_array_equal([reading.faces_w_m2 for reading in law.heard], faces[:4])
+    assert (law.booked, a.tolist(), b.tolist()) == ([7.0, 7.0], [6.0], [82.0])
 
 
 def test_flat_never_moves(two_days):
