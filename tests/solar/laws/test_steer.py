@@ -54,13 +54,16 @@ def test_the_optimal_law_reading_by_reading_comes_near_its_fast_way_and_keeps_it
     assert (slow.moves <= 40).all()
 
 
-def test_a_step_that_is_longer_than_the_mean_is_its_own_mean():
+def test_a_mean_is_of_its_last_steps_and_a_step_that_is_longer_its_own_mean():
     utc_s = 1465084800.0 + 300.0 * np.arange(288)
     weather = lay_out(utc_s, 700.0 * (utc_s // 1800 % 2), np.full(utc_s.size, 150.0), LYNGBY, 300.0)
     faces = faces_under(build_sky(weather, "isotropic"), 0.2)
     asked = []
     by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3])
-    np.testing.assert_array_equal(asked[0], weather.gridded(faces, np.nan))
+    grid = weather.gridded(faces, np.nan)
+    np.testing.assert_array_equal(asked[0], grid)
+    by_the_mean(weather, faces, LIMITS, lambda means: asked.append(means) or means[..., :3], mean_s=900.0)
+    np.testing.assert_allclose(asked[1][2:], (grid[2:] + grid[1:-1] + grid[:-2]) / 3.0)
 
 
 class Listener(Law):
