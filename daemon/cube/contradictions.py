@@ -22,8 +22,10 @@ class Contradictions:
     """Looks at the last half hour every five minutes; what it finds stands until it looks again."""
 
     def __init__(self) -> None:
-        self._minutes = 0
-        self._puzzled = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self._minutes = self._puzzled = 0
         self._fit: Misfits | None = None
         self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
 
@@ -67,8 +69,3 @@ class Contradictions:
         elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.ODD, Doubt.SWAPPED) for why in whys):
             found[:] = Doubt.TORN
         return found
-
-    def _forget(self) -> None:
-        self._minutes = self._puzzled = 0
-        self._fit = None
-        self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)

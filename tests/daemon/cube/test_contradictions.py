@@ -1,0 +1,94 @@
+"""Half an hour of four faces that contradict each other, without the watch around it."""
+
+import numpy as np
+import pytest
+
+from daemon.cube.contradictions import MINUTES, Contradictions
+from solar.faces.plausible import Doubt
+
+NONE, DEAD, OVER, ODD, SWAPPED, TORN = Doubt.NONE, Doubt.DEAD, Doubt.OVER, Doubt.ODD, Doubt.SWAPPED, Doubt.TORN
+SOUND = [NONE] * 4
+
+
+def half_hour(order=(0, 1, 2, 3), share=(1.0, 1.0, 1.0, 1.0), minutes=MINUTES):
+    """Faces [W/m2] under a beam of 700, a uniform sky of 140 and a ground of 20 %; sun in the south-east."""
+    azimuth, elevation = np.radians(np.linspace(130.0, 138.0, minutes)), np.radians(45.0)
+    sun = np.stack(
+        [
+            -np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.full(minutes, np.sin(elevation)),
+        ],
+        axis=-1,
+    )
+    normals = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])
+    ground = 0.2 * (700.0 * sun[:, 2:] + 140.0)
+    faces = 700.0 * np.maximum(sun @ normals.T, 0.0) + 70.0 * (1 + normals[:, 2]) + 0.5 * ground * (1 - normals[:, 2])
+    return faces[:, list(order)] * share, sun
+
+
+def after(contradictions, looks, whys=SOUND, **light):
+    """Look every minute; return what is found at each, as names."""
+    return [[Doubt(each) for each in contradictions.look(*half_hour(**light), whys)] for _ in range(looks)]
+
+
+def test_sound_faces_are_not_accused():
+    contradictions = Contradictions()
+    assert after(contradictions, 11) == [SOUND] * 11
+    assert all(contradictions.agrees(face, [TORN, ODD, OVER, NONE]) for face in range(4))
+
+
+def test_before_half_an_hour_nothing_is_known_and_nothing_forgiven():
+    contradictions = Contradictions()
+    shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
+    assert after(contradictions, 11, minutes=MINUTES - 1, **shaded) == [SOUND] * 11
+    assert [contradictions.agrees(face, [ODD, TORN, SWAPPED, NONE]) for face in range(4)] == [False, False, False, True]
+
+
+def test_a_face_in_a_shade_of_its_own_is_found_at_once_and_looked_at_again_after_five_minutes():
+    contradictions = Contradictions()
+    odd = [NONE, ODD, NONE, NONE]
+    assert after(contradictions, 3, share=(1.0, 0.3, 1.0, 1.0)) == [odd] * 3
+    assert not contradictions.agrees(1, odd)
+    assert contradictions.agrees(0, odd)
+    assert after(contradictions, 3, odd) == [odd, odd, SOUND]
+    assert contradictions.agrees(1, odd)
+
+
+def test_two_that_are_swapped_are_both_found_and_asked_to_be_in_order():
+    contradictions = Contradictions()
+    swapped = [NONE, NONE, SWAPPED, SWAPPED]
+    assert after(contradictions, 1, order=(0, 1, 3, 2)) == [swapped]
+    assert not contradictions.agrees(2, swapped)
+    after(contradictions, 5, swapped)
+    assert contradictions.agrees(2, swapped)
+    assert contradictions.agrees(3, swapped)
+    # East and south could as well be swapped under this sun: that they agree says little of their order.
+    assert not contradictions.agrees(0, [SWAPPED, SWAPPED, NONE, NONE])
+    assert contradictions.agrees(0, [ODD, SWAPPED, NONE, NONE])
+
+
+TURNED = {"share": (0.2, 3.0, 8.0, 0.3)}
+
+
+def test_what_nobody_can_be_accused_of_is_said_of_all_at_the_second_look():
+    contradictions = Contradictions()
+    torn = [TORN] * 4
+    assert after(contradictions, 7, **TURNED) == [SOUND] * 5 + [torn] * 2
+    assert not contradictions.agrees(0, torn)
+    # One look that agrees begins the count anew.
+    after(contradictions, 5, torn)
+    assert contradictions.agrees(0, torn)
+    assert after(contradictions, 6, torn, **TURNED)[-4:] == [SOUND] * 4
+
+
+@pytest.mark.parametrize(("why", "found"), [(ODD, SOUND), (SWAPPED, SOUND), (OVER, [TORN] * 4), (TORN, [TORN] * 4)])
+def test_nobody_else_is_accused_where_it_is_known_who_it_is(why, found):
+    assert after(Contradictions(), 6, [why, NONE, NONE, NONE], **TURNED)[-1] == found
+
+
+def test_what_is_said_of_a_face_for_another_reason_ends_the_comparison():
+    contradictions = Contradictions()
+    after(contradictions, 1, share=(1.0, 0.3, 1.0, 1.0))
+    assert after(contradictions, 1, [DEAD, NONE, NONE, NONE], share=(1.0, 0.3, 1.0, 1.0)) == [SOUND]
+    assert not contradictions.agrees(1, [DEAD, ODD, NONE, NONE])
