@@ -1,4 +1,6 @@
 import csv
+import hashlib
+import json
 import logging
 import sqlite3
 from contextlib import closing
@@ -7,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from daemon.base.errors import UserError
 from daemon.base.records import FaceReading, Quality, Scan
@@ -72,6 +75,53 @@ def test_the_identifier_is_made_of_the_day_and_the_contents(gain, offset_mv):
     assert (made.identifier == calibration().identifier) == (gain == 10.1 and offset_mv == 0.05)
 
 
+def test_the_identifier_does_not_hang_on_the_order_of_the_contents():
+    made = calibration()
+    contents = json.dumps(made.model_dump(mode="json", exclude={"identifier"}), sort_keys=True)
+    assert made.identifier == "20220320-" + hashlib.sha256(contents.encode()).hexdigest()[:8]
+
+
+STANDING = {
+    "yaw_deg": 1.0,
+    "yaw_uncertainty_deg": 0.0,
+    "tilt_deg": 0.0,
+    "tilt_azimuth_deg": 0.0,
+    "tilt_uncertainty_deg": 0.0,
+    "albedo": 0.0,
+    "albedo_uncertainty": 0.0,
+}
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [
+    ("gain_w_m2_per_mv", 0.0001, 1000.0),
+    ("gain_uncertainty_percent", 0.0, None),
+    ("offset_mv", -100.0, 100.0),
+    ("offset_uncertainty_mv", 0.0, None),
+    ("tilt_deg", 0.0, None),
+    ("tilt_azimuth_deg", 0.0, 360.0),
+    ("albedo", 0.0, 1.0),
+])  # fmt: skip
+def test_each_number_of_a_calibration_has_its_bounds(name, least, most):
+    def with_value(value):
+        if name in STANDING:
+            return calibration(standing=STANDING | {name: value})
+        return calibration(west=face() | {name: value})
+
+    with_value(least)
+    with pytest.raises(ValidationError):
+        with_value(least - 0.001)
+    if most is not None:
+        with_value(most)
+        with pytest.raises(ValidationError):
+            with_value(most + 0.001)
+
+
+def test_a_serial_number_has_64_letters_at_the_most():
+    assert calibration(cube="c" * 64).cube == "c" * 64
+    with pytest.raises(ValidationError):
+        calibration(cube="c" * 65)
+
+
 def test_a_calibration_is_not_overwritten(tmp_path):
     path = written(tmp_path)
     with pytest.raises(UserError, match="is there already"):
@@ -133,6 +183,16 @@ def test_expiry_is_told_once_beforehand_and_once_when_it_comes(caplog):
         "expired on 2024-03-20; calibrate the cube anew",
     ]
     assert [record.getMessage() for record in caplog.records] == texts
+
+
+def test_a_clock_that_is_set_back_takes_nothing_back_and_what_comes_again_is_told_again():
+    told = []
+    watch = ExpiryWatch(calibration(), told.append)
+    for days in (-29, -400, -29):
+        watch.check((EXPIRES + timedelta(days=days)).timestamp(), 7.0)
+    assert [(event.subject, event.time_monotonic_s) for event in told] == [("calibration", 7.0)] * 2
+    ExpiryWatch(None, told.append).check(EXPIRES.timestamp(), 7.0)
+    assert len(told) == 2
 
 
 def test_the_file_is_found_beside_the_configuration_and_looked_at(tmp_path):

@@ -9,9 +9,11 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.records import Mode, Quality
+from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
-from daemon.cube.face_watch import FaceWatch
+from daemon.cube.face_watch import FaceWatch, face_normals
 from solar.ephemeris import extraterrestrial_dni, sun_direction
+from solar.frames import FACE_NORMALS
 from solar.sky import sky
 from tests.support.rig import HandWeather
 
@@ -134,12 +136,12 @@ class Hand:
 class WatchedDay:
     """Faces of a day with a cloud every twenty minutes, scan by scan, before a watch."""
 
-    def __init__(self, start_utc_s):
+    def __init__(self, start_utc_s, **faces):
         self.clock = Hand(start_utc_s)
         settings = Settings()
         self.site = settings.site.place()
         self.alarms = Alarms(self.clock, lambda _record: None)
-        self.watch = FaceWatch(settings.site, settings.cube, self.clock, self.alarms)
+        self.watch = FaceWatch(settings.site, settings.cube.model_copy(update=faces), self.clock, self.alarms)
         self.random = np.random.default_rng(1)
         self.order = [0, 1, 2, 3]
         self.share = [1.0] * 4
@@ -218,6 +220,28 @@ def test_each_fault_is_told_with_the_faces_that_have_it():
     dead, over = alarm.text.split(", until it agrees with the others again")[:2]
     assert dead.startswith("the south face reads next to nothing")
     assert over.startswith("; the zenith face reads more than sun and sky")
+
+
+@pytest.mark.parametrize(("gap_s", "looks_again"), [(90.0, True), (150.0, False)])
+def test_after_a_gap_of_two_minutes_the_five_are_gathered_anew(gap_s, looks_again):
+    day = WatchedDay(MORNING_UTC_S)
+    assert day.minutes(6, frozen=3, at_w_m2=1800.0)[3] is None
+    day.clock.utc_s += gap_s
+    found = day.minutes(6, frozen=3, at_w_m2=1800.0)[3]
+    assert (found < 2.0) == looks_again
+    assert found < 6.0, "and the looks of before still count"
+
+
+@pytest.mark.parametrize("latitude_deg", [48.7, 0.0, -0.5, -33.0])
+def test_the_south_face_looks_to_the_equator(latitude_deg):
+    assert face_normals(CubeSettings(), latitude_deg) == pytest.approx(FACE_NORMALS, abs=1e-12)
+
+
+def test_the_light_is_not_sought_by_a_cube_whose_faces_look_elsewhere():
+    east = CubeSettings().east.model_copy(update={"azimuth_deg": 60.0})
+    day = WatchedDay(MORNING_UTC_S - 3600.0, east=east)
+    day.share = [1.0, 0.3, 1.0, 1.0]
+    assert day.minutes(100) == [None] * 4
 
 
 def test_a_second_face_has_the_time_of_its_own():
