@@ -47,6 +47,8 @@ def endpoint(line: str) -> Endpoint | None:
     port = int(found["port"])
     if not 0 < port <= 65535:
         raise ValueError("not a port")
+    # Of a name with an empty or an overlong part the resolver raises a UnicodeError.
+    found["host"].encode("idna")
     return Endpoint("tcp" if found["kind"] == "tcp" else "rtu-over-tcp", found["host"].strip("[]"), port)
 
 
@@ -208,21 +210,19 @@ class _Stream(asyncio.Protocol):
         self.came = False
         self._framing = framing
         self._tap = tap
-        self._transport: asyncio.Transport | None = None
+        self._transport: asyncio.Transport
         self._reply: asyncio.Future[bytes] | None = None
 
     def ask(self, request: ModbusRequest) -> "asyncio.Future[bytes]":
         frame = self._framing.begin(request)
         self.came = False
         self._reply = asyncio.get_running_loop().create_future()
-        if self._transport is not None:
-            self._transport.write(frame)
-            self._tap(">", frame)
+        self._transport.write(frame)
+        self._tap(">", frame)
         return self._reply
 
     def close(self) -> None:
-        if self._transport is not None:
-            self._transport.abort()
+        self._transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport  # type: ignore[assignment]

@@ -3,10 +3,11 @@
 import asyncio
 
 import pytest
+from pydantic import TypeAdapter
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError
 from drivers.modbus.framing import TcpServer
-from drivers.modbus.paths import Endpoint, TcpPath, endpoint
+from drivers.modbus.paths import Endpoint, ModbusLine, TcpPath, endpoint
 from drivers.modbus.pdu import read_registers
 
 READ = read_registers(7, 3, 0, 1)
@@ -28,10 +29,17 @@ def test_a_lines_name_says_where_it_leads(line, where):
     assert endpoint(line) == where
 
 
-@pytest.mark.parametrize("line", ["tcp:host:0", "tcp:host:65536", "tcp:host", "udp:host:502"])
+LONG = "x" * 64
+
+
+@pytest.mark.parametrize(
+    "line", ["tcp:host:0", "tcp:host:65536", "tcp:host", "udp:host:502", "tcp:a..b:502", f"tcp:{LONG}:502"]
+)
 def test_what_is_neither_a_port_nor_a_network_is_refused(line):
     with pytest.raises(ValueError, match=r"."):
         endpoint(line)
+    with pytest.raises(ValueError, match=r"."):
+        TypeAdapter(ModbusLine).validate_python(line)
 
 
 class Device:
@@ -63,7 +71,8 @@ def exchange_with(*answers):
 
     def around(test):
         async def both():
-            device = Device(*answers)
+            device, failed = Device(*answers), []
+            asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failed.append(context))
             server = await asyncio.start_server(device.serve, "127.0.0.1", 0)
             path = TcpPath("cube", Endpoint("tcp", "127.0.0.1", server.sockets[0].getsockname()[1]))
             async with server:
@@ -73,6 +82,7 @@ def exchange_with(*answers):
                 finally:
                     await path.close()
                     await device.writer.wait_closed()
+            assert failed == []
 
         asyncio.run(both())
 
