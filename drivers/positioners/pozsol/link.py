@@ -92,27 +92,25 @@ class SerialLine:
         self.boot_s = boot_s
         self._banner = b"" if banner is None else banner.encode("latin-1")
         self._thread = DeviceThread(_DEVICE)
-        self._port: Port | None = None
         self._reader: TelemetryReader | None = None
 
     async def open(self) -> None:
         """Open the port and begin to read it."""
-        self._port = port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
+        port = await self._thread.call(self._connect, _OPEN_S, lambda late: late.close())
         self._reader = TelemetryReader(port, self._now, boot_s=self.boot_s, banner=self._banner, table=FieldTable())
 
     async def close(self) -> None:
         """Release the port."""
-        reader, self._reader, self._port = self._reader, None, None
+        reader, self._reader = self._reader, None
         if reader is not None:
             reader.stop()
         await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
 
     async def send(self, packet: bytes) -> None:
         """Write one packet, within a second."""
-        self._require_reader().attend()
-        port = self._port
-        assert port is not None  # noqa: S101 - narrowing; there is a port where there is a reader
-        await self._thread.call(lambda: port.write(packet), _WRITE_S)
+        reader = self._require_reader()
+        reader.attend()
+        await self._thread.call(lambda: reader.port.write(packet), _WRITE_S)
 
     def state(self) -> LinkState:
         """Return the newest values."""
@@ -121,8 +119,7 @@ class SerialLine:
 
     def has_lines(self) -> bool:
         """Tell whether the port has modem lines."""
-        self._require_reader()
-        return self._port is not None and self._port.has_lines()
+        return self._require_reader().port.has_lines()
 
     def _require_reader(self) -> TelemetryReader:
         reader = self._reader

@@ -56,6 +56,8 @@ class TelemetryReader:
 
     Attributes
     ----------
+    port
+        What it listens to, for who sends something.
     restarted_s
         When the banner has last come, or None.
     lost
@@ -76,7 +78,7 @@ class TelemetryReader:
         table: FieldTable | None = None,
         gather_s: float = _GATHER_S,
     ) -> None:
-        self._port = port
+        self.port = port
         self._now = now
         self._boot_s = boot_s
         self._banner = banner
@@ -86,7 +88,7 @@ class TelemetryReader:
         # Let go to wake the reader; it costs a third less to wait for than an event.
         self._bell = threading.Lock()
         self._bell.acquire()
-        self._attended_s = 0.0
+        self._attended_s: float
         self.table = table or FieldTable()
         self.lost: str | None = None
         self.heard = False
@@ -120,7 +122,7 @@ class TelemetryReader:
         except LinkLostError as error:
             self.lost = error.message
         finally:
-            self._port.close()
+            self.port.close()
 
     def _listen(self) -> None:
         stream = TokenStream()
@@ -128,7 +130,7 @@ class TelemetryReader:
         believe_s, look_s = now + max(_IGNORE_FIRST_S, self._boot_s), now
         self._attended_s, waited_s = now, 0.0
         while not self._closing:
-            data = self._port.read()
+            data = self.port.read()
             now = self._now()
             if self._banner and self._has_banner(data):
                 self.restarted_s, believe_s = now, min(believe_s, now)
@@ -141,7 +143,7 @@ class TelemetryReader:
                 self.table.take(tokens, now, waited_s)
             if now >= look_s:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
-                if self._port.echoes():
+                if self.port.echoes():
                     raise LinkLostError("positioner", "another program has switched the port's echo on")
             waited_s = self._gather(now)
 

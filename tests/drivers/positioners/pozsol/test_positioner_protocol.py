@@ -166,9 +166,9 @@ def test_a_port_with_echo_does_harm_and_the_driver_avoids_it(positioner_host):
             await positioner.open()
             await positioner.move_to(5.0, 80.0)
             assert set(host.received) == {Field.ACTION, Field.A_DESTINATION, Field.B_DESTINATION}
-            mode = termios.tcgetattr(positioner._line._port._port.fileno())
+            mode = termios.tcgetattr(positioner._line._reader.port._port.fileno())
             mode[3] |= termios.ECHO
-            termios.tcsetattr(positioner._line._port._port.fileno(), termios.TCSANOW, mode)
+            termios.tcsetattr(positioner._line._reader.port._port.fileno(), termios.TCSANOW, mode)
             await until(lambda: _lost(positioner, "echo"))
             await positioner.close()
 

@@ -144,13 +144,15 @@ class Resting:
 
     def __init__(self, unread_s=20.0):
         self.now_s = 0.0
-        self.woken = threading.Event()
+        self.begun, self.woken = threading.Event(), threading.Event()
         self._ends_s = unread_s
 
     def read(self):
         self.now_s += 0.02
         if self.now_s > self._ends_s:
             raise LinkLostError("positioner", "read all the time")
+        if self.now_s > 0.9:
+            self.begun.set()
         if self.now_s > 8.0:
             self.woken.set()
         return REST
@@ -165,6 +167,7 @@ class Resting:
 def test_screens_are_gathered_until_a_command_is_sent():
     unit = Resting()
     reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
+    assert unit.begun.wait(30.0), "its first second is read as it comes"
     for _ in range(20_000):
         if unit.woken.wait(0.001):
             break
