@@ -91,7 +91,7 @@ class PositionerWatch:
             telemetry = self._telemetry(state)
         except (KeyError, ValueError) as error:
             raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
-        at_rest = self.run is None and not any(check.suspects for check in self._checks)
+        at_rest = not any(check.suspects for check in self._checks)
         self._last = _Standing(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
         return telemetry
 

@@ -64,7 +64,9 @@ def test_what_is_no_smp_pyranometer_is_refused():
 
 
 def test_an_smp_says_who_it_is():
-    assert Smp().identify((2023, 180123, 108, 5, 1), (633, 107)).text == "SMP12 no. 180123 of 2023, software 108"
+    who = Smp().identify((2023, 180123, 108, 5, 1), (633, 107))
+    assert who == ("SMP12 no. 180123 of 2023, software 108", 180123)
+    assert Smp().serial((2023, 180123, 108, 5, 1)) == 180123
 
 
 @pytest.mark.parametrize(("name", "kinds"), [
@@ -84,12 +86,18 @@ def test_what_is_next_to_them_is_none(kind):
 
 def test_an_sr20_is_divided_by_its_own_scale():
     make = Hukseflux()
+    assert make.told((1, 0x7C4F)).w_m2 == 973.59, "in hundredths, until it says otherwise"
+    assert make.serial((4321, 0, 0)) == 4321
     model = tuple(ord(low) | ord(high) << 8 for low, high in ("SR", "20", "-D", "2 ", "  "))
     assert make.identify((4321, 0, 0), (2225, 1234, 100, 100), model) == ("SR20-D2 no. 4321", 4321)
     assert make.told((1, 0x7C4F)).w_m2 == 973.59
     make.identify((4321, 0, 0), (2225, 1234, 1000, 100), model)
     assert make.told((1, 0x7C4F)).w_m2 == 97.359
     assert make.told((0xFFFF, 0xFE0C)).w_m2 == -0.5
+    make.identify((4321, 0, 0), (2225, 1234, 1, 100), model)
+    assert make.told((1, 0x7C4F)).w_m2 == 97359.0
+    with pytest.raises(WrongSensorError, match="has the scale 0 in register 8"):
+        make.identify((4321, 0, 0), (2225, 1234, 0, 100), model)
 
 
 def test_the_ends_of_its_range_are_no_values():

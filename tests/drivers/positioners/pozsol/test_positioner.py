@@ -1,6 +1,7 @@
 """The positioner's driver on the simulated unit, in virtual time: halts, refusals, doubts."""
 
 import asyncio
+import math
 from dataclasses import replace
 
 import pytest
@@ -165,3 +166,31 @@ def test_old_telemetry_is_silence_and_old_status_is_too():
         assert look((field,), limit_s - 0.1)
         with pytest.raises(LinkLostError, match="has been silent for"):
             look((field,), limit_s + 0.1)
+
+
+REST = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
+
+
+def looks(status, *times_s, **texts):
+    """Yield the looks at a unit that says all of this at second 100, and the same again at each time."""
+    clock = [100.0]
+    table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
+    told = REST | {Field.STATUS: status} | {Field[name]: text for name, text in texts.items()}
+    table.take([b"%c%b" % (field, text) for field, text in told.items()], 100.0)
+    values = table.snapshot()
+    for time_s in times_s:
+        clock[0] = max(time_s, 100.0)
+        yield watch.read(LinkState(values, time_s))
+
+
+def test_what_is_said_again_has_the_time_of_that():
+    for look, time_s in zip(looks(b"0000", 100.0, 101.0, 250.0), (100.0, 101.0, 250.0), strict=True):
+        assert (look.time_monotonic_s, look.status_monotonic_s) == (time_s, time_s)
+    (alone,) = looks(b"0000", -math.inf)
+    assert (alone.time_monotonic_s, alone.status_monotonic_s) == (100.0, 100.0)
+
+
+def test_an_end_switch_that_cannot_be_is_told_though_nothing_else_changes():
+    first, second = looks(b"%d" % (1 << 19), 100.0, 101.0, A_POSITION=b"200.0")
+    assert first.reference_doubt == ""
+    assert "low end switch closed although its count is 200" in second.reference_doubt

@@ -112,3 +112,8 @@ def test_a_doubt_lasts_until_both_axes_are_proven_or_a_person_forgives_exactly_i
     reference.proven("a", travelled=False)
     assert reference.doubts("a")
     assert not reference.doubts("b")
+    reference.note("b switch", "stuck too", "b", needs_travel=True)
+    assert reference.doubts("a")
+    assert reference.doubts("b")
+    reference.proven("a", travelled=True)
+    assert (reference.doubts("a"), reference.text) == (False, "stuck too")
