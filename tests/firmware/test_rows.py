@@ -1,5 +1,6 @@
 """What running the firmware has shown, a test each, on the firmware itself and on the simulated unit."""
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -66,6 +67,18 @@ def test_homing_one_axis_while_the_other_moves_leaves_that_without_control(both)
     both.step(4000)
     assert both.look().status & 0xFF == 1 << 1
     assert both.look().status & B_HOMING
+
+
+@pytest.mark.parametrize("of", ["firmware", "simulated"])
+def test_an_axis_told_its_own_place_is_left_switched_on_and_faulted_by_an_order_for_the_other(lock_step, of):
+    with contextlib.closing(Firmware(lock_step, A_ACTUATOR.angle_deg(228.96), 90.0)) as firmware:
+        unit = firmware if of == "firmware" else firmware.twin()
+        for _ in range(2):
+            after(unit, STOP, 300)
+        after(unit, b"$.229\r", 20)
+        look = after(unit, b"$2200\r", 3000)
+        assert look.status & 0xFF == 1 << 1
+        assert look.position_mm == (pytest.approx(228.96, abs=0.01), pytest.approx(275, abs=5))
 
 
 def test_homing_an_axis_that_moves_outwards_is_lost(both):

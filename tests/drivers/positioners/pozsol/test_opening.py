@@ -16,7 +16,7 @@ from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import missing_fields
 from drivers.positioners.pozsol.wire import B_HIGH_BIT_STM, B_OUT_BIT_STM, Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
-from sim_drivers.pozsol.setup import Setup
+from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, Setup
 from sim_drivers.transports import InMemoryStream
 from solar.frames import Angles
 
@@ -342,5 +342,46 @@ def test_once_b_has_moved_its_high_end_switch_can_be_told():
         unit.says[Field.STATUS] = str(1 << B_HIGH_BIT_STM).encode()
         await asyncio.sleep(0.2)
         assert (await positioner.read_telemetry()).details["end_switches"] == "b_high"
+
+    on_unit(scenario)
+
+
+B_DEG = B_ACTUATOR.angle_deg(282.0)
+
+
+@pytest.mark.parametrize(("b_deg", "told"), [(60.0, [b"$2195\r"]), (B_DEG, [])])
+def test_an_axis_that_stands_at_its_target_is_told_nothing(b_deg, told):
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        await positioner.halt()
+        unit.sent.clear()
+        await positioner.move_to(A_ACTUATOR.angle_deg(229.0), b_deg)
+        assert [packet for _, packet in unit.sent] == told
+        await asyncio.sleep(120)
+        seen = await positioner.read_telemetry()
+        assert (seen.faults, seen.b_deg) == ((), pytest.approx(b_deg, abs=0.2))
+
+    on_unit(scenario, setup=Setup(start=Angles(A_ACTUATOR.angle_deg(228.75), B_DEG)))
+
+
+def test_an_axis_further_from_its_target_is_told():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        await positioner.halt()
+        unit.sent.clear()
+        await positioner.move_to(A_ACTUATOR.angle_deg(229.0), B_DEG)
+        assert [packet for _, packet in unit.sent] == [b"$.229\r"]
+
+    on_unit(scenario, setup=Setup(start=Angles(A_ACTUATOR.angle_deg(228.65), B_DEG)))
+
+
+def test_an_axis_that_only_passes_its_target_is_told():
+    async def scenario(positioner, unit, _):
+        await positioner.open()
+        unit.says |= {Field.A_POSITION: b"229.0000", Field.A_DESTINATION: b"300.0000"}
+        unit.says[Field.A_ANGLE] = b"%.4f" % A_ACTUATOR.angle_deg(229.0)
+        with pytest.raises(RefusedError, match="did not take the target"):
+            await positioner.move_to(A_ACTUATOR.angle_deg(229.0), 90.0)
+        assert b"$.229\r" in [packet for _, packet in unit.sent]
 
     on_unit(scenario)
