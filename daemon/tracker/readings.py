@@ -219,7 +219,7 @@ class Window:
             mean, covered_s = (math.nan, 0.0) if stale else window.mean(now_s)
             means.append(mean)
             covered.append(covered_s)
-        needed_s = min(covered) if faces_needed == 4 else sorted(covered)[4 - faces_needed]
+        needed_s = sorted(covered)[-faces_needed]
         if not needed_s > 0:
             return None
         east, south, west, zenith = means

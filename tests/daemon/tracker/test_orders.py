@@ -118,6 +118,7 @@ def test_whoever_presses_a_button_holds_the_tracker_where_it_stands():
 def test_what_persons_asked_before_a_restart_goes_before_a_hold_by_the_program(tmp_path):
     new = Orders(Hand(), WishFile(StateFolder(tmp_path / "new")), hold_why="a new release")
     assert new.wishes.held_by_program
+    assert Orders(Hand(), WishFile(StateFolder(tmp_path / "new"))).wishes.held_by_program, "at the next start too"
     asked = Orders(Hand(), WishFile(StateFolder(tmp_path)))
     assert asked.wishes == Wishes()
     asked.latch("stow", "hail", "Ann")

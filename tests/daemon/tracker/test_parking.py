@@ -43,7 +43,7 @@ def test_what_stands_there_within_the_tolerance_is_left_alone(a_deg, b_deg, ther
 
 def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_never():
     stow = Target(-30.0, 80.0, "stow")
-    for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (None, [stow])):
+    for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (at(-40.0, 80.0), [stow]), (None, [stow])):
         found = []
         Parking(SimpleNamespace(pose=pose, target=None, homing=False), 0.8, found.append).park(stow, 0.0)
         assert found == orders
