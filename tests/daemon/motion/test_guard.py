@@ -194,12 +194,16 @@ def test_a_restart_explains_neither_own_tracking_nor_what_goes_on_moving(fields)
         await asleep(rig)
         # Not in the instant of a look: restart and motion are to be seen by the same one.
         await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s > 0.1)
-        rig.unit.is_deaf = not fields
+        halt = rig.unit.halt
+
+        async def late():
+            await asyncio.sleep(1.0)
+            await halt()
+
+        rig.unit.halt = halt if fields else late
         rig.unit.says |= {"was_reset": True, **fields}
         rig.unit.drive(40.0, 60.0)
-        await asyncio.sleep(3.0)
-        rig.unit.is_deaf = False
-        await asyncio.sleep(10.0)
+        await asyncio.sleep(13.0)
         assert rig.motion.unexplained
 
     run_motion(scenario)

@@ -193,3 +193,25 @@ def test_the_axis_that_is_homed_may_go_anywhere_and_the_other_nowhere():
     other.expect_homing("b", at(1.0))
     assert other.update(at(2.0, b=0.0)) is None
     assert other.update(at(3.0, a=51.0, b=0.0)) is not None
+
+
+def test_an_axis_that_shoots_past_its_end_does_not_move_away():
+    watch = under_way()
+    assert watch.update(at(2.0, b=289.9, to_b=290.0)) is None
+    assert watch.update(at(3.0, b=292.0, to_b=290.0)) is None
+
+
+def test_after_a_jump_on_the_way_a_move_is_judged_from_where_the_count_now_says():
+    watch = under_way()
+    assert watch.update(at(1.1, b=200.0, to_b=290.0)).jump, "8 deg within 0.1 s of the confirmed target"
+    assert watch.update(at(2.0, b=201.0, to_b=290.0)) is None
+    assert "moves away" in watch.update(at(3.0, b=200.5, to_b=290.0)).text
+
+
+def test_an_axis_that_stands_in_its_reference_run_has_not_settled():
+    watch = resting()
+    watch.expect_homing("a", at(1.0))
+    for time_s in (2.0, 3.0):
+        assert watch.update(at(time_s)) is None
+    assert watch.stands_since_s is not None
+    assert not watch.settled
