@@ -47,7 +47,7 @@ def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf):
 
 def test_it_moves_two_degrees_and_back_and_is_stopped_by_a_key():
     speed, lines, poses = moved(press_at="PRESS")
-    assert speed == pytest.approx(0.6, abs=0.15)
+    assert speed == pytest.approx(0.75, abs=0.1)
     assert max(pose.a_deg for pose in poses) == pytest.approx(2.0, abs=0.8)
     assert min(pose.b_deg for pose in poses) == pytest.approx(88.0, abs=0.8)
     assert [line for line in lines if "to the west" in line or "steeper" in line]
