@@ -47,8 +47,8 @@ _UNDER_WAY_S = 0.1
 _STOP_EVERY_S = 0.15
 _STAND_WITHIN_S = 12.0
 _LOWEST_SUPPLY_V = 20.0
-# Targets are whole units, and an axis stands up to 0.2 beyond its own. Told to go back that little, it brakes when the
-# other's target comes, which is lost; from 0.07 on it is left switched on without impulses, and faulted for that.
+# Targets are whole units, and an axis rests up to 0.2 beyond its own. Told to go back that little, it may be braking
+# when the other target comes, which is lost then; within 0.07 it may stay switched on at rest, and is faulted for that.
 _AT_TARGET = 0.3
 # A Hall count, and what rounding to four decimals adds.
 _JITTER_COUNTS = 1.2
