@@ -88,9 +88,7 @@ class SimulatedUnit:
             # It stays open: the bench may say more.
             self._said = os.fdopen(told, encoding="utf-8")
             with os.fdopen(tells, "wb") as stream:
-                self._process = forks.start(
-                    ["bench", "--dir", self._folder, "--config", config], stream, log, nice=forks.PROMPT
-                )
+                self._process = forks.start(["bench", "--dir", self._folder, "--config", config], stream, log)
         if self._said.readline() != "ready\n":
             raise NotThereError(f"the bench did not start: {(folder / 'bench.log').read_text()}")
         self.config = self._folder / "heliocube.toml"

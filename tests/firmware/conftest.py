@@ -37,7 +37,7 @@ def unit(lock_step):
 
 
 @pytest.fixture
-def start_firmware(prompt, tmp_path):
+def start_firmware(tmp_path):
     """Start a powered-up, provisioned unit on a pseudo-terminal, its axes at the angles given."""
     started = []
 

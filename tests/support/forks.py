@@ -37,8 +37,6 @@ IMPORTED = (
 )
 _MOST = 1 << 20
 _HEAR_EVERY_S = 0.02
-PROMPT = -10
-"""For what stands for instruments and what talks to them: on a rig neither waits for its turn among tests."""
 # What an interpreter or a library reads when it begins, and not again.
 _READ_ONCE = ("PYTHON", "LD_", "OPENBLAS", "OMP_")
 
@@ -86,8 +84,8 @@ class _Origin:
         """Return what another process needs to ask the same one."""
         return self._given
 
-    def start(self, arguments, environment, cwd, files, nice=0):
-        order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd, "nice": nice})
+    def start(self, arguments, environment, cwd, files):
+        order = json.dumps({"arguments": arguments, "environment": environment, "cwd": cwd})
         with self._lock:
             socket.send_fds(self._here, [order.encode()], files)
             while True:
@@ -189,11 +187,11 @@ def _read_once(environment):
 class Fork:
     """A process of `heliocube`, with what the tests use of subprocess.Popen."""
 
-    def __init__(self, arguments, stdin, stdout, stderr, environment, cwd, nice=0):
+    def __init__(self, arguments, stdin, stdout, stderr, environment, cwd):
         self._origin = begin()
         self.args = arguments
         self.returncode = None
-        self.pid = self._origin.start(arguments, environment, str(cwd or Path.cwd()), [stdin, stdout, stderr], nice)
+        self.pid = self._origin.start(arguments, environment, str(cwd or Path.cwd()), [stdin, stdout, stderr])
 
     def poll(self):
         if self.returncode is None:
@@ -220,11 +218,10 @@ class Fork:
         self.send_signal(signal.SIGKILL)
 
 
-def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None, nice=0):
+def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None):
     """Start `heliocube` with arguments; streams are open files or descriptors, and by itself it has nothing to read.
 
-    With a negative `nice` it has its turn before others, where the system lets it. A process whose surroundings differ
-    in what is read at the start of an interpreter starts from nothing.
+    A process whose surroundings differ in what is read at the start of an interpreter starts from nothing.
     """
     arguments = list(map(str, arguments))
     environment = dict(os.environ if env is None else env)
@@ -235,24 +232,18 @@ def start(arguments, stdout=None, stderr=None, env=None, cwd=None, stdin=None, n
     with Path(os.devnull).open("rb") as nothing:
         given = zip((stdin, stdout, stderr), (nothing, 1, 2), strict=True)
         files = [_number(usual if file is None else file) for file, usual in given]
-        return Fork(arguments, *files, environment, cwd, nice)
+        return Fork(arguments, *files, environment, cwd)
 
 
 def _number(file):
     return file if isinstance(file, int) else file.fileno()
 
 
-def be_prompt(nice):
-    """Let this thread, and those that it will start, have their turn before others, where the system lets it."""
-    with contextlib.suppress(PermissionError):
-        os.nice(nice)
-
-
-def run(*arguments, timeout=90, env=None, cwd=None, nice=0):
+def run(*arguments, timeout=90, env=None, cwd=None):
     """Run `heliocube` to its end, and return what subprocess.run with capture_output and text does."""
     with contextlib.ExitStack() as stack:
         out, err = (stack.enter_context(_memory(name)) for name in ("out", "err"))
-        process = start(arguments, out, err, env, cwd, nice=nice)
+        process = start(arguments, out, err, env, cwd)
         try:
             code = process.wait(timeout)
         except subprocess.TimeoutExpired as error:
@@ -350,7 +341,6 @@ def _become(order, files):
     for file in files:
         os.close(file)
     os.chdir(order["cwd"])
-    be_prompt(order["nice"])
     os.environ.clear()
     os.environ.update(order["environment"])
     time.tzset()

@@ -19,19 +19,9 @@ from sim_drivers.pv_source import SourceLight
 from sim_drivers.voltmeter.core import VoltmeterCore
 from solar.pv_module import Q_PEAK_G4_1_305, single_diode
 from tests.support import ROOT
-from tests.support.forks import PROMPT, be_prompt
 from tests.support.rotctld import LEFT_OUT, ROTCTLD, Rotctld
 
 TRANSCRIPTS = ROOT / "tests" / "drivers" / "transcripts"
-
-
-@pytest.fixture
-def prompt():
-    """Let driver and instrument, where both are in this process, have their turn before others."""
-    before = os.nice(0)
-    be_prompt(PROMPT)
-    yield
-    os.setpriority(os.PRIO_PROCESS, 0, before)
 
 
 @pytest.fixture
@@ -93,7 +83,7 @@ class Module:
 
 
 @pytest.fixture
-def load_host(prompt, tmp_path):
+def load_host(tmp_path):
     """Return a context in which a simulated electronic load is on the port ``load`` of the test's folder."""
 
     @contextlib.asynccontextmanager
@@ -108,7 +98,7 @@ def load_host(prompt, tmp_path):
 
 
 @pytest.fixture
-def positioner_host(prompt, tmp_path):
+def positioner_host(tmp_path):
     """Return a context in which a simulated positioner is on the port ``positioner`` of the test's folder."""
 
     @contextlib.asynccontextmanager
@@ -125,7 +115,7 @@ def positioner_host(prompt, tmp_path):
 
 
 @pytest.fixture
-def voltmeter_host(prompt, tmp_path):
+def voltmeter_host(tmp_path):
     """Return a context in which a simulated voltmeter is on the port ``voltmeter`` of the test's folder."""
 
     @contextlib.asynccontextmanager

@@ -191,7 +191,9 @@ def chromium():
     """Give a browser."""
     with sync_playwright() as playwright:
         # As root a sandbox cannot be had.
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=Path(__file__).with_name("chromium.sh"), args=["--no-sandbox", "--disable-gpu"]
+        )
         try:
             yield browser
         finally:

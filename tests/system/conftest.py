@@ -126,7 +126,7 @@ def start_service(tmp_path):
     def start(config, *options):
         output = tmp_path / f"service{len(started)}.log"
         with output.open("ab") as stream:
-            started.append(Process(["run", "--config", config, *options], output, stdout=stream, nice=forks.PROMPT))
+            started.append(Process(["run", "--config", config, *options], output, stdout=stream))
         return started[-1]
 
     yield start

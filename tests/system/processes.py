@@ -33,10 +33,10 @@ def wait_until(condition, within_s, what):
 class Process:
     """A process of ours, with its output in a file."""
 
-    def __init__(self, arguments, output, stdout=None, nice=0):
+    def __init__(self, arguments, output, stdout=None):
         self.output = output
         with output.open("ab") as stream:
-            self._process = forks.start(arguments, stdout, stream, os.environ | {"COLUMNS": "200"}, nice=nice)
+            self._process = forks.start(arguments, stdout, stream, os.environ | {"COLUMNS": "200"})
         self.pid = self._process.pid
 
     def log(self):
@@ -79,7 +79,7 @@ class BenchProcess(Process):
         # It stays open: the bench may say more.
         self._said = os.fdopen(told, encoding="utf-8")
         with os.fdopen(tells, "wb") as stream:
-            super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream, forks.PROMPT)
+            super().__init__(["bench", "--dir", directory, *options], directory / "bench.log", stream)
         readable, _, _ = select.select([self._said], [], [], READY_WITHIN_S)
         line = self._said.readline() if readable else ""
         if line != "ready\n":

@@ -22,7 +22,7 @@ READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 
 
 def probe(*arguments):
-    return forks.run("probe", *arguments, nice=forks.PROMPT)
+    return forks.run("probe", *arguments)
 
 
 def pieces(path):
