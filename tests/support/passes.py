@@ -1,9 +1,9 @@
 """Both parts of the suite at once: what computes fills the time in which what passes real time waits.
 
-What waits needs little of the processors, and that little at once; what computes gets the rest and is polite about it.
+Both have the same share of the processors. With a smaller one for what computes (`nice`), and with a larger one for
+instruments, Linux 6.18 let the thread that carries what is written to a pseudo-terminal wait for seconds.
 """
 
-import contextlib
 import os
 import re
 import subprocess
@@ -11,11 +11,6 @@ import sys
 import threading
 from pathlib import Path
 
-import psutil
-
-# A thirtieth of the share of the others where all want to compute, or emulated and simulated instruments miss their
-# deadlines beside it; they mostly wait, and what they leave is enough.
-POLITE = 15
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _RESULTS = re.compile(r"=+ (FAILURES|ERRORS|warnings summary|short test summary info|no tests ran|\d+ )")
 # As pytest has them.
@@ -43,18 +38,6 @@ class Pass:
         )
         self._teller = threading.Thread(target=self._tell)
         self._teller.start()
-
-    def be_polite(self):
-        """Take a smaller share of the processors than others; what it has not started yet will do the same."""
-        with contextlib.suppress(psutil.Error):
-            psutil.Process(self._process.pid).nice(min(psutil.Process().nice() + POLITE, 19))
-
-    def be_equal(self):
-        """Take the same share as others again, where the system lets one."""
-        with contextlib.suppress(psutil.Error):
-            own = psutil.Process(self._process.pid)
-            for process in (own, *own.children(recursive=True)):
-                process.nice(psutil.Process().nice())
 
     def wait(self):
         """Return its exit code when it has ended and told all."""
@@ -89,11 +72,8 @@ def run(waiting, computing, *, at_once, say):
     """Run both commands, at once or one after the other, and return the exit code for both."""
     if not at_once:
         return exit_code([Pass("computing", computing, say).wait(), Pass("waiting", waiting, say).wait()])
-    polite = Pass("computing", computing, say)
-    polite.be_polite()
-    code = Pass("  waiting", waiting, say).wait()
-    polite.be_equal()
-    return exit_code([polite.wait(), code])
+    both = [Pass("computing", computing, say), Pass("  waiting", waiting, say)]
+    return exit_code([one.wait() for one in both])
 
 
 def _say(text):

@@ -1,0 +1,75 @@
+"""How late a byte comes through a pseudo-terminal where processes have unlike shares of the processors.
+
+    python -m tests.measurements.shares [--seconds 15]
+
+What is written to a pseudo-terminal is carried by a thread of the kernel. Beside twelve processes, half of which always
+compute and half of which begin anew every half millisecond, a byte is sent every 20 ms, and what comes later than
+200 ms is counted, for shares that are equal and not.
+"""
+
+import argparse
+import os
+import struct
+import subprocess
+import sys
+import threading
+import time
+import tty
+
+LATE_S = 0.2
+EVERY_S = 0.02
+COMPUTES = "while True: pass"
+BEGINS_ANEW = "import time\nwhile True:\n    time.sleep(0.0005)\n    sum(range(3000))"
+SHARES = ((0, 0), (5, 0), (15, 0), (0, -10))
+"""Of what computes and of what begins anew, as `nice`."""
+
+
+def measured(seconds):
+    """Return how many bytes were sent, and how late those came that were late [s]."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    late, sent = [], 0
+
+    def receive():
+        while moment := os.read(slave, 8):
+            after_s = time.monotonic() - struct.unpack("d", moment)[0]
+            if after_s < 0:
+                return
+            if after_s > LATE_S:
+                late.append(after_s)
+
+    receiver = threading.Thread(target=receive)
+    receiver.start()
+    end_s = time.monotonic() + seconds
+    while (now_s := time.monotonic()) < end_s:
+        os.write(master, struct.pack("d", now_s))
+        sent += 1
+        time.sleep(EVERY_S)
+    os.write(master, struct.pack("d", float("inf")))
+    receiver.join()
+    os.close(slave)
+    os.close(master)
+    return sent, late
+
+
+def main():
+    """Measure and print one line for each pair of shares."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=15.0, help="for each pair of shares")
+    seconds = parser.parse_args().seconds
+    print(f"{os.cpu_count()} processors, {os.uname().release}")
+    for computing, beginning in SHARES:
+        ordered = [(computing, COMPUTES)] * 6 + [(beginning, BEGINS_ANEW)] * 6
+        beside = [subprocess.Popen(["nice", "-n", str(share), sys.executable, "-c", what]) for share, what in ordered]
+        try:
+            sent, late = measured(seconds)
+        finally:
+            for process in beside:
+                process.kill()
+                process.wait()
+        told = f"{len(late)} of {sent} late, at most {max(late, default=0.0):.2f} s"
+        print(f"nice {computing} and {beginning}: {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
