@@ -113,10 +113,8 @@ fingerprint() {
     else
       cd "$from"
       cat pyproject.toml
-      find solar drivers sim_drivers daemon heliocube -type f ! -name '*.pyc' | LC_ALL=C sort | while read -r file; do
-        printf '%s\n' "$file"
-        cat "$file"
-      done
+      find solar drivers sim_drivers daemon heliocube -type f ! -name '*.pyc' -print0 | LC_ALL=C sort -z |
+        xargs -0 sha256sum
     fi
   } | sha256sum | cut -c1-12
 }

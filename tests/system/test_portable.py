@@ -97,6 +97,7 @@ def arguments_of_the_service(program_data):
     return [text.replace("%ProgramData%", str(program_data)).replace("\\", "/") for text in given]
 
 
+LINUX = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "extra": ""}
 WINDOWS = {"sys_platform": "win32", "platform_system": "Windows", "os_name": "nt", "extra": ""}
 SIGNED = "[bridge]\nkey_file = 'bridge.key'\nsend_to = ['127.0.0.1:20999']\n"
 BRIDGE = "[bridge]\ninsecure = true\nsend_to = ['127.0.0.1:20999']\n"
@@ -155,21 +156,22 @@ def test_the_service_of_windows_is_described_in_words_of_its_wrapper():
         assert "%" not in path
 
 
-def test_what_is_locked_is_all_that_windows_needs():
+@pytest.mark.parametrize("surroundings", [WINDOWS, LINUX], ids=["windows", "linux"])
+def test_what_is_locked_is_all_that_a_system_needs(surroundings):
     locked = {}
     for line in (ROOT / "deploy" / "lock" / "runtime.txt").read_text(encoding="utf-8").splitlines():
         if line[:1].isalnum():
             requirement = Requirement(line.rstrip(" \\"))
-            if requirement.marker is None or requirement.marker.evaluate(WINDOWS):
+            if requirement.marker is None or requirement.marker.evaluate(surroundings):
                 locked[canonicalize_name(requirement.name)] = requirement
-    assert "colorama" in locked
+    assert ("colorama" in locked) == (surroundings is WINDOWS)
     # It has no requirements of its own, and is not installed here.
     names = ["heliocube", *(name for name in locked if name not in ("colorama", "pywin32"))]
     needed = {
         canonicalize_name(requirement.name)
         for name in names
         for requirement in map(Requirement, distribution(name).requires or ())
-        if requirement.marker is None or requirement.marker.evaluate(WINDOWS)
+        if requirement.marker is None or requirement.marker.evaluate(surroundings)
     }
     assert sorted(needed - locked.keys()) == []
 
