@@ -1,5 +1,7 @@
 """The tier against the maker's firmware: left out, in one line, where emulator or firmware is missing."""
 
+import contextlib
+
 import pytest
 
 from tests.firmware import peer, recorded
@@ -34,6 +36,13 @@ def unit(lock_step):
     firmware = peer.Firmware(lock_step, 0.0, 90.0)
     yield firmware
     firmware.close()
+
+
+@pytest.fixture(scope="session")
+def powered_up(lock_step):
+    """Where such a unit stands, for simulated ones that begin alike: it is the same each time."""
+    with contextlib.closing(peer.Firmware(lock_step, 0.0, 90.0)) as firmware:
+        return firmware.stands()
 
 
 @pytest.fixture

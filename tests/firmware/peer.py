@@ -136,8 +136,12 @@ class Firmware:
 
     def twin(self) -> "Simulated":
         """Return a simulated unit that stands where this one stands, with the same bytes left over in its input."""
+        return Simulated.like(*self.stands())
+
+    def stands(self) -> tuple[list[float], str]:
+        """Return where it stands, in counts from its low ends, and the bytes left over in its input."""
         state = self.unit.state()
-        return Simulated.like([axis["true"] for axis in state["axes"]], state["rx"])
+        return [axis["true"] for axis in state["axes"]], state["rx"]
 
     def close(self) -> None:
         """End the emulator."""

@@ -8,23 +8,24 @@ from collections import Counter
 
 import pytest
 
-from tests.firmware.odd_sequences import odd_sequence
-from tests.firmware.recorded import MAKERS, SEEDS, Recorded, fingerprint, firmware, heard
-from tests.firmware.sequences import compare, kind, run, sequence
+from tests.firmware.recorded import MAKERS, ONCE_DIFFERED, SEEDS, Recorded, fingerprint, firmware, heard
+from tests.firmware.sequences import compare, kind
 
 _AGREEMENT = 0.95
 _ANEW = "record anew: python -m tests.firmware.recorded"
 
 
+def agreement(recorded, which, seed):
+    """Return where the simulated unit differs from what the firmware did."""
+    case, page = MAKERS[which](seed), recorded[which][1][seed]
+    assert page["case"] == fingerprint(case), _ANEW
+    firmware = Recorded(page)
+    return compare(firmware, firmware.twin(), case)
+
+
 @pytest.mark.parametrize("which", MAKERS)
 def test_sequences_agree_in_position_destination_motion_and_status(recorded, record_property, which):
-    _, pages = recorded[which]
-    outcomes = []
-    for seed in SEEDS:
-        case = MAKERS[which](seed)
-        assert pages[seed]["case"] == fingerprint(case), _ANEW
-        firmware = Recorded(pages[seed])
-        outcomes.append(compare(firmware, firmware.twin(), case))
+    outcomes = [agreement(recorded, which, seed) for seed in SEEDS]
     different = [outcome for outcome in outcomes if outcome.differences]
     told = "\n".join(
         f"{one.sequence.seed} ({one.sequence.state}, {kind(one.sequence)}): {one.differences}" for one in different
@@ -39,17 +40,12 @@ def test_sequences_agree_in_position_destination_motion_and_status(recorded, rec
 def test_the_firmware_does_what_is_recorded(lock_step, recorded, which):
     known, pages = recorded[which]
     assert known == firmware(), _ANEW
-    for seed in SEEDS[::10]:
+    for seed in SEEDS[::20]:
         case = MAKERS[which](seed)
         page, _ = heard(lock_step, case)
         assert {"seed": seed, **page} == pages[seed], f"{_ANEW}, if the firmware has changed"
 
 
-@pytest.mark.parametrize("seed", [50079, 3228423247, 910204, 910209, 910088, 910110])
-def test_sequences_that_once_differed_agree(lock_step, seed):
-    assert run(lock_step, sequence(seed)).differences == []
-
-
-@pytest.mark.parametrize("seed", [16, 51, 100])
-def test_odd_sequences_that_once_differed_agree(lock_step, seed):
-    assert run(lock_step, odd_sequence(seed)[1]).differences == []
+@pytest.mark.parametrize(("which", "seed"), [(which, seed) for which, seeds in ONCE_DIFFERED.items() for seed in seeds])
+def test_sequences_that_once_differed_agree(recorded, which, seed):
+    assert agreement(recorded, which, seed).differences == []

@@ -9,7 +9,7 @@ from drivers.positioners.pozsol.wire import TokenStream
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, Actuator, Setup
 from solar.frames import Angles
-from tests.firmware.peer import Firmware
+from tests.firmware.peer import Firmware, Simulated
 
 STOP, HOME_A, HOME_B, CLEAR = b"$9s\r", b"$95\r", b"$96\r", b"$\x880\r"
 A_OUT, A_IN, A_HOMING, B_HOMING, A_LOW = 1 << 11, 1 << 12, 1 << 13, 1 << 17, 1 << 19
@@ -17,9 +17,11 @@ MOTION = A_OUT | A_IN | A_HOMING | B_HOMING | 1 << 15 | 1 << 16
 
 
 @pytest.fixture(params=["firmware", "simulated"])
-def both(request, unit: Firmware):
+def both(request):
     """One of the two units, in the same state."""
-    return unit if request.param == "firmware" else unit.twin()
+    if request.param == "firmware":
+        return request.getfixturevalue("unit")
+    return Simulated.like(*request.getfixturevalue("powered_up"))
 
 
 def after(unit, packet: bytes, ms: int):
