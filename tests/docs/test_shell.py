@@ -79,8 +79,9 @@ CHANGES = (
     (r"(?<![\w.])/tmp/", "tmp/"),
     (r"/var/lib/heliocube/tracker", "records"),
     (r"/etc/heliocube/", ""),
+    (r"^(heliocube replay )tmp/samples/mixed.csv", r"\1faces.csv"),
     (r"--day yesterday", "--day 2022-10-14"),
-    (r"^(heliocube (?:compare )?simulate .*--start \S+)", r"\1T11:00Z --days 0.05"),
+    (r"^(heliocube (?:compare )?simulate .*--start \S+)", r"\1T11:00Z --days 0.02"),
     (r"(--plot map|--lat-range 0:65):1", r"\1:13"),
 )
 # What a command may end with beside 0.
@@ -114,6 +115,11 @@ def changed(command):
     return command
 
 
+def two_hours(name):
+    header, *rows = sample(name).read_text().splitlines(keepends=True)
+    return header + "".join(rows[660:780])
+
+
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
     """What the pages presume: a configuration, a store, recordings and weather, in a folder."""
@@ -121,12 +127,11 @@ def prepared(tmp_path_factory):
     (folder / "samples").mkdir()
     for name in DAYS:
         shutil.copy(sample(name), folder / "samples")
-    header, *rows = sample("mixed").read_text().splitlines(keepends=True)
-    (folder / "faces.csv").write_text(header + "".join(rows[660:780]))
-    shutil.copy(sample("clear"), folder / "weather.csv")
+    (folder / "faces.csv").write_text(two_hours("mixed"))
+    (folder / "weather.csv").write_text(two_hours("clear"))
     (folder / "weather").mkdir()
     for month in ("2015-10", "2016-10"):
-        (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(sample("clear").read_bytes()))
+        (folder / "weather" / f"{month}.csv.gz").write_bytes(gzip.compress(two_hours("clear").encode()))
     (folder / "points.csv").write_text("phi_deg,beta_deg,n,lambda_deg\n48.7,30,172,0\n")
     stored_days(folder / "records")
     (folder / "heliocube.toml").write_text('[store]\ndirectory = "records"\n')
