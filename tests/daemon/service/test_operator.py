@@ -62,16 +62,25 @@ def test_a_stow_in_mid_move_stops_first_and_the_answer_tells_where_it_goes(run_r
     run_rig(scenario)
 
 
-def test_a_stow_while_another_target_is_being_sent_does_not_wait_for_it(run_rig, monkeypatch):
+@pytest.mark.parametrize(
+    ("begin", "first"),
+    [
+        (lambda rig: rig.control.goto(30, 50, "test"), b"$."),
+        # The unit tells of a reference run up to three seconds after it was asked for one.
+        (lambda rig: rig.control.home(), b"$95"),
+    ],
+)
+def test_a_stow_while_another_order_is_being_sent_does_not_wait_until_it_shows(run_rig, monkeypatch, begin, first):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
-        rig.control.goto(30, 50, "test")
-        await asyncio.sleep(0.01)
-        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        sent = commands_sent(rig, monkeypatch)
+        begin(rig)
+        await rig.until(lambda: any(data.startswith(first) for _, data in sent), 10, "the order", 0.01)
+        before, asked_s = len(sent), rig.clock.monotonic()
         await operator(rig).stow("storm")
-        assert sent[0][1].startswith(b"$9s")
-        assert sent[0][0] - asked_s < 0.2
+        assert sent[before][1].startswith(b"$9s")
+        assert sent[before][0] - asked_s < 0.05
         await at_rest(rig)
         assert rig.truth() == (pytest.approx(0, abs=0.9), pytest.approx(90, abs=0.9))
 
