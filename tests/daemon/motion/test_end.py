@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Target
 from daemon.motion.end import finish
-from tests.support.hand_positioner import run_motion
+from tests.support.hand_positioner import HandPositioner, run_motion
 
 SENT = "stop was sent, and no telemetry has shown the axes standing since"
 
@@ -39,6 +39,25 @@ def test_what_stands_is_looked_at_once_more():
         assert rig.motion.telemetry.time_monotonic_s >= start_s
 
     run_motion(scenario)
+
+
+class SlowPositioner(HandPositioner):
+    """The same, which takes a while to tell."""
+
+    async def read_telemetry(self):
+        await asyncio.sleep(0.2)
+        return await super().read_telemetry()
+
+
+def test_a_stop_that_was_under_way_before_counts_with_its_last_look():
+    async def scenario(rig):
+        await rig.motion.stop()
+        await asyncio.sleep(0.35)
+        start_s = rig.clock.monotonic()
+        assert await ended(rig) is None
+        assert rig.motion.telemetry.time_monotonic_s >= start_s
+
+    run_motion(scenario, make=SlowPositioner)
 
 
 def test_of_what_does_not_obey_the_last_look_is_told_with_its_age():

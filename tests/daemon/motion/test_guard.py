@@ -458,6 +458,18 @@ def test_what_has_just_come_to_rest_or_draws_current_is_read_although_it_repeats
     run_motion(scenario, make=RepeatingPositioner)
 
 
+def test_what_may_yet_make_up_the_rest_of_a_move_is_read_although_it_repeats_itself():
+    async def scenario(rig):
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await rig.until(lambda: rig.moves)
+        await asyncio.sleep(6.0)
+        looks = rig.unit.looks
+        await asyncio.sleep(2.0)
+        assert rig.unit.looks - looks >= 3
+
+    run_motion(scenario, make=RepeatingPositioner)
+
+
 def test_what_is_read_after_a_glance_is_not_given_the_time_of_the_glance():
     async def scenario(rig):
         await asyncio.sleep(20.0)

@@ -114,6 +114,7 @@ def test_an_order_replaces_the_move_that_is_on_and_only_a_stow_a_reference_run()
         rig.motion.order(Target(40.0, 60.0, "far"))
         await asyncio.sleep(3.0)
         assert rig.motion.moving
+        assert not rig.motion.resting
         rig.motion.order(Target(0.0, 60.0, "back"))
         await rig.until(lambda: len(rig.moves) == 2)
         assert [move.outcome for move in rig.moves] == [MoveOutcome.INTERRUPTED, MoveOutcome.ARRIVED]

@@ -80,6 +80,14 @@ def test_an_axis_that_leaves_its_place_of_rest_is_told_however_slowly(axis, way)
         assert stray.text == f"{axis.upper()} moved from {start / 10:+.1f} to {(start + way) / 10:+.1f} deg"
 
 
+def test_a_way_is_judged_from_the_place_of_rest_and_not_from_where_the_wind_shook_it_to():
+    watch = resting()
+    assert watch.update(at(1.0, b=280.3)) is None
+    watch.expect(at(2.0, b=280.3, to_b=100.0))
+    assert watch.update(at(3.0, b=280.39, to_b=100.0)) is None
+    assert watch.update(at(4.0, b=280.5, to_b=100.0)).text.startswith("B moves away from where it was sent")
+
+
 def test_before_anything_has_rested_nothing_strays():
     watch = Watch(PositionerSettings(position_unit="mm"))
     assert watch.update(at(0.0)) is None
