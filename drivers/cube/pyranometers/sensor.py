@@ -57,9 +57,6 @@ class BusSensor:
         utc_s: Callable[[], float],
         monotonic_s: Callable[[], float],
     ) -> None:
-        self.note = ""
-        self.answers = False
-        self.identity = ""
         self._face = face
         self._unit = unit
         self._make = make
@@ -68,11 +65,8 @@ class BusSensor:
         self._within_s = within_s
         self._utc_s = utc_s
         self._now = monotonic_s
-        self._proven = False
-        self._doubtful = False
-        self._misses = 0
         self._flaw: FaceFlaw = "late"
-        self._ask_again_s = -math.inf
+        self.begin()
 
     def begin(self) -> None:
         """Forget what an earlier connection has taught."""

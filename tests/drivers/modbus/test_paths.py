@@ -7,7 +7,7 @@ from pydantic import TypeAdapter
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError
 from drivers.modbus.framing import TcpServer
-from drivers.modbus.paths import Endpoint, ModbusLine, TcpPath, endpoint
+from drivers.modbus.paths import Endpoint, ModbusLine, SerialPath, TcpPath, endpoint
 from drivers.modbus.pdu import read_registers
 
 READ = read_registers(7, 3, 0, 1)
@@ -89,12 +89,14 @@ def exchange_with(*answers):
     return around
 
 
-def test_a_late_answer_spoils_neither_the_connection_nor_the_next_question():
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_a_late_answer_spoils_neither_the_connection_nor_the_next_question(late_s):
     @exchange_with(b"", "reply")
     async def _(path, device):
         with pytest.raises(DeadlineError):
             await path.exchange(READ, MISSED_S)
         device.writer.write(device.late)
+        await asyncio.sleep(late_s)
         assert await path.exchange(READ, GENEROUS_S) == REPLY
 
 
@@ -133,6 +135,12 @@ def test_a_closed_path_has_to_be_opened_first():
         await path.close()
         with pytest.raises(LinkLostError):
             await path.exchange(READ, GENEROUS_S)
+
+
+def test_a_serial_line_has_to_be_opened_first():
+    path = SerialPath("cube", "/dev/none", 19200, "8E1", lambda: 0.0)
+    with pytest.raises(LinkLostError, match="cube: has to be opened first"):
+        asyncio.run(path.exchange(READ, GENEROUS_S))
 
 
 def test_nobody_at_the_other_end_is_said_with_place_and_reason():

@@ -146,5 +146,19 @@ def test_a_map_heeds_its_status():
     assert make.told((300, 4)).note == "reports status bits 0x0004"
 
 
+@pytest.mark.parametrize(
+    ("used", "block", "words", "who"),
+    [
+        ({}, (3, 0, 1), (0,), ("pyranometer", None)),
+        ({"serial_register": 40, "serial_type": "uint32"}, (3, 40, 2), (1, 2), ("pyranometer no. 65538", 65538)),
+        ({"serial_register": 40, "serial_type": "uint16"}, (3, 40, 1), (7,), ("pyranometer no. 7", 7)),
+    ],
+)
+def test_a_map_is_proven_by_its_serial_number_if_it_names_one(used, block, words, who):
+    make = make_of("map", RegisterMapSettings(number_type="float32", **used))
+    assert make.proof == block
+    assert make.identify(words) == who
+
+
 def test_a_float_that_is_none_gives_nothing():
     assert make_of("apogee", RegisterMapSettings()).told((0x7FC0, 0)).flaw == "missing"

@@ -88,6 +88,8 @@ def test_a_geometry_that_cannot_be_has_no_destination():
     ):
         with pytest.raises(ValueError, match="no position"):
             setup.destination(-49.0)
+    with pytest.raises(ValueError, match="no position for nan"):
+        A.destination(math.nan)
 
 
 def test_a_unit_that_is_set_as_configured_contradicts_nothing_and_silence_contradicts_nothing():

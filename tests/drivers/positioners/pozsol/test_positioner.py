@@ -171,13 +171,18 @@ def test_old_telemetry_is_silence_and_old_status_is_too():
 REST = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
 
 
+def at_rest(clock, **texts):
+    """Return a watch, and what a unit has said at second 100."""
+    table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
+    told = REST | {Field[name]: text for name, text in texts.items()}
+    table.take([b"%c%b" % (field, text) for field, text in told.items()], 100.0)
+    return watch, table.snapshot()
+
+
 def looks(status, *times_s, **texts):
     """Yield the looks at a unit that says all of this at second 100, and the same again at each time."""
     clock = [100.0]
-    table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
-    told = REST | {Field.STATUS: status} | {Field[name]: text for name, text in texts.items()}
-    table.take([b"%c%b" % (field, text) for field, text in told.items()], 100.0)
-    values = table.snapshot()
+    watch, values = at_rest(clock, STATUS=status, **texts)
     for time_s in times_s:
         clock[0] = max(time_s, 100.0)
         yield watch.read(LinkState(values, time_s))
@@ -194,3 +199,26 @@ def test_an_end_switch_that_cannot_be_is_told_though_nothing_else_changes():
     first, second = looks(b"%d" % (1 << 19), 100.0, 101.0, A_POSITION=b"200.0")
     assert first.reference_doubt == ""
     assert "low end switch closed although its count is 200" in second.reference_doubt
+
+
+def test_a_glance_stands_for_the_last_look_alone_and_only_while_nothing_is_new():
+    watch, values = at_rest([100.0])
+    assert watch.repeated_s(None, LinkState(values, 100.0)) is None, "nobody has looked"
+    seen = watch.read(LinkState(values, 100.0))
+    again = LinkState(values, 101.0)
+    assert watch.repeated_s(seen, again) == 101.0
+    assert watch.repeated_s(replace(seen), again) is None, "another look"
+    assert watch.repeated_s(seen, LinkState(dict(values), 101.0)) is None, "something has come"
+    assert watch.repeated_s(seen, LinkState(values, 101.0, jumped_s=100.5)) is None
+    assert watch.repeated_s(seen, LinkState(values, 101.0, restarted_s=100.5)) is None
+    watch.begin_run("a", seen, 101.0)
+    assert watch.repeated_s(watch.read(again), again) is None, "a run ends by time alone"
+
+
+def test_a_run_goes_by_the_count_of_an_axis_that_is_not_in_doubt():
+    watch, values = at_rest([100.0], A_POSITION=b"30.0", B_POSITION=b"40.0")
+    seen = watch.read(LinkState(values, 100.0))
+    watch.reference.note("x", "A was turned by hand", "a")
+    a, b = (watch.begin_run(axis, seen, 101.0) for axis in ("a", "b"))
+    assert (a.start, a.trusted) == (30.0, False)
+    assert (b.start, b.trusted) == (40.0, True)
