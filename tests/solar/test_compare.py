@@ -62,6 +62,13 @@ def test_a_gap_has_no_energy():
     assert energy_wh([0, 5, 10, 3600, 3605], [360, 360, 360, 360, 360]) == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize("power_w", [[1.0, 2.0, 3.0], [[1.0, 2.0], [3.0, 4.0]]])
+@pytest.mark.parametrize("utc_s", [[0.0, 5.0], [[0.0, 5.0], [10.0, 15.0]]])
+def test_only_two_rows_of_numbers_of_one_length_have_an_energy(utc_s, power_w):
+    with pytest.raises(ValueError, match="two rows of numbers of one length are needed"):
+        energy_wh(utc_s, power_w)
+
+
 def test_equation_16():
     # 0.5 W more than 40 W for one hour.
     time = np.arange(0, 3601, 5.0)

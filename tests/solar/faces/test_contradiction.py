@@ -118,9 +118,12 @@ def test_how_bright_the_light_is_makes_no_difference():
     np.testing.assert_allclose(np.concatenate(dim[2:]), np.concatenate(bright[2:]), rtol=1e-9)
 
 
-def test_light_on_one_face_alone_is_not_enough():
+@pytest.mark.parametrize(
+    ("faces_w_m2", "enough"), [((400.0, 10.0, 10.0, 10.0), False), ((400.0, 10.0, 10.0, 400.0), True)]
+)
+def test_light_on_two_faces_is_enough_and_on_one_alone_is_not(faces_w_m2, enough):
     _, sun = half_hour()
-    assert misfits(np.full((30, 4), [400.0, 10.0, 10.0, 10.0]), sun) is None
+    assert (misfits(np.full((30, 4), faces_w_m2), sun) is not None) is enough
 
 
 @pytest.mark.parametrize(("horizon", "vertical"), [(-50.0, 30.0), (-10.0, 40.0), (60.0, 110.0), (90.0, 120.0)])

@@ -113,7 +113,8 @@ DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
         ((461.0, 300.0, 461.0, 400.0), 40.0, (OK, OK, OK, OVER)),
         ((1310.0, 300.0, 80.0, 1240.0), 40.0, (OVER, OK, OK, OVER)),
         ((461.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
-        ((80.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
+        # The west face alone would be accused by it.
+        ((40.0, 300.0, 461.0, 0.0), 40.0, (OK, OK, OK, DEAD)),
         ((261.0, 300.0, 0.0, 200.0), 5.1, (OVER, OK, DEAD, OK)),
         ((261.0, 300.0, 0.0, 200.0), 4.9, (OK, OK, OK, OK)),
         ((np.nan, 300.0, 0.0, 400.0), 40.0, (OK, OK, DEAD, OK)),
@@ -190,14 +191,32 @@ def test_light_on_one_face_alone_in_the_night_is_none(faces_w_m2, sine, named):
 
 
 def test_many_minutes_are_each_judged_by_themselves():
-    faces = [(100.0, 300.0, 80.0, 400.0), (0.5, 0.5, 0.5, 0.5), (2.0, 300.0, 80.0, 400.0), (461.0, 300.0, 80.0, 400.0)]
-    voltages = [(5.0, 2.0, 2.0, 5.0), (0.05, 0.05, 0.05, 0.05), DIFFERENT_MV, DIFFERENT_MV]
-    suns = np.repeat(towards_south(40.0)[None], 4, axis=0)
+    usual = (100.0, 300.0, 80.0, 400.0)
+    faces = [
+        usual,
+        (0.5, 0.5, 0.5, 0.5),
+        (2.0, 300.0, 80.0, 400.0),
+        (461.0, 300.0, 80.0, 400.0),
+        (80.0, 300.0, 461.0, 400.0),
+        usual,
+    ]
+    too_small_to_compare = (0.05, 0.05, 0.05, 0.05)
+    voltages = [
+        (5.0, 2.0, 2.0, 5.0),
+        too_small_to_compare,
+        DIFFERENT_MV,
+        DIFFERENT_MV,
+        DIFFERENT_MV,
+        too_small_to_compare,
+    ]
+    suns = np.repeat(towards_south(40.0)[None], 6, axis=0)
     assert doubts(faces, voltages, suns, NORMALS).tolist() == [
         [SAME] * 4,
         [DARK] * 4,
         [DEAD, OK, OK, OK],
         [OVER, OK, OK, OK],
+        [OK, OK, OVER, OK],
+        [OK] * 4,
     ]
 
 

@@ -8,7 +8,7 @@ import pytest
 from solar.ephemeris import Site, sun_position
 from solar.frames import Limits, direction_from_azimuth, normal_from_angles
 from solar.laws import chronometric, mu_prime, sun_vector
-from solar.laws.law import NO_DIRECTION, DirectionLaw, Moment, Reading, TrackerFacts
+from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, Reading, TrackerFacts
 
 FORENOON = 1665565200.0  # 2022-10-12 09:00 UTC
 PALAISEAU = Site(48.7, 2.2, 0.0)
@@ -85,3 +85,29 @@ def test_the_parameters_of_the_sun_vector_are_shares_in_their_bounds(name, usual
     for value in (-1e-3, greatest + 1e-3, math.nan):
         with pytest.raises(ValueError, match=name):
             sun_vector.SETTINGS(**{name: value})
+
+
+class OwnSettings(LawSettings):
+    """Of a law that somebody adds, without bounds of its own."""
+
+    lead_deg: float = 0.0
+
+
+class WrongFromTheStart(LawSettings):
+    """Has a default that nobody may write into a file."""
+
+    lead_deg: float = math.inf
+
+
+@pytest.mark.parametrize("wrong", [{"lead_deg": math.inf}, {"lead_deg": math.nan}, {"lead_deg": "1"}, {"lead": 1.0}])
+def test_a_parameter_of_any_law_is_a_finite_number_under_its_name(wrong):
+    assert OwnSettings(lead_deg=1.0).lead_deg == 1.0
+    with pytest.raises(ValueError, match="lead"):
+        OwnSettings(**wrong)
+
+
+def test_a_wrong_default_is_noticed_and_nothing_changes_a_law_s_parameters_later():
+    with pytest.raises(ValueError, match="lead_deg"):
+        WrongFromTheStart()
+    with pytest.raises(ValueError, match="frozen"):
+        OwnSettings().lead_deg = 2.0
