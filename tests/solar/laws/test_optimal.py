@@ -114,6 +114,17 @@ def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say
     assert choice.gain_w_m2 == pytest.approx(500.0 * (1.0 - cosine))
 
 
+def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_sixth_power():
+    # Of the way 0.8 is left for 0.9 of the daylight.
+    law = OptimalLaw(SETTINGS, LIMITS)
+    sun = normal_from_angles(0.0, 30.0)
+    usual = law.choose(10.0, 60.0, sun, 1.0).price_w_m2
+    law.book(260.0)
+    assert (law.travelled_deg, law.moves) == (260.0, 1)
+    assert law.choose(10.0, 60.0, sun, 0.9).price_w_m2 == pytest.approx(usual * (0.9 / 0.8) ** 6)
+    assert law.choose(10.0, 60.0, sun, 0.7).price_w_m2 == pytest.approx(usual)
+
+
 def test_after_a_long_gap_the_memory_starts_again():
     law = OptimalLaw(SETTINGS, LIMITS)
     for minute in range(30):

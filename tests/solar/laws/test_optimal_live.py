@@ -7,7 +7,7 @@ import pytest
 
 from solar.energy import build_sky, faces_under, lay_out
 from solar.ephemeris import DAY_S, Site, sun_day, sun_direction, sun_position
-from solar.frames import Angles, Limits, azimuth_from_direction
+from solar.frames import Angles, Limits, angles_within, azimuth_from_direction
 from solar.laws import optimal_live
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.optimal import OptimalLaw, OptimalSettings
@@ -285,3 +285,14 @@ def test_a_zenith_face_that_the_others_contradict_is_not_believed():
     east, south, west, zenith = map(float, faces_at(NOON))
     assert live().believes_zenith((east, south, west, zenith), NOON)
     assert not live().believes_zenith((500.0, 600.0, 500.0, 5.0), NOON)
+
+
+def test_the_fast_way_stays_where_it_stands_until_there_was_a_reading():
+    utc_s = NOON + 60.0 * np.arange(3)
+    weather = lay_out(utc_s, np.full(3, 700.0), np.full(3, 80.0), SITE)
+    faces = faces_under(build_sky(weather, "isotropic"), 0.2)
+    next_pose = optimal_live.steer(optimal_live.SETTINGS(), weather, faces, LIMITS)
+    a, b = np.zeros(1), np.full(1, 90.0)
+    assert next_pose(0, a, b) == (a, b)
+    expected = angles_within(sun_direction(NOON + SETTINGS.lead_s, *SITE), LIMITS)
+    np.testing.assert_allclose(np.ravel(next_pose(1, a, b)), expected, atol=5.0)

@@ -88,6 +88,13 @@ def test_laws_work_on_arrays(law):
     assert together[1, 0] == pytest.approx(law(faces[1]))
 
 
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
+def test_the_first_light_is_pointed_at_as_that_of_noon_is(law):
+    faces = isotropic_faces(700, 90, 120, 30)
+    assert 1e-3 * faces[3] < 1.0
+    np.testing.assert_allclose(law(1e-3 * faces), 1e-3 * law(faces))
+
+
 def test_chronometric_has_no_direction_at_night():
     assert chronometric([0.5, 0.5, 0.7]) == pytest.approx([0.5, 0.5, 0.7])
     assert np.isnan(chronometric([0.5, 0.5, -0.1])).all()
