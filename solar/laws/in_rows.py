@@ -16,7 +16,7 @@ from solar.rows.group import TrackerGroup
 
 _COARSE_DEG = 10.0
 _CLOSER = 3
-_TIMES = 3
+_TIMES = 4
 _AT_ONCE = 8
 
 
@@ -71,7 +71,7 @@ def _searched(
     everywhere = [np.broadcast_to(angles, (len(beam), angles.size)) for angles in lattice(limits, _COARSE_DEG)]
     tries = [np.concatenate(parts, axis=-1) for parts in zip(starts, everywhere, strict=True)]
     reach = _COARSE_DEG
-    for _ in range(_TIMES + 1):
+    for _ in range(_TIMES):
         collected = product(vector, *tries) - taken_by_neighbours(group, beam, suns, *tries)
         best = np.argmax(collected, axis=-1)[:, None]
         a, b = (np.take_along_axis(angles, best, axis=-1)[:, 0] for angles in tries)

@@ -151,6 +151,34 @@ def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
     assert collected(lasting) > collected(at_once) + 5.0
 
 
+@pytest.mark.parametrize("lasts", [False, True])
+def test_the_gain_of_a_move_counts_the_shade_that_is_left_and_the_shade_that_is_come_to(lasts):
+    evening, lower = (sun_direction(EVENING + seconds, *LYNGBY) for seconds in (240.0, 600.0))
+    law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
+    law.observe(700.0 * np.maximum(NORMALS @ evening, 0.0) + [40.0, 40.0, 40.0, 70.0], evening, 60.0)
+    shaded = angles_within(evening, LIMITS)
+    choice = law.choose(*shaded, evening, 0.1, lower if lasts else None)
+    suns = [evening, lower] if lasts else [evening]
+    there, here = (
+        product(choice.vector, *pose) - taken_by_neighbours(FIELD, law.expect().light.beam, suns, *pose)
+        for pose in ((choice.a_deg, choice.b_deg), shaded)
+    )
+    assert choice.move
+    assert choice.gain_w_m2 == pytest.approx(there - here)
+    assert there - here > 60.0
+
+
+def test_no_pose_of_a_lattice_of_a_degree_collects_more_than_the_best():
+    sun, beam = direction_from_azimuth(130.0, 15.0, LYNGBY[0]), np.array(150.0)
+    vector = aim_vector(Light(beam, beam, np.array(0.0)), sun)
+    best = best_among(FIELD, vector, beam, [sun], angles_within(vector, LIMITS), LIMITS)
+    every = np.meshgrid(np.arange(-50.0, 51.0), np.arange(15.0, 91.0))
+    of_best, of_every = (
+        product(vector, *pose) - taken_by_neighbours(FIELD, beam, [sun], *pose) for pose in (best, every)
+    )
+    assert of_best >= of_every.max()
+
+
 def test_the_optimal_law_weighs_the_shade_of_the_pose_that_it_stands_in():
     """In a pose that has become shaded a move is worth more than its way alone would be."""
     to_sun = direction_from_azimuth(*sun_position(MORNING, *LYNGBY)[:2], LYNGBY[0])
