@@ -153,19 +153,19 @@ def test_the_optimal_law_looks_at_the_minutes_that_a_pose_is_to_last():
 
 @pytest.mark.parametrize("lasts", [False, True])
 def test_the_gain_of_a_move_counts_the_shade_that_is_left_and_the_shade_that_is_come_to(lasts):
-    evening, lower = (sun_direction(EVENING + seconds, *LYNGBY) for seconds in (240.0, 600.0))
+    # With so low a sun the best pose has shade, too.
+    sun, later = (direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (5.0, 3.0))
     law = OptimalLaw(OptimalSettings(), LIMITS, group=FIELD)
-    law.observe(700.0 * np.maximum(NORMALS @ evening, 0.0) + [40.0, 40.0, 40.0, 70.0], evening, 60.0)
-    shaded = angles_within(evening, LIMITS)
-    choice = law.choose(*shaded, evening, 0.1, lower if lasts else None)
-    suns = [evening, lower] if lasts else [evening]
-    there, here = (
-        product(choice.vector, *pose) - taken_by_neighbours(FIELD, law.expect().light.beam, suns, *pose)
-        for pose in ((choice.a_deg, choice.b_deg), shaded)
-    )
+    law.observe(700.0 * np.maximum(NORMALS @ sun, 0.0) + [40.0, 40.0, 40.0, 70.0], sun, 60.0)
+    before = (50.0, 15.0)
+    choice = law.choose(*before, sun, 0.1, later if lasts else None)
+    suns = [sun, later] if lasts else [sun]
+    poses = (choice.a_deg, choice.b_deg), before
+    there, here = (taken_by_neighbours(FIELD, law.expect().light.beam, suns, *pose) for pose in poses)
+    more, less = (product(choice.vector, *pose) for pose in poses)
     assert choice.move
-    assert choice.gain_w_m2 == pytest.approx(there - here)
-    assert there - here > 60.0
+    assert here > there + 20.0 > 200.0
+    assert choice.gain_w_m2 == pytest.approx((more - there) - (less - here))
 
 
 def test_no_pose_of_a_lattice_of_a_degree_collects_more_than_the_best():
