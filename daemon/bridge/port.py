@@ -168,10 +168,11 @@ class UdpPort:
     def _connected(self, bound: socket.socket, peer: Peer) -> socket.socket | None:
         """Return a second socket on the port that hears one peer; None where the system does not let it."""
         line = socket.socket(bound.family, socket.SOCK_DGRAM)
+        # Each socket of the port has to agree, and for this instant only: nobody else shall share the port.
+        others = (bound, *self._lines.values())
         try:
             _prepare(line)
-            # For this instant only: nobody else shall share the port.
-            for one in (bound, line):
+            for one in (*others, line):
                 one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             line.bind(bound.getsockname())
             line.connect(peer)
@@ -180,7 +181,8 @@ class UdpPort:
             line.close()
             return None
         finally:
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+            for one in others:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
         line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
         return line
 

@@ -5,6 +5,7 @@ import socket
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
@@ -97,6 +98,36 @@ def test_senders_in_turn_are_all_heard_although_there_are_more_of_them_than_line
                     await settle(number + 1)
                     clock.now_s += 5.0
             assert [got.sequence for got in scans] == list(range(40))
+
+    asyncio.run(main())
+
+
+def lines_on(place):
+    """Return the ports of those that a socket of this port hears alone, as the kernel lists them."""
+    rows = [row.split() for row in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    ends = [[int(end.partition(":")[2], 16) for end in row[1:3]] for row in rows]
+    return {remote for local, remote in ends if local == place[1] and remote != 0}
+
+
+@only_linux
+def test_who_has_been_silent_longest_loses_its_line_to_a_newcomer_after_a_minute():
+    async def main():
+        async with port() as (receiver, clock, _, settle):
+            with ExitStack() as stack:
+                senders = [stack.enter_context(udp()) for _ in range(5)]
+                begin_s = clock.now_s
+                at_s = (0.0, 1.0, 2.0, 3.0, 30.0, 59.0, 62.0)
+                having = []
+                for number, sender in enumerate((0, 1, 2, 3, 0, 4, 4)):
+                    clock.now_s = begin_s + at_s[number]
+                    datagram = signed(scan(number, time_s=at_s[number]))
+                    senders[sender].sendto(datagram, place_of(receiver))
+                    await settle(number + 1)
+                    having.append(lines_on(place_of(receiver)))
+                own = [sender.getsockname()[1] for sender in senders]
+            assert receiver.statistics.accepted == 7
+            assert having[3] == having[5] == set(own[:4])
+            assert having[6] == {own[0], own[2], own[3], own[4]}
 
     asyncio.run(main())
 
