@@ -31,7 +31,6 @@ _HELD_S = 60.0
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
 _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
-_STAMP_BYTES = 64
 # Whatever waited while no process read: more than a buffer holds, and an end to it where somebody floods the port.
 _MOST_WAITING = 8192
 # A longer wait is a clock that was set meanwhile.
@@ -139,7 +138,7 @@ class UdpPort:
             return
         with contextlib.suppress(OSError):
             for _ in range(_MOST_WAITING):
-                data, ancillary, _, peer = kept.recvmsg(_LARGEST_READ, _STAMP_BYTES)
+                data, ancillary, _, peer = kept.recvmsg(_LARGEST_READ, socket.CMSG_SPACE(_STAMP.size))
                 self._receive(data, peer, _waited_s(ancillary))
 
     def _drop(self, peer: Peer) -> None:
