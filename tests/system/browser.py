@@ -176,7 +176,7 @@ def simulated_site(folder, text=SIMULATED):
 @contextlib.contextmanager
 def site_on_bench(folder):
     """Give a site whose instruments are a bench's, and the bench."""
-    text = BRISK.format(send_to="").replace("[api]\nenabled = false\n", "")
+    text = BRISK.format(send_to="", positioner="").replace("[api]\nenabled = false\n", "")
     basis, api = with_interface(folder, text)
     bench = BenchProcess(folder / "bench", "--config", basis, *HIGH_SUN)
     try:

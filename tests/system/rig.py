@@ -142,17 +142,21 @@ insecure = true
 [simulation]
 motor_speed_mm_s = 6.4
 sensor_noise_mv = 0.005
+[instruments.positioner]
+telemetry_stale_s = 10.0
+{positioner}
 """
 """The rig at a brisk rhythm: a scan every half second, a decision every four seconds, motors twice as fast.
 
+A busy machine may hold up a unit's screens for seconds, and that is no outage here: what is pulled or restarts is.
 Faster ones would come near to what counts as a jump when a busy machine shows the unit's screens half a second late.
 """
 
 
-def brisk(folder, send_to=""):
-    """Write the configuration that a brisk bench starts from and return its path."""
+def brisk(folder, send_to="", positioner=""):
+    """Write the configuration that a brisk bench starts from, with more of its positioner, and return its path."""
     file = folder / "brisk.toml"
-    file.write_text(BRISK.format(send_to=f'"{send_to}"' if send_to else ""))
+    file.write_text(BRISK.format(send_to=f'"{send_to}"' if send_to else "", positioner=positioner))
     return file
 
 

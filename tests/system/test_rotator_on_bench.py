@@ -39,12 +39,12 @@ def test_a_real_rotctld_follows_the_simulated_sky_and_is_taken_up_again_after_it
 ):
     # The dummy begins where its offsets say; with them the limits that it tells are wrong, so the file has them.
     server = start_rotctld("-o", "-180", "-O", "-40")
-    config = brisk(tmp_path)
-    text = config.read_text().replace("[safety]", "[safety]\nsnow_b_deg = 40.0")
-    config.write_text(
-        f"{text}\n[instruments.positioner]\nazimuth_min_deg = 0.0\nazimuth_max_deg = 360.0\n"
-        "elevation_min_deg = 40.0\nelevation_max_deg = 90.0\n[limits]\nb_min_deg = 40.0\n"
+    config = brisk(
+        tmp_path,
+        positioner="azimuth_min_deg = 0.0\nazimuth_max_deg = 360.0\n"
+        "elevation_min_deg = 40.0\nelevation_max_deg = 90.0\n[limits]\nb_min_deg = 40.0\n",
     )
+    config.write_text(config.read_text().replace("[safety]", "[safety]\nsnow_b_deg = 40.0"))
     bench = start_bench("--config", config, *LOWER_SUN, "--rotctld", server.place)
     assert "pose" not in bench.state()
     service = start_service(bench.config)

@@ -45,8 +45,7 @@ a_axis = { low_deg = -60.0 }
     ids=["other arms", "slew drives"],
 )
 def test_a_configured_geometry_is_that_of_the_bench_and_of_the_service(tmp_path, start_bench, start_service, geometry):
-    config = brisk(tmp_path)
-    config.write_text(f"{config.read_text()}\n[instruments.positioner]\n{geometry}")
+    config = brisk(tmp_path, positioner=geometry)
     rig = Rig(bench := start_bench("--config", config, *HIGH_SUN), start_service(bench.config))
     rig.settle()
     rig.new_sky()
@@ -88,13 +87,13 @@ def test_plugs_that_are_out_before_the_start_are_waited_for_at_rest(tmp_path, st
 
 @pytest.mark.long
 def test_a_board_that_restarts_at_open_or_in_mid_run_is_waited_for_homed_and_used(tmp_path, start_bench, start_service):
-    config = brisk(tmp_path)
-    config.write_text(
-        config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"')
-        + '[instruments.positioner]\ndtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
+    config = brisk(
+        tmp_path,
+        positioner='dtr = false\nboot_s = 5.0\nboot_banner = "POZSOL36A1 ready"\n'
         # End switches within some seconds of where the axes stand: they are looked for twice.
-        + "a_axis = { low_deg = -10.0 }\nb_axis = { low_deg = 68.0 }\n[limits]\na_min_deg = -8.0\nb_min_deg = 70.0\n"
+        "a_axis = { low_deg = -10.0 }\nb_axis = { low_deg = 68.0 }\n[limits]\na_min_deg = -8.0\nb_min_deg = 70.0\n",
     )
+    config.write_text(config.read_text().replace("[motion]", '[motion]\nrehome = "automatic"'))
     bench = start_bench("--config", config, *HIGH_SUN)
     bench.ask("boots-at-open", 3)
     rig = Rig(bench, start_service(bench.config))
@@ -205,7 +204,7 @@ def test_a_library_whose_calls_do_not_return_is_told_waited_for_and_does_not_kee
     wait_until(lambda: rig.lines(told) == 1, SETTLES_WITHIN_S, rig.service.log)
     # Hung again while it is being opened.
     assert rig.load(12.0) < 0.2
-    assert rig.lines("is back") == 0
+    assert rig.lines("the cube is back") == 0
     mark.unlink()
     wait_until(lambda: rig.lines("the cube is back") == 1, BACK_WITHIN_S, rig.service.log)
     wait_until(lambda: rig.last_mode() == "tracking", BACK_WITHIN_S, rig.service.log)
