@@ -35,6 +35,14 @@ def compare(monkeypatch, capsys):
     return run
 
 
+@pytest.fixture
+def few_points(tmp_path):
+    """Names a configuration with curves of fourteen points: one of thirty takes twice as long to simulate."""
+    path = tmp_path / "few.toml"
+    path.write_text("[load]\npoints = 14\n")
+    return ("--config", path)
+
+
 def table(path, rows, columns="time,tracker,pmpp_w,a_deg,b_deg"):
     path.write_text("\n".join([columns, *rows]) + "\n")
     return path
@@ -255,13 +263,13 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
 
 
-def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, tmp_path):
+def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, few_points, tmp_path):
     arguments = ("--start", "2022-10-12T10:00", "--days", "0.02", "--weather", "overcast", "--laws", "flat,flat")
-    code, out, err = compare("simulate", *arguments, "--store", tmp_path / "store")
+    code, out, err = compare("simulate", *arguments, *few_points, "--store", tmp_path / "store")
     assert (code, err) == (0, "")
     assert "all records of both trackers" in out
     arguments = ("--start", "2022-10-12T11:00", "--days", "0.02", "--weather", "overcast")
-    assert compare("simulate", *arguments, "--store", tmp_path / "store")[0] == 0
+    assert compare("simulate", *arguments, *few_points, "--store", tmp_path / "store")[0] == 0
     with closing(sqlite3.connect(tmp_path / "store" / "heliocube.sqlite")) as store:
         runs = store.execute("SELECT run, tracker, simulated FROM runs ORDER BY run").fetchall()
         laws = store.execute("SELECT DISTINCT run, law FROM decisions WHERE moved ORDER BY run").fetchall()
@@ -297,9 +305,9 @@ def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compar
     assert "module as simulated" in page
 
 
-def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, tmp_path):
+def test_two_stores_are_told_apart_by_the_names_they_are_given(compare, few_points, tmp_path):
     arguments = ("--start", "2022-10-12T10:00", "--days", "0.01", "--weather", "clear")
-    compare("simulate", *arguments, "--store", tmp_path / "one")
+    compare("simulate", *arguments, *few_points, "--store", tmp_path / "one")
     shutil.copytree(tmp_path / "one", tmp_path / "two")
     for name in ("one", "two"):
         with closing(sqlite3.connect(tmp_path / name / "heliocube.sqlite")) as store, store:
