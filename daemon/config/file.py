@@ -3,7 +3,7 @@
 import difflib
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
@@ -237,12 +237,12 @@ def _checked(
             found = {problem.key: problem for problem in _problems(error, name, chosen)}
             problems += found.values()
             # The rules between keys are still worth checking for all that is right.
-            sections[name] = kind.model_validate(_without(given, name, found.keys(), chosen))
+            sections[name] = kind.model_validate(_without(given, name, sorted(found), chosen))
     settings = Settings.model_construct(**sections)
     problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
     wrong = {key.partition("[")[0] for problem in problems for key in (problem.key, problem.meant) if key}
     for conflict in rules.conflicts(settings):
-        if not any(_covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
+        if not any(keys.covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
             shown = keys.shown(_value_of(settings, conflict.key))
             default = "" if _is_given(raw, conflict.key) else " (default)"
             problems.append(_Problem(conflict.key, f" = {shown}{default}: {conflict.reason}"))
@@ -340,8 +340,8 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 
 
-def _without(given: Any, section: str, wrong: Collection[str], chosen: Chosen) -> dict[str, Any]:
-    """Return what is right in a section of the file."""
+def _without(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> dict[str, Any]:
+    """Return what is right in a section of the file; `wrong` is in order, for both may be thousands of keys."""
     if not isinstance(given, dict) or section in wrong:
         return {}
     kept = {}
@@ -349,14 +349,9 @@ def _without(given: Any, section: str, wrong: Collection[str], chosen: Chosen) -
         path = _joined(section, name)
         if isinstance(value, dict) and path in keys.tables(chosen):
             kept[name] = _without(value, path, wrong, chosen)
-        elif not any(_covers(path, key) for key in wrong):
+        elif not keys.covers_any(path, wrong):
             kept[name] = value
     return kept
-
-
-def _covers(outer: str, inner: str) -> bool:
-    """Tell whether `inner` is the key `outer` or lies inside it."""
-    return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))
 
 
 def _value_of(settings: Settings, path: str) -> Any:

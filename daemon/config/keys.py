@@ -4,7 +4,8 @@ import difflib
 import json
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time
 from functools import cache
@@ -65,6 +66,7 @@ _MAGNITUDES = {
     "mv": ("voltage", 1e-3),
     "uv": ("voltage", 1e-6),
 }
+_LONGEST_FIRST = sorted({*_UNITS, *_MAGNITUDES}, key=len, reverse=True)
 _FORMS = {
     "path": "a path in quotes",
     "date-time": "a date and time with its UTC offset, without quotes, such as 2022-10-14T06:00:00Z",
@@ -228,7 +230,7 @@ def toml_name(name: str) -> str:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Return the stem and the unit that a key's name ends in, a right or a mistaken one: ``("mean", "min")``."""
-    for unit in sorted({*_UNITS, *_MAGNITUDES}, key=len, reverse=True):
+    for unit in _LONGEST_FIRST:
         if name.endswith(f"_{unit}"):
             return name[: -len(unit) - 1], unit
     return name, ""
@@ -382,3 +384,14 @@ def printable(text: str) -> str:
 def shortened(text: str) -> str:
     """Return the text, cut where it is long."""
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+
+
+def covers_any(outer: str, ordered: Sequence[str]) -> bool:
+    """Tell whether any of some keys in order is the key `outer` or lies inside it."""
+    places = (bisect_left(ordered, beginning) for beginning in (outer, f"{outer}.", f"{outer}["))
+    return any(covers(outer, key) for place in places for key in ordered[place : place + 1])
+
+
+def covers(outer: str, inner: str) -> bool:
+    """Tell whether `inner` is the key `outer` or lies inside it."""
+    return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))

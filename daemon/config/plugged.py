@@ -290,8 +290,12 @@ def _wrong(kind: type[BaseModel], values: dict[str, Any]) -> Iterator[Wrong]:
 def _without(values: dict[str, Any], locs: Collection[Loc]) -> dict[str, Any]:
     """Return a table without what stands at some places."""
     kept: dict[str, Any] = {}
+    inside_of: dict[int | str, list[Loc]] = {}
+    for loc in locs:
+        if loc:
+            inside_of.setdefault(loc[0], []).append(loc[1:])
     for name, value in values.items():
-        inside = [loc[1:] for loc in locs if loc[:1] == (name,)]
+        inside = inside_of.get(name)
         if not inside:
             kept[name] = value
         elif isinstance(value, dict) and all(inside):
