@@ -165,7 +165,7 @@ def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_pa
     wind = next(text for text in said if text.startswith("Wind, strongest since the reading before m/s: wind from "))
     assert wind.endswith("; stows from (as set now) from 15.0 to 15.0")
     assert len(said) == 5
-    stored = browsers.httpx.get(f"http://{site.api}/api/days", trust_env=False).json()["days"]
+    stored = browsers.WEB.get(f"http://{site.api}/api/days").json()["days"]
     assert page.page.get_by_label("Day", exact=True).input_value() == stored[-1] == "2022-09-21"
     page.page.get_by_role("button", name="Last hour").click()
     page.sees(".day .hint", "Shown: 12:5")
@@ -194,7 +194,7 @@ def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_pat
 
 def listeners(site):
     """Return how many streams the dashboard sends."""
-    return browsers.httpx.get(f"{site.url}/healthz", trust_env=False).json()["listeners"]
+    return browsers.WEB.get(f"{site.url}/healthz").json()["listeners"]
 
 
 def test_seven_tabs_of_one_browser_are_all_live_over_one_stream(site, open_page):
