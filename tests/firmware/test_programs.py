@@ -4,6 +4,7 @@ import contextlib
 import json
 import re
 import time
+import urllib.request
 
 import pytest
 
@@ -53,33 +54,38 @@ def test_the_probe_moves_nothing_on_a_unit_that_contradicts_the_configuration(st
 
 @contextlib.contextmanager
 def tracker(firmware, folder, for_s):
-    """Run the role of a tracker on a unit; yield its configuration."""
+    """Run the role of a tracker on a unit; yield its configuration and the address of its interface."""
+    address = f"127.0.0.1:{free_port()}"
     (folder / "token").write_text(TOKEN, encoding="utf-8")
     (folder / "token").chmod(0o600)
     more = (
-        f'[api]\nlisten = "127.0.0.1:{free_port()}"\ntoken_file = "{folder / "token"}"\n'
+        f'[api]\nlisten = "{address}"\ntoken_file = "{folder / "token"}"\n'
         '[bridge]\nlisten = "127.0.0.1:0"\ninsecure = true\n'
     )
     config = configure(firmware, folder, more)
     with (folder / "log").open("w") as log:
         service = forks.start(["run", "-c", config, "--role", "tracker", "--for", for_s], stdout=log, stderr=log)
     try:
-        yield config
+        yield config, address
     finally:
         service.terminate()
         service.wait(60.0)
     assert service.returncode == 0, (folder / "log").read_text(encoding="utf-8")
 
 
-def state(config):
-    done = heliocube("status", "-c", config, "--json")
-    return json.loads(done.stdout) if done.returncode == 0 else None
+def state(address):
+    """Return what the service shows, None while it does not answer."""
+    try:
+        with urllib.request.urlopen(f"http://{address}/api/state", timeout=30) as reply:
+            return json.load(reply)
+    except OSError:
+        return None
 
 
-def until_state(config, condition, within_s, what):
+def until_state(address, condition, within_s, what):
     """Wait for a state of the service; the limit is for a broken program, not for a slow machine."""
     deadline_s = time.monotonic() + within_s
-    while (seen := state(config)) is None or not condition(seen):
+    while (seen := state(address)) is None or not condition(seen):
         assert time.monotonic() < deadline_s, f"{what}: {seen and (seen['mode'], seen['tracker'])}"
         time.sleep(0.3)
     return seen
@@ -87,7 +93,7 @@ def until_state(config, condition, within_s, what):
 
 def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start_firmware, tmp_path):
     firmware = start_firmware()
-    with tracker(firmware, tmp_path, 300) as config:
+    with tracker(firmware, tmp_path, 300) as (config, _):
         deadline_s = time.monotonic() + 120.0
         while (going := heliocube("goto", "-c", config, "--", "-20", "85")).returncode:
             assert time.monotonic() < deadline_s, going.stderr
@@ -106,20 +112,20 @@ def test_the_trackers_role_goes_where_it_is_told_and_stops_when_it_is_told(start
 @pytest.mark.long
 def test_a_count_that_was_lost_is_a_fault_until_the_trackers_role_has_homed_both_axes(start_firmware, tmp_path):
     firmware = start_firmware(-50.0, 16.0)
-    with tracker(firmware, tmp_path, 240) as config:
-        until_state(config, lambda seen: seen["tracker"]["connected"], 40, "the connection")
+    with tracker(firmware, tmp_path, 240) as (config, address):
+        until_state(address, lambda seen: seen["tracker"]["connected"], 40, "the connection")
         assert heliocube("hold", "-c", config).returncode == 0
         firmware.control("count 0 4500")
-        until_state(config, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 60, "the doubt")
+        until_state(address, lambda seen: "jumped" in (seen["tracker"]["doubt_why"] or ""), 60, "the doubt")
         assert heliocube("auto", "-c", config).returncode == 0
-        until_state(config, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
+        until_state(address, lambda seen: seen["mode"]["name"] == "fault", 60, "the fault")
         homed = heliocube("home", "-c", config)
         assert homed.returncode == 0, homed.stderr
-        until_state(config, lambda seen: seen["tracker"]["homing"], 60, "the reference run")
-        seen = until_state(config, lambda seen: not seen["tracker"]["homing"], 120, "its end")
+        until_state(address, lambda seen: seen["tracker"]["homing"], 60, "the reference run")
+        seen = until_state(address, lambda seen: not seen["tracker"]["homing"], 120, "its end")
         assert seen["tracker"]["concerns"] == []
         assert "reference" not in [alarm["name"] for alarm in seen["alarms"]]
         assert seen["mode"]["name"] != "fault"
         assert heliocube("hold", "-c", config).returncode == 0
-        shown = state(config)["tracker"]["pose"]
+        shown = state(address)["tracker"]["pose"]
         assert firmware.pose_deg() == pytest.approx((shown["a_deg"], shown["b_deg"]), abs=0.5)

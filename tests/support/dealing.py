@@ -8,7 +8,7 @@ LONG_S, DEAR_S, SHORT_S = 40, 12, 2
 
 _DEAR = {"system", "campaign", "firmware"}
 # Fixtures that take seconds of a processor, once for all tests of a worker.
-_SHARED = ("postgres", "browser")
+_SHARED = ("postgres", "browser", "copied_on_windows")
 
 
 def lasts_s(item):

@@ -1,5 +1,7 @@
 """The cube's role needs nothing of POSIX and no NI software, so that it can run beside the USB-6008 on Windows."""
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -56,39 +58,78 @@ AS_ON_WINDOWS = f"""
 """
 
 
+HIDE = """
+    import sys
+    hidden = {hidden!r}
+    for name in hidden:
+        sys.modules.pop(name, None)
+    class Hide:
+        def find_spec(self, name, path=None, target=None):
+            if name.partition(".")[0] in hidden:
+                raise ModuleNotFoundError(f"{{name}} is hidden", name=name)
+    sys.meta_path.insert(0, Hide())
+    sys.builtin_module_names = tuple(set(sys.builtin_module_names) - hidden)
+"""
+COPIED = """
+    import daemon.entry, daemon.commands.main, daemon.commands.run, json
+    for line in sys.stdin:
+        words, *outputs = json.loads(line)
+        if not (copy := fork()):
+            break
+        print(waitpid(copy, 0)[1], flush=True)
+    else:
+        os._exit(0)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for number, file in enumerate([nothing, *(os.open(output, os.O_WRONLY) for output in outputs)]):
+        os.dup2(file, number)
+    sys.argv = ["heliocube", *words]
+    daemon.entry.main()
+"""
+
+
+def python_without(modules, *parts):
+    """Return how a process is begun that runs this in turn, and in which these modules cannot be imported."""
+    code = "\n".join(map(textwrap.dedent, (HIDE.format(hidden=set(modules)), *parts)))
+    return [sys.executable, "-X", "warn_default_encoding", "-c", code]
+
+
 def without(modules, code):
     """Run code in a process of its own in which these modules cannot be imported."""
-    hide = textwrap.dedent(f"""
-        import sys
-        hidden = {set(modules)!r}
-        for name in hidden:
-            sys.modules.pop(name, None)
-        class Hide:
-            def find_spec(self, name, path=None, target=None):
-                if name.partition(".")[0] in hidden:
-                    raise ModuleNotFoundError(f"{{name}} is hidden", name=name)
-        sys.meta_path.insert(0, Hide())
-        sys.builtin_module_names = tuple(set(sys.builtin_module_names) - hidden)
-    """)
-    return subprocess.run(
-        [sys.executable, "-X", "warn_default_encoding", "-c", hide + textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    return subprocess.run(python_without(modules, code), capture_output=True, text=True, timeout=120, check=False)
 
 
-def heliocube(hidden, *arguments):
-    """Give a command in a process in which these modules are hidden, and with those of POSIX all else of Windows."""
-    command = f"from daemon.entry import main\nsys.argv = {['heliocube', *map(str, arguments)]!r}\nmain()"
-    return without(hidden, (textwrap.dedent(AS_ON_WINDOWS) if hidden is POSIX_ONLY else "import sys\n") + command)
+@pytest.fixture(scope="module")
+def copied_on_windows():
+    """A process that has loaded all that `heliocube run` does, where nothing of POSIX is, and runs copies of itself."""
+    code = python_without(POSIX_ONLY, "import os\nfork, waitpid = os.fork, os.waitpid", AS_ON_WINDOWS, COPIED)
+    with subprocess.Popen(code, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as origin:
+        yield origin
 
 
-def run_cube(folder, hidden, text, for_s=1):
-    """Run the cube's role for some seconds on a configuration, in a process in which these modules are hidden."""
-    (folder / "heliocube.toml").write_text(text)
-    return heliocube(hidden, "run", "--role", "cube", "--for", for_s, "--config", folder / "heliocube.toml")
+@pytest.fixture
+def on_windows(copied_on_windows, tmp_path_factory):
+    """Give a command to a process in which nothing of POSIX is: to load all that takes longer than any of them."""
+
+    def heliocube(*arguments):
+        outputs = [tmp_path_factory.mktemp("said") / name for name in ("out", "err")]
+        for output in outputs:
+            output.touch()
+        words = [[*map(str, arguments)], *map(str, outputs)]
+        copied_on_windows.stdin.write(json.dumps(words) + "\n")
+        copied_on_windows.stdin.flush()
+        status = copied_on_windows.stdout.readline()
+        assert status, "what is copied has ended: it cannot be imported there"
+        code = os.waitstatus_to_exitcode(int(status))
+        return subprocess.CompletedProcess(arguments, code, *(output.read_text() for output in outputs))
+
+    return heliocube
+
+
+def cube(folder, text, for_s=1):
+    """Write a configuration, and return the command that runs the cube's role on it for some seconds."""
+    config = folder / "heliocube.toml"
+    config.write_text(text)
+    return "run", "--role", "cube", "--for", str(for_s), "--config", str(config)
 
 
 def arguments_of_the_service(program_data):
@@ -125,15 +166,16 @@ visa = "ni"
 
 
 def test_the_cubes_role_runs_on_the_simulated_rig_without_instrument_libraries(tmp_path):
-    works(run_cube(tmp_path, NOT_NEEDED, BRIDGE + EVERYTHING), tmp_path)
+    words = ["heliocube", *cube(tmp_path, BRIDGE + EVERYTHING)]
+    works(without(NOT_NEEDED, f"from daemon.entry import main\nsys.argv = {words}\nmain()"), tmp_path)
 
 
-def test_the_service_of_windows_runs_the_cube_where_nothing_of_posix_is(tmp_path):
+def test_the_service_of_windows_runs_the_cube_where_nothing_of_posix_is(on_windows, tmp_path):
     folder = tmp_path / "heliocube"
-    made = heliocube(POSIX_ONLY, "config", "init", folder, "--role", "cube")
+    made = on_windows("config", "init", folder, "--role", "cube")
     assert made.returncode == 0, made.stderr
     (folder / "cube.toml").write_text(SIGNED + EVERYTHING)
-    works(heliocube(POSIX_ONLY, *arguments_of_the_service(tmp_path), "--for", "1"), folder)
+    works(on_windows(*arguments_of_the_service(tmp_path), "--for", "1"), folder)
     names = [PureWindowsPath(path.relative_to(tmp_path)) for path in folder.rglob("*")]
     assert len(names) > 4
     assert [str(name) for name in names if name.is_reserved() or re.search(r'[<>:"|?*]|[. ]$', str(name))] == []
@@ -176,8 +218,8 @@ def test_what_is_locked_is_all_that_a_system_needs(surroundings):
     assert sorted(needed - locked.keys()) == []
 
 
-def test_a_bench_is_refused_in_a_sentence_where_there_are_no_terminals(tmp_path):
-    done = heliocube(POSIX_ONLY, "bench", "--dir", tmp_path / "bench")
+def test_a_bench_is_refused_in_a_sentence_where_there_are_no_terminals(on_windows, tmp_path):
+    done = on_windows("bench", "--dir", tmp_path / "bench")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "pseudo-terminals" in done.stderr
 
@@ -190,8 +232,8 @@ def works(done, folder):
     assert [path.name for path in (folder / "records").iterdir() if path.suffix == ".sqlite"]
 
 
-def test_the_cubes_role_with_real_instruments_waits_for_them_without_posix(tmp_path):
-    done = run_cube(tmp_path, POSIX_ONLY, BRIDGE + REAL, for_s=4)
+def test_the_cubes_role_with_real_instruments_waits_for_them_without_posix(on_windows, tmp_path):
+    done = on_windows(*cube(tmp_path, BRIDGE + REAL, for_s=4))
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("the cube is down: voltmeter: NI-VISA is not installed on this PC") == 1
     assert "Traceback" not in done.stderr
