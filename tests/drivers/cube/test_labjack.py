@@ -55,7 +55,7 @@ def test_on_a_server_that_is_not_ours():
     identity, reading, ranges, negative = asyncio.run(work())
     assert identity == "LabJack T7 no. 470012345"
     assert [face.value for face in reading.faces] == pytest.approx(list(VOLTS.values()))
-    assert reading.unit == "V"
+    assert (reading.unit, reading.rounded) == ("V", True)
     assert ranges == [0x3DCC, 0xCCCD]
     assert negative == [5]
 
@@ -121,6 +121,7 @@ def test_its_line_is_the_one_of_the_settings():
     for line in ("tcp:192.168.1.60:502", None):
         build(LabjackSettings(line=line), around, lambda each: lines.append(each))
     assert lines == ["tcp:192.168.1.60:502", ""]
+    assert list(LabjackSettings(line="tcp:192.168.1.60:502").conflicts()) == []
 
 
 def test_odd_inputs_are_for_a_t8_alone():

@@ -8,6 +8,7 @@ import sys
 import termios
 
 import pytest
+import serial
 
 from drivers.errors import ConnectError, LinkLostError
 from drivers.lines.serial_port import SerialPort, cannot_open
@@ -69,6 +70,20 @@ def test_what_waited_and_what_comes_is_neither_read_nor_echoed_but_what_comes_af
         send(instrument, path, b"late")
         port.discard()
         assert port.read() == b""
+
+
+def test_the_echo_is_off_before_the_port_is_set_up(ends, monkeypatch):
+    _, path = ends
+    before, really_open = [], serial.Serial.open
+
+    def seen_open(port):
+        before.append(modes(path)[3])
+        really_open(port)
+
+    monkeypatch.setattr(serial.Serial, "open", seen_open)
+    with opened(path):
+        pass
+    assert [local & (termios.ECHO | termios.ICANON) for local in before] == [0]
 
 
 def test_a_command_that_is_not_allowed_is_not_sent(ends):

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 class EchoingLine:
     """Answers each line with itself in capitals; hangs where a test says so."""
 
-    transfer_s = 0.0
+    transfer_s = 0.01
 
     def __init__(self, gate, log):
         self._gate, self._log = gate, log
@@ -74,7 +74,8 @@ def test_a_call_that_hangs_is_a_lost_link_and_the_next_opening_has_a_thread_of_i
     async def scene():
         line = ThreadedLine("voltmeter", lambda: EchoingLine(gate, []))
         await line.open()
-        with pytest.raises(LinkLostError, match="did not return within"):
+        # A second to send, the deadline, the way there and back, and two seconds more.
+        with pytest.raises(LinkLostError, match=r"did not return within 3\.03 s"):
             await line.ask("hang", 0.01)
         await line.close()
         await line.open()

@@ -1,4 +1,5 @@
 import asyncio
+import contextlib
 import os
 import re
 import threading
@@ -21,7 +22,7 @@ from drivers.errors import (
 )
 from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
-from drivers.meters.keithley2000 import Keithley2000
+from drivers.meters.keithley2000 import Keithley2000, require_model
 from sim_drivers.transports import InMemoryLine
 from sim_drivers.voltmeter.core import VoltmeterCore
 
@@ -139,6 +140,56 @@ def test_a_conversion_beyond_a_hundred_and_twenty_percent_of_the_range_is_not_be
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scene())
+
+
+class Saying(InMemoryLine):
+    """The line of a meter that answers some questions in words of a test's own."""
+
+    async def ask(self, text, within_s):
+        return self.says.get(text, await super().ask(text, within_s))
+
+
+def opened(says, **settings):
+    """Open a meter that says this, open it anew, and return its error on being read meanwhile."""
+
+    async def scene():
+        line = Saying("voltmeter", VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3)), loop.time)
+        line.says = says
+        meter = Keithley2000(line, **settings)
+        await meter.open()
+        again = asyncio.create_task(meter.open())
+        await asyncio.sleep(0.01)
+        with pytest.raises(LinkLostError) as closed:
+            await meter.read_voltage()
+        await again
+        return closed.value.message
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        loop = runner.get_loop()
+        return runner.run(scene())
+
+
+@pytest.mark.computes
+def test_what_is_set_is_taken_for_kept_within_a_millionth_and_a_meter_that_is_opened_anew_is_not_read():
+    asked = ":SENS:VOLT:DC:RANG?"
+    assert opened({asked: "1.00000005E-01"}, range_v=0.1) == "has to be opened first"
+    with pytest.raises(ProtocolError, match=r"did not keep its configuration: :SENS:VOLT:DC:RANG\? is answered by"):
+        opened({asked: "1.000005E-01"}, range_v=0.1)
+
+
+@pytest.mark.computes
+def test_an_answer_that_is_no_number_proves_nothing():
+    with pytest.raises(ConnectError, match="is it on"):
+        opened({"*ESE?": "noise"})
+
+
+@pytest.mark.parametrize(("identity", "right"), [
+    ("KEITHLEY INSTRUMENTS INC.,MODEL 2000,1,A01", True), ("KEITHLEY, MODEL 2000", True), ("MODEL 2000", False),
+    ("KEITHLEY,MODEL 2001,1,A01", False), ("", False),
+])  # fmt: skip
+def test_a_model_is_the_second_word_of_its_identity(identity, right):
+    with contextlib.nullcontext() if right else pytest.raises(IdentityError, match="not a Keithley MODEL 2000"):
+        require_model(identity)
 
 
 def test_a_garbled_reply_is_no_reading_and_the_next_one_is_right(voltmeter_host):

@@ -180,10 +180,18 @@ def test_a_late_reply_is_never_taken_for_the_next_scan(run, meter):
         bench.core.reply_delay_s = 4.5
         late = await bench.cube.read()
         assert {face.flaw for face in late.faces} == {"late"}
+        interrupted, interrupt = [], bench.line.interrupt
+
+        async def counted():
+            interrupted.append(bench.now())
+            await interrupt()
+
+        bench.line.interrupt = counted
         bench.core.reply_delay_s = 0.0
         bench.volts = dict.fromkeys(bench.channels, 0.002)
         after = await bench.cube.read()
         assert [face.value for face in after.faces] == pytest.approx([0.002] * 4, abs=3e-6)
+        assert len(interrupted) == 1, "it is told to drop what it had to say"
 
     run(meter, act)
 

@@ -54,6 +54,31 @@ def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_s
     on_unit(scenario)
 
 
+def test_a_machine_that_was_busy_for_a_second_has_yet_sent_stop_twice():
+    async def scene():
+        late_s, sent, loop = [0.0], [], asyncio.get_running_loop()
+
+        def now():
+            return loop.time() + late_s[0]
+
+        line = InMemoryStream(PositionerCore(now()), now)
+        positioner, send = PozsolPositioner(line, now, A, B), line.send
+        await positioner.open()
+
+        async def counted(packet):
+            sent.append(packet)
+            await send(packet)
+
+        line.send = counted
+        loop.call_later(0.05, late_s.__setitem__, 0, 1.0)
+        await positioner.halt()
+        # The first packet of a connection is lost.
+        assert sent == [b"$9s\r"] * 2
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
 def test_own_tracking_is_off_only_when_both_axes_stand():
     async def scenario(positioner, core, now):
         core.inject("own_tracking", now())

@@ -168,6 +168,8 @@ def test_screens_are_gathered_until_a_command_is_sent():
     unit = Resting()
     reader = TelemetryReader(unit, lambda: unit.now_s, gather_s=60.0)
     assert unit.begun.wait(30.0), "its first second is read as it comes"
+    assert not unit.woken.wait(0.05), "nobody has attended"
+    (thread,) = (each for each in threading.enumerate() if each.name == "heliocube-positioner-reader")
     for _ in range(20_000):
         if unit.woken.wait(0.001):
             break
@@ -178,6 +180,7 @@ def test_screens_are_gathered_until_a_command_is_sent():
     reader.close()
     assert reader.lost is None
     assert reader.table.get(Field.A_POSITION).time_s == unit.now_s
+    assert thread.daemon, "a port that hangs does not keep the process from ending"
 
 
 def test_a_lost_port_and_an_echo_end_the_reading_and_say_why(wire, reader):
