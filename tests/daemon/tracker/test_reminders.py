@@ -1,0 +1,131 @@
+"""What people are reminded of, and when, to the second."""
+
+import logging
+from datetime import datetime
+
+import pytest
+
+from daemon.base.alarms.alarms import Alarms
+from daemon.base.reconnect import Outage
+from daemon.base.records import Event, Mode
+from daemon.config.sections import SiteSettings
+from daemon.tracker.reminders import Reminders
+from daemon.tracker.wishes import PROGRAM, Wish, Wishes
+
+HOUR_S = 3600.0
+
+
+def utc_s(text):
+    return datetime.fromisoformat(f"{text}+00:00").timestamp()
+
+
+class Desk:
+    """Reminders with a clock in hand, and what they have raised and told."""
+
+    def __init__(self, start="2022-10-12T14:00", **site):
+        self._utc_s = utc_s(start)
+        self.records = []
+        self._alarms = Alarms(self, lambda _record: None)
+        self.reminders = Reminders(self, SiteSettings(**site), self._alarms, self.records.append)
+        self.outage = Outage(logging.getLogger("test"), "the positioner")
+
+    def utc(self):
+        return self._utc_s
+
+    def monotonic(self):
+        return self._utc_s - 1.6e9
+
+    def at(self, text):
+        self._utc_s = utc_s(text)
+
+    def later(self, seconds):
+        self._utc_s += seconds
+
+    def raised(self, wishes=None, *, sun_known=True):
+        self.reminders.remind(wishes or Wishes(), sun_known=sun_known)
+        return {alarm.name: alarm.text for alarm in self._alarms.active}
+
+    def watched(self, mode=Mode.TRACKING):
+        self.reminders.watch(self.outage, mode, "no good scan")
+        return {alarm.name: alarm.text for alarm in self._alarms.active}
+
+    def told(self, wishes):
+        self.raised(wishes)
+        return [record.text for record in self.records if isinstance(record, Event)]
+
+
+def test_a_positioner_that_has_not_answered_for_a_minute_is_told():
+    desk = Desk()
+    desk.outage.down(desk.monotonic(), "unplugged")
+    desk.later(59.0)
+    assert desk.watched() == {}
+    desk.later(1.0)
+    assert desk.watched() == {"positioner-down": "the positioner has not answered for a minute or more: unplugged"}
+    desk.outage = Outage(logging.getLogger("test"), "the positioner")
+    assert desk.watched() == {}
+
+
+def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time():
+    desk = Desk()
+    for _ in range(2):
+        assert desk.watched(Mode.FALLBACK) == {}
+        desk.later(899.0)
+        assert desk.watched(Mode.FALLBACK) == {}
+        desk.later(1.0)
+        told = {"no-readings": "tracking by the ephemeris for a quarter of an hour: no good scan"}
+        assert desk.watched(Mode.FALLBACK) == told
+        assert desk.watched() == {}
+
+
+@pytest.mark.parametrize(("age_s", "first_s"), [(HOUR_S, 23 * HOUR_S), (30 * HOUR_S, 18 * HOUR_S), (None, 24 * HOUR_S)])
+def test_maintenance_is_told_each_day_at_the_hour_at_which_it_began(age_s, first_s):
+    desk = Desk()
+    began_s = None if age_s is None else desk.utc() - age_s
+    wishes = Wishes(maintenance=Wish(why="bearings", by="ana", since_utc_s=began_s))
+    desk.told(wishes)
+    for times in (1, 2):
+        desk.later(first_s - 1.0 if times == 1 else 24 * HOUR_S - 1.0)
+        assert len(desk.told(wishes)) == times - 1
+        desk.later(1.0)
+        assert len(desk.told(wishes)) == len(desk.told(wishes)) == times
+    assert desk.told(wishes)[-1].startswith("still in maintenance by ana")
+    desk.told(Wishes())
+    desk.later(48 * HOUR_S)
+    assert len(desk.told(Wishes())) == 2
+
+
+@pytest.mark.parametrize("name", ["hold", "snow"])
+@pytest.mark.parametrize(
+    ("since", "now", "forgotten"),
+    [
+        ("2022-10-12T14:00", "2022-10-12T23:59", False),
+        # The sun rises at 6:08.
+        ("2022-10-12T14:00", "2022-10-13T06:00", False),
+        ("2022-10-12T14:00", "2022-10-13T06:12", True),
+        ("2022-10-13T03:00", "2022-10-13T05:00", False),
+        ("2022-10-12T05:00", "2022-10-13T05:00", True),
+        ("2022-10-12T06:12", "2022-10-12T20:00", False),
+    ],
+)
+def test_what_has_outlasted_a_sunrise_is_forgotten(name, since, now, forgotten):
+    desk, wishes = Desk(since), Wishes(**{name: Wish(why="measuring", since_utc_s=utc_s(since))})
+    assert desk.raised(wishes) == {}
+    desk.at(now)
+    assert desk.raised(wishes, sun_known=False) == {}
+    assert ("hold-forgotten" in desk.raised(wishes)) == forgotten
+    assert desk.raised() == {}
+
+
+def test_where_the_sun_does_not_set_a_day_begins_at_its_lowest_point():
+    desk = Desk("2022-06-20T23:00", latitude_deg=78.0, longitude_deg=0.0)
+    wishes = Wishes(hold=Wish(why="measuring", since_utc_s=desk.utc()))
+    desk.at("2022-06-20T23:50")
+    assert desk.raised(wishes) == {}
+    desk.at("2022-06-21T00:20")
+    assert "hold-forgotten" in desk.raised(wishes)
+
+
+def test_a_hold_by_the_program_is_no_forgotten_one():
+    desk, began_s = Desk(), utc_s("2022-10-10T14:00")
+    wishes = Wishes(hold=Wish(why="another release", by=PROGRAM, since_utc_s=began_s))
+    assert list(desk.raised(wishes)) == ["release-changed"]
