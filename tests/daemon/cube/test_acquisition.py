@@ -15,7 +15,9 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.rigs.real import build_multiplexed_cube
+from drivers.errors import LinkLostError
 from drivers.meters.keithley2000 import Keithley2000
+from drivers.switches.digital_port import DaqError
 from drivers.switches.ni_usb6008 import NiMultiplexer
 from sim_drivers.multiplexer import MultiplexerCore
 from sim_drivers.transports import InMemoryLine, InMemoryPort
@@ -224,6 +226,14 @@ def test_that_the_instruments_are_open_is_told_once_and_a_loss_and_its_end_each_
     assert caplog.messages.count("instruments of the cube are open") == 1
     told = [event.text.split(":")[0] for event in rig.events]
     assert told == ["the cube is down", "the cube is back"] * 2
+
+
+def test_an_acquisition_that_is_ended_leaves_its_instruments_to_others(run):
+    cables = run(lambda rig: scans(rig, 1)).cables
+    with pytest.raises(DaqError, match="unplugged"):
+        asyncio.run(cables.multiplexer.write(0))
+    with pytest.raises(LinkLostError, match="has to be opened first"):
+        asyncio.run(cables.voltmeter.send("*IDN?"))
 
 
 def test_missed_scans_are_left_out_and_the_rhythm_stays(run):
