@@ -73,9 +73,9 @@ class LiveFirmware:
 
 
 def driver_on(firmware, a=A, b=B, **options):
-    """Return the real driver on the firmware's port."""
+    """Return the real driver on the firmware's port; what a busy machine holds up for seconds is no lost link."""
     line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic)
-    return PozsolPositioner(line, time.monotonic, a, b, **options)
+    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 
 async def opened(positioner, within_s=120.0):

@@ -21,7 +21,9 @@ def heliocube(*arguments):
 def configure(firmware, folder, more=""):
     config = folder / "heliocube.toml"
     config.write_text(
-        f'[instruments]\nkind = "real"\n[instruments.positioner]\nport = "{firmware.link}"\n{more}', encoding="utf-8"
+        f'[instruments]\nkind = "real"\n[instruments.positioner]\nport = "{firmware.link}"\n'
+        f"telemetry_stale_s = 10.0\n{more}",
+        encoding="utf-8",
     )
     return config
 

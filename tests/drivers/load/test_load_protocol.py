@@ -200,7 +200,7 @@ def test_a_protection_that_cannot_be_cleared_means_no_sweep(load_host):
 def test_a_voltage_below_the_minimum_ends_the_sweep(load_host):
     async def scene():
         async with load_host() as host:
-            load = load_on(host.port.link, least_v=12.0)
+            load = load_on(host.port.link, least_v=12.0, settle_s=0.2)
             await load.open()
             swept = await load.sweep(steps(36.0, 20.0, 10.0, 5.0), never)
             await load.close()

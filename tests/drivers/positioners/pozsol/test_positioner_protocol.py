@@ -40,7 +40,8 @@ def positioner_on(link, a=A, b=B, **options):
         boot_s=options.pop("boot_s", 0.0),
         banner=options.pop("banner", None),
     )
-    return PozsolPositioner(line, time.monotonic, a, b, **options)
+    # What a busy machine holds up for seconds is no lost link.
+    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 
 async def until(condition, within_s=60.0):
