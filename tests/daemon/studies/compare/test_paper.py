@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from daemon.commands.main import main
+from daemon.studies.compare import paper
 from daemon.studies.compare.paper import PRINTED, Spread, as_text, ceilings
 from solar.ephemeris import Site
 from solar.frames import Limits
@@ -21,6 +22,8 @@ SELDOM = "[cube]\nscan_every_s = 60\n\n[safety]\nscan_stale_s = 120\n\n[site]\nl
 
 @pytest.mark.long
 def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp_path):
+    # The powers of the flat day until noon are those after it, and half a day takes half the time.
+    monkeypatch.setattr(paper, "_FLAT_DAYS", 9.0 / 24.0)
     config = tmp_path.with_name("seldom.toml")
     config.write_text(SELDOM)
     words = ["--seeds", "1", "--skies", "isotropic", "--config", str(config), "--out", str(tmp_path)]
