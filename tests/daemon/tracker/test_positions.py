@@ -389,3 +389,21 @@ def test_the_law_learns_nothing_while_the_time_of_day_is_in_doubt(run_rig):
         assert received
 
     run_rig(scenario, law={"name": "optimal"}, weather=HandWeather())
+
+
+def test_where_an_operator_wanted_to_go_before_a_fault_is_forgotten_with_it(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.goto(-40.0, 60.0, "look")
+        await asyncio.sleep(5)
+        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+        await rig.until_mode(Mode.FAULT, 15)
+        await at_rest(rig)
+        stands = tuple(rig.truth())
+        rig.control.clear_faults()
+        await rig.until_mode(Mode.HOLD, 30)
+        await asyncio.sleep(60)
+        assert tuple(rig.truth()) == pytest.approx(stands, abs=0.1)
+
+    run_rig(scenario)
