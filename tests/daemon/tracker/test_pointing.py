@@ -5,14 +5,17 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from daemon.base.errors import UserError
 from daemon.base.files import StateFolder
 from daemon.base.plugins import LAWS, load, names
-from daemon.base.records import Irradiances
+from daemon.base.records import FaceReading, Irradiances, Quality, Scan, Target
 from daemon.config.settings import Settings
 from daemon.tracker import pointing
+from daemon.tracker.law_file import LawFile
 from solar.ephemeris import Site, sun_position
-from solar.frames import Limits, azimuth_from_direction, direction_from_azimuth
-from solar.laws.law import TrackerFacts
+from solar.frames import Angles, Limits, azimuth_from_direction, direction_from_azimuth
+from solar.laws.flat import FlatLaw, FlatSettings
+from solar.laws.law import Aim, Reading, TrackerFacts
 from solar.laws.paper import sun_vector
 
 NOON = datetime(2022, 10, 12, 11, 50, tzinfo=UTC).timestamp()
@@ -101,3 +104,116 @@ def test_law_and_fallback_turn_out_of_the_shade_of_the_group_of_the_file():
         targets = [pointing.aim(law, None, None, low).target for law in (before, after)]
         assert targets[0].a_deg == pytest.approx(-50.0)
         assert targets[1].a_deg > -40.0
+
+
+class Noting(FlatLaw):
+    """A law that notes what it is told, and fails where it is to."""
+
+    faces_needed = 2
+    needs_sun = True
+
+    def __init__(self, facts):
+        super().__init__(FlatSettings(), facts)
+        self.told, self.fails = [], False
+
+    def _note(self, *what):
+        if self.fails:
+            raise RuntimeError("no such sky")
+        self.told.append(what)
+
+    def observe(self, reading):
+        self._note("observe", reading)
+
+    def turn(self, utc_s):
+        self._note("turn", utc_s)
+        return utc_s > NOON
+
+    def affords(self, distance_deg):
+        self._note("affords", distance_deg)
+        return False
+
+    def book(self, distance_deg):
+        self._note("book", distance_deg)
+
+    def relearn(self):
+        self._note("relearn")
+
+    def to_dict(self):
+        return {"notes": len(self.told)}
+
+
+def noting(folder=None):
+    facts = TrackerFacts(SITE, Limits(), 5.0, 300.0, NOON)
+    law, flat = Noting(facts), FlatLaw(FlatSettings(), facts)
+    flat.decide_every_s = 60.0
+    file = LawFile(StateFolder(folder))
+    return pointing.Pointing(pointing.NamedLaw("noting", law), pointing.NamedLaw("flat", flat), file), law
+
+
+def scan():
+    good, bad = (FaceReading(100.0, quality, 0.0, 7.0) for quality in (Quality.OK, Quality.IMPLAUSIBLE))
+    return Scan("cube", "s", 0, NOON - 1.0, 7.0, good, bad, good, good)
+
+
+def test_a_law_is_told_all_that_happens_and_what_it_learned_is_kept(tmp_path):
+    points, law = noting(tmp_path)
+    points.receive(scan(), NOON)
+    ((name, reading),) = law.told
+    assert (name, reading[:2]) == ("observe", Reading(NOON, 7.0, ())[:2])
+    assert reading.faces_w_m2 == pytest.approx((100.0, np.nan, 100.0, 100.0), nan_ok=True)
+    assert not points.law.affords(3.0)
+    assert LawFile(StateFolder(tmp_path)).load() is None
+    points.turn(NOON)
+    assert LawFile(StateFolder(tmp_path)).load() is None, "no new day"
+    for count, (call, told) in enumerate(
+        ((points.turn, ("turn", NOON + 1.0)), (points.book, ("book", 3.0)), (points.relearn, ("relearn",))), 4
+    ):
+        call(*told[1:])
+        assert law.told[-1] == told
+        assert LawFile(StateFolder(tmp_path)).load() == {"notes": count}
+
+
+def test_once_a_law_has_failed_the_other_answers_with_its_own_needs():
+    points, law = noting()
+    assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("noting", 2, True)
+    assert (points.law.decide_every_s, points.failed_why) == (300.0, None)
+    law.fails = True
+    assert points.law.affords(3.0), "the other one has no plan of the day"
+    assert points.failed_why == "the law noting has failed (RuntimeError: no such sky), and flat points instead"
+    law.fails = False
+    points.book(3.0)
+    assert law.told == [], "it is not asked again"
+    assert (points.chosen.name, points.law.faces_needed, points.law.needs_sun) == ("flat", 4, False)
+    assert points.law.decide_every_s == 60.0
+
+
+@pytest.mark.parametrize(("target", "heading", "worth"), [
+    ((0.0, 84.0), (0.0, 90.0), True),
+    ((0.0, 86.0), (0.0, 90.0), False),
+    ((np.nan, np.nan), (0.0, 90.0), True),
+    ((0.0, 60.0), None, False),
+    (None, (0.0, 90.0), False),
+])  # fmt: skip
+def test_a_move_is_worth_its_way_beyond_the_deadband_and_from_a_place_that_is_known(target, heading, worth):
+    sun = sun_position(NOON, *SITE)
+    to = None if target is None else Angles(*target)
+    said = pointing.LawAnswer(Aim(0.0, 0.0, sun, to), Target(*(target or (0.0, 60.0)), "why"))
+    assert said.worth_moving(None if heading is None else Angles(*heading), 5.0) is worth
+
+
+@pytest.mark.parametrize(("name", "value", "words"), [
+    ("faces_needed", 0, "asks for 0 good faces, not for 1 to 4"),
+    ("faces_needed", 5, "asks for 5 good faces, not for 1 to 4"),
+    ("decide_every_s", 0.0, "asks for a decision every 0 s"),
+    ("decide_every_s", np.inf, "asks for a decision every inf s"),
+    ("faces_needed", 1, None), ("faces_needed", 4, None), ("decide_every_s", 0.5, None),
+])  # fmt: skip
+def test_a_law_that_asks_for_what_there_is_not_is_refused(monkeypatch, name, value, words):
+    # A rhythm of its own stands over what it is given.
+    monkeypatch.setattr(FlatLaw, name, property(lambda _law: value, lambda *_: None), raising=False)
+    settings = Settings(law={"driver": "flat"})
+    if words is None:
+        assert getattr(pointing.build_pointing(settings, NOON, StateFolder(None)).law, name) == value
+    else:
+        with pytest.raises(UserError, match=words):
+            pointing.build_pointing(settings, NOON, StateFolder(None))
