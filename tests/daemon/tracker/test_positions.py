@@ -13,7 +13,7 @@ from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.budget import DayBudget
 from solar.frames import Limits
-from tests.daemon.service.test_faults import at_rest, tracking
+from tests.daemon.service.test_faults import at_rest, tracking, under_way
 from tests.daemon.tracker.test_optimal import ClearDays
 from tests.daemon.tracker.test_stop import alarms
 from tests.support.api import serve
@@ -287,6 +287,19 @@ def test_hold_in_the_middle_of_a_goto_stays_there(run_rig):
         assert answer.done
         stands = rig.truth()
         await asyncio.sleep(900)
+        assert rig.truth() == stands
+
+    run_rig(scenario)
+
+
+def test_a_hold_that_came_past_the_operators_desk_stops_a_move_too(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        rig.control.hold("from elsewhere")
+        await rig.until(lambda: not rig.motion.moving, 2, "the stop")
+        stands = rig.truth()
+        await asyncio.sleep(60)
+        assert rig.mode is Mode.HOLD
         assert rig.truth() == stands
 
     run_rig(scenario)
