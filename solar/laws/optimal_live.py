@@ -271,7 +271,7 @@ def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None
     site = SiteLearning(learned=start)
     known = [site.learned]
     order = np.argsort(weather.utc_s)
-    ends = np.cumsum(np.bincount(weather.day, minlength=weather.shape[1]))[:-1]
+    ends = np.cumsum(np.bincount(weather.day))[:-1]
     for rows in np.split(order, ends)[:-1]:
         sun = weather.sun[rows]
         corrected = site.corrected(faces[rows])

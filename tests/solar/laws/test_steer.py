@@ -86,9 +86,9 @@ class Listener(Law):
         self.booked.append(distance_deg)
 
     def aim(self, now):
-        """Go on by 3 and 4 deg, but not at first."""
+        """Go back by 3 and 4 deg, but not at first."""
         self.asked.append(now)
-        target = Angles(now.heading.a_deg + 3.0, now.heading.b_deg - 4.0) if len(self.asked) > 1 else None
+        target = Angles(now.heading.a_deg - 3.0, now.heading.b_deg - 4.0) if len(self.asked) > 1 else None
         return Aim(azimuth_deg=np.nan, elevation_deg=np.nan, sun=self.sun(now.utc_s), target=target)
 
 
@@ -105,7 +105,7 @@ def test_a_law_hears_each_reading_once_before_the_step_that_it_steers():
     first = weather.utc_s[:4].tolist()
     assert [reading.utc_s for reading in law.heard] == [now.utc_s for now in law.asked] == first
     np.testing.assert_array_equal([reading.faces_w_m2 for reading in law.heard], faces[:4])
-    assert (law.booked, a.tolist(), b.tolist()) == ([7.0, 7.0], [6.0], [82.0])
+    assert (law.booked, a.tolist(), b.tolist()) == ([7.0, 7.0], [-6.0], [82.0])
 
 
 def test_flat_never_moves(two_days):
