@@ -105,7 +105,8 @@ def test_a_sound_cube_is_believed_through_dawn_and_dusk(run_rig, weather, start,
             await asyncio.sleep(600)
             assert alarm(rig) is None
 
-    run_rig(scenario, weather=weather, start=start, rest_look_s=5.0)
+    seldom = {"cube": {"scan_every_s": 15}, "safety": {"scan_stale_s": 65, "fallback_after_s": 130}}
+    run_rig(scenario, weather=weather, start=start, rest_look_s=5.0, **seldom)
 
 
 def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
