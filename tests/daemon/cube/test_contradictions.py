@@ -82,6 +82,12 @@ def test_what_nobody_can_be_accused_of_is_said_of_all_at_the_second_look():
     assert after(contradictions, 6, torn, **TURNED)[-4:] == [SOUND] * 4
 
 
+def test_a_look_that_accuses_somebody_is_none_of_the_two():
+    contradictions = Contradictions()
+    after(contradictions, 5, share=(1.0, 0.3, 1.0, 1.0))
+    assert after(contradictions, 6, **TURNED) == [SOUND] * 5 + [[TORN] * 4]
+
+
 @pytest.mark.parametrize(("why", "found"), [(ODD, SOUND), (SWAPPED, SOUND), (OVER, [TORN] * 4), (TORN, [TORN] * 4)])
 def test_nobody_else_is_accused_where_it_is_known_who_it_is(why, found):
     assert after(Contradictions(), 6, [why, NONE, NONE, NONE], **TURNED)[-1] == found
