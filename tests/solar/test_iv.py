@@ -69,6 +69,14 @@ def test_a_sparse_curve_is_fitted_through_seven_points_or_more(points):
     assert measured_maximum(voltage, current).points >= 7
 
 
+def test_of_very_few_points_two_on_either_side_are_taken_however_low_they_are_and_no_third():
+    voltage = np.array([3.0, 8.0, 20.0, 30.0, 33.0, 38.5, 39.3, 39.7])
+    power = voltage * curve(MODULE, 1000.0, 25.0, voltage)
+    assert np.argmax(power) == 4
+    assert (np.delete(power, [3, 4]) < 0.7 * power[4]).all()
+    assert measured_maximum(voltage, power / voltage).points == 5
+
+
 @given(irradiances, temperatures, seeds)
 def test_the_order_of_the_points_means_nothing(irradiance, temperature, seed):
     _, voltage, current = swept(irradiance, temperature)
