@@ -26,6 +26,8 @@ _SHEET = (*range(70, 80), 83, *range(96, 108), *range(110, 114), 117, 118, *rang
 _LOOK_EVERY_S = 0.1
 _STILL_S = 2.0
 _MOVE_WITHIN_S = 120.0
+# A unit loses a packet now and then; the service tries a move again too.
+_TRIES = 3
 _BY_HAND = (
     "still to be done by hand (docs/hardware.md):",
     "  capture the writes of the maker's or the former program with usbmon: code, last byte, pacing, checksum",
@@ -205,10 +207,22 @@ async def _time_moves(
             way = move_deg if setup.allows(here_deg + move_deg) else -move_deg
             for target_deg in (here_deg + way, here_deg):
                 targets = (target_deg, start.b_deg) if axis == "a" else (start.a_deg, target_deg)
-                await positioner.move_to(*targets)
+                await _order(positioner, targets, say)
                 say(f"  {axis.upper()} to {target_deg:z.1f} deg: {await _watch(positioner, axis, clock)}")
     finally:
         await positioner.halt()
+
+
+async def _order(positioner: PozsolPositioner, targets: tuple[float, float], say: Say) -> None:
+    """Order a move, and again while the unit does not take it."""
+    for _ in range(_TRIES - 1):
+        try:
+            await positioner.move_to(*targets)
+        except RefusedError as error:
+            say(f"  {error.message}; it is tried again")
+        else:
+            return
+    await positioner.move_to(*targets)
 
 
 async def _watch(positioner: PozsolPositioner, axis: AxisName, clock: Clock) -> str:

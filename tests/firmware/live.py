@@ -2,11 +2,12 @@
 
 import ast
 import asyncio
+import contextlib
 import subprocess
 import sys
 import time
 
-from drivers.errors import ConnectError
+from drivers.errors import ConnectError, RefusedError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import SerialLine, open_port
 from drivers.positioners.pozsol.positioner import PozsolPositioner
@@ -70,6 +71,15 @@ class LiveFirmware:
             self._process.kill()
             self._process.wait()
         self._process.stdout.close()
+
+
+async def move(positioner, a_deg, b_deg, **options):
+    """Give a target, and again while it is not taken, as the service does: of two packets read late one is lost."""
+    for _ in range(2):
+        with contextlib.suppress(RefusedError):
+            await positioner.move_to(a_deg, b_deg, **options)
+            return
+    await positioner.move_to(a_deg, b_deg, **options)
 
 
 def driver_on(firmware, a=A, b=B, **options):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.errors import LinkLostError, RefusedError
-from tests.firmware.live import A, B, driver_on, opened, standstill_after_s, until
+from tests.firmware.live import A, B, driver_on, move, opened, standstill_after_s, until
 
 # Braking takes a third of a second; the rest is for a machine on which emulator and driver wait for their turn.
 STANDS_WITHIN_S = 2.0
@@ -34,7 +34,7 @@ def test_a_move_ends_half_a_unit_from_its_target_and_inside_the_limits(start_fir
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.move_to(*target)
+        await move(positioner, *target)
 
         async def arrived():
             seen = await positioner.read_telemetry()
@@ -57,7 +57,7 @@ def test_a_halt_ends_a_move_although_the_first_packet_after_an_enumeration_is_lo
         positioner = driver_on(firmware)
         await opened(positioner)
         for replugged in (False, True):
-            await positioner.move_to(-30.0, 60.0)
+            await move(positioner, -30.0, 60.0)
             await asyncio.sleep(1.5)
             if replugged:
                 firmware.control("replug")
@@ -77,7 +77,7 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.move_to(-30.0, 60.0)
+        await move(positioner, -30.0, 60.0)
         await asyncio.sleep(1.0)
         firmware.control("unplug")
 
@@ -109,7 +109,7 @@ def test_the_axis_that_is_named_first_moves_first(start_firmware):
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.move_to(-10.0, 80.0, first="b")
+        await move(positioner, -10.0, 80.0, first="b")
 
         async def moves():
             return firmware.pose_deg()[1] < 89.5

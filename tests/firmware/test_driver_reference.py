@@ -6,7 +6,7 @@ import time
 import pytest
 
 from drivers.errors import RefusedError
-from tests.firmware.live import driver_on, opened, standstill_after_s, until
+from tests.firmware.live import driver_on, move, opened, standstill_after_s, until
 
 
 async def over(positioner):
@@ -81,7 +81,7 @@ def test_homing_stops_the_other_axis_first(start_firmware):
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.move_to(-20.0, 16.0)
+        await move(positioner, -20.0, 16.0)
         await asyncio.sleep(1.5)
         await positioner.home("b")
         stood_at = firmware.positions_mm()[0]
@@ -98,7 +98,7 @@ def test_dead_hall_sensors_are_a_fault_and_nothing_is_sent_to_either_axis(start_
     async def scene():
         positioner = driver_on(firmware)
         await opened(positioner)
-        await positioner.move_to(-20.0, 80.0)
+        await move(positioner, -20.0, 80.0)
         await asyncio.sleep(1.0)
         firmware.control("freeze 0 1")
 

@@ -1,0 +1,49 @@
+"""`heliocube probe positioner` on a simulated unit that does not take each target."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.clock import SystemClock
+from daemon.config.settings import Settings
+from daemon.rigs.probe_positioner import probe_positioner
+from drivers.errors import RefusedError
+from drivers.transcript import no_tap
+from sim_drivers.pozsol.core import DEAF
+
+
+async def probed(host, say):
+    settings = Settings.model_validate(
+        {"instruments": {"kind": "real", "positioner": {"port": str(host.port.link), "telemetry_stale_s": 10.0}}}
+    )
+    return await probe_positioner(settings, SystemClock(), 0.5, 2.0, no_tap, say)
+
+
+@pytest.mark.parametrize("for_good", [False, True])
+def test_a_target_that_is_not_taken_is_ordered_again_and_that_is_told(positioner_host, for_good):
+    said = []
+
+    def told(text):
+        return [line for line in said if text in line]
+
+    async def scene():
+        now = asyncio.get_running_loop().time
+        async with positioner_host() as host:
+
+            def say(line):
+                said.append(line)
+                if line.startswith("  A to ") and len(told("  A to ")) == 1:
+                    host.core.inject(DEAF, now())
+                elif "tried again" in line and not for_good:
+                    host.core.repair(DEAF, now())
+
+            return await probed(host, say)
+
+    if for_good:
+        with pytest.raises(RefusedError, match="did not take the target"):
+            asyncio.run(scene())
+        assert len(told("; it is tried again")) == 2
+    else:
+        assert asyncio.run(scene())["geometry_fits"]
+        assert len(told("; it is tried again")) == 1
+        assert [len(told(f"  {axis} to ")) for axis in "AB"] == [2, 2]
