@@ -95,7 +95,7 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
     wait_for(lambda: any(one.cpu_times().user > 0.7 + then for one, then in zip(both, before, strict=True)))
     assert study.poll() is None
     both[0].kill()
-    assert study.wait(ENDS_WITHIN_S) == 0
+    assert study.wait(ENDS_WITHIN_S) == 0, (tmp_path / "told").read_text()
     here = forks.run(*energy(table, tmp_path / "here"))
     assert (here.stdout, here.stderr) == ((tmp_path / "said").read_text(), (tmp_path / "told").read_text())
     for ending in ("txt", "csv", "png"):
