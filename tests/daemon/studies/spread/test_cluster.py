@@ -86,8 +86,9 @@ def table(tmp_path):
 def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, table, tmp_path):
     address, running = cluster
     nannies = running[1]
-    wait_for(lambda: len(workers(nannies)) == 2)
+    wait_for(lambda: (tmp_path / "workers.log").read_text().count("Registered to") == 2)
     both = workers(nannies)
+    assert len(both) == 2
     before = [worker.cpu_times().user for worker in both]
     with (tmp_path / "said").open("wb") as said, (tmp_path / "told").open("wb") as told:
         study = forks.start(energy(table, tmp_path / "far", "--cluster", address), said, told)
