@@ -81,9 +81,10 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     """Return the maximum power point of the points of one curve, shape (n,) each, in any order.
 
     Points that are no possible number are left out, and so is a point far from what its neighbours say. The voltage
-    that was read in open circuit is a point without current. There is no maximum
-    where fewer than `LEAST_POINTS` remain, where the highest power is at either end of them (the knee is not in the
-    curve), or where it is no more than noise. Equal voltages are allowed. Never raises for a curve of odd values.
+    that was read in open circuit is a point without current. There is no maximum where fewer than `LEAST_POINTS`
+    remain, where the highest power is at either end of them (the knee is not in the curve), where it is more than
+    points of one curve can give, or where it is no more than noise. Equal voltages are allowed. Never raises for a
+    curve of odd values.
     """
     voltage, current = np.asarray(voltage_v, dtype=np.float64), np.asarray(current_a, dtype=np.float64)
     # Written so that NaN fails; the bound keeps powers finite.
@@ -105,6 +106,9 @@ def measured_maximum(voltage_v: ArrayLike, current_a: ArrayLike) -> MeasuredMaxi
     if fit is None:
         return _none("the points around the highest power have no maximum", voc_v)
     vmpp_v, pmpp_w, sigma_w, points = fit
+    # The current falls with the voltage, so no point between these gives more; a polynomial between odd ones may.
+    if pmpp_w > voltage[last] * current[first : last + 1].max():
+        return _none("the points around the highest power are not of one curve", voc_v)
     if not pmpp_w > 0.0 or pmpp_w < _LEAST_SIGNIFICANCE * sigma_w:
         return _none("the highest power is no more than noise", voc_v)
     return MeasuredMaximum(

@@ -63,6 +63,14 @@ def test_one_wild_point_does_no_harm(irradiance, temperature, place, wildness):
     assert measured_maximum(voltage, current).pmpp_w == pytest.approx(truth.pmpp_w, rel=0.02)
 
 
+def test_points_that_are_not_of_one_curve_have_no_maximum():
+    # Voltages were read before they had changed, with the currents of the new ones: 401 W from a module of 305.
+    voltage = [40.1, 39.6, 40.1, 34.6, 34.6, 30.2, 28.0, 15.5, 3.0]
+    found = measured_maximum(voltage, [0.0, 0.86, 5.94, 8.35, 9.4, 9.72, 9.4, 9.83, 9.84])
+    assert np.isnan(found.pmpp_w)
+    assert "not of one curve" in found.why_not
+
+
 @pytest.mark.parametrize("points", [19, 20, 30])
 def test_a_sparse_curve_is_fitted_through_seven_points_or_more(points):
     _, voltage, current = swept(800.0, 0.0, points)
