@@ -6,7 +6,7 @@ A record keeps the number that its store gave it; with the identifier of its run
 import json
 import math
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
@@ -83,13 +83,11 @@ def next_batch(
     after
         The number of the last record that is not wanted any more, -1 for none.
     """
-    found: list[tuple[int, str, tuple[Any, ...]]] = []
-    for name, columns in _COLUMNS.items():
-        there = columns_of(connection, name)
-        if there:
-            wanted = ", ".join(column.name if column.name in there else "NULL" for column in columns)
-            query = f"SELECT number, {wanted} FROM {name} WHERE run = ? AND number > ? ORDER BY number LIMIT ?"  # noqa: S608 - our own names
-            found += [(row[0], name, row) for row in connection.execute(query, (run, after, most))]
+    # In one transaction: what a service writes between two tables would be passed over in the first one, and never be
+    # asked for again.
+    with connection:
+        connection.execute("BEGIN")
+        found = [row for name in _COLUMNS for row in _rows_after(connection, name, run, after, most)]
     if not found:
         return None
     found.sort(key=lambda item: item[0])
@@ -98,6 +96,18 @@ def next_batch(
     for _, name, row in page:
         rows.setdefault(name, []).append(row)
     return Batch(identified(run, origin), page[-1][0], rows)
+
+
+def _rows_after(
+    connection: sqlite3.Connection, name: str, run: int, after: int, most: int
+) -> Iterator[tuple[int, str, tuple[Any, ...]]]:
+    """Yield the first rows of a table behind a number, each with its number and the table's name."""
+    there = columns_of(connection, name)
+    if there:
+        wanted = ", ".join(column.name if column.name in there else "NULL" for column in _COLUMNS[name])
+        query = f"SELECT number, {wanted} FROM {name} WHERE run = ? AND number > ? ORDER BY number LIMIT ?"  # noqa: S608 - our own names
+        for row in connection.execute(query, (run, after, most)):
+            yield row[0], name, row
 
 
 def encoded(batch: Batch) -> bytes:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daemon.base.clock import SystemClock
 from daemon.base.records import Event, Pose
-from daemon.store.batches import BatchError, decoded, encoded, identified, next_batch
+from daemon.store.batches import KINDS, BatchError, decoded, encoded, identified, next_batch
 from daemon.store.runs import runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.store.store import Store
@@ -56,6 +56,30 @@ def test_every_record_of_every_run_is_in_one_page_and_comes_out_as_it_went_in(ke
     assert again[3].rows["poses"][0] == (0, T0 + 0.1234567, 0.0, -45.0, 0.0, False, "", None)
     assert again[2].rows["events"][0][-2:] == ("ü\n", "")
     assert again[1].rows["scans"][0][5:7] == (1, True)
+
+
+@pytest.mark.parametrize("tables_read", range(1, 1 + len(KINDS)))
+def test_what_is_written_while_a_page_is_read_is_not_passed_over(kept, tables_read):
+    path = kept(pose(0))
+    with closing(open_for_reading(path)) as connection, closing(sqlite3.connect(path)) as service:
+        ((run, known),) = runs_of(path)
+        seen = []
+
+        def read(statement):
+            if statement.startswith("SELECT number"):
+                seen.append(statement)
+                if len(seen) == tables_read:
+                    for kind, number in (("poses", 1), ("events", 2)):
+                        columns = [row[1] for row in service.execute(f"PRAGMA table_info({kind})")]
+                        values = [run, number, T0, *["1"] * (len(columns) - 3)]
+                        service.execute(f"INSERT INTO {kind} VALUES ({', '.join('?' * len(columns))})", values)
+                    service.commit()
+
+        connection.set_trace_callback(read)
+        first = next_batch(connection, run, known, -1)
+        second = next_batch(connection, run, known, first.through)
+    numbers = [row[0] for batch in (first, second) if batch for rows in batch.rows.values() for row in rows]
+    assert sorted(numbers) == [0, 1, 2]
 
 
 def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_no_other_run_has_it(kept):
