@@ -18,8 +18,9 @@ _STILL_S = 0.5
 _AIMS_INWARDS = 2.0
 # An axis coasts past its switch; a count that differs from 0 by more was not set there.
 _COAST_DEG = 0.4
-# What an axis may have lost or gained since its last run without anything being wrong.
-_SLIP_DEG = 0.5
+# What an axis may have lost or gained since its last run without anything being wrong, and what it may have turned
+# since it was last seen when its count was lost in motion.
+_SLIP_DEG, _LOST_DEG = 0.5, 5.0
 
 
 class AxisObservation(NamedTuple):
@@ -47,6 +48,8 @@ class HomingRun:
         Time from which telemetry may show the command's effect.
     trusted
         The count was not in doubt before.
+    stood
+        Where the axis stood by the last count that was to be trusted; `start` if it is trusted, None if nobody knows.
 
     Attributes
     ----------
@@ -63,6 +66,7 @@ class HomingRun:
     start: float
     sent_s: float
     trusted: bool
+    stood: float | None
     begun: bool = False
     over: bool = False
     failure: str = ""
@@ -114,16 +118,18 @@ class HomingRun:
 
     def _mismatch(self, seen: AxisObservation) -> str:
         slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
-        if not self.travelled and abs(self.start) > slip:
+        stood = self.start if self.stood is None else self.stood
+        if not self.travelled and abs(stood) > slip:
             return (
-                f"axis {name} did not move on its reference run although it stood at {self.start:g}:"
+                f"axis {name} did not move on its reference run although it stood at {stood:g}:"
                 " its low end switch may be stuck"
             )
         if f"{self.axis}_high" in seen.status.end_switches:
             return f"axis {name} shows both of its end switches closed"
-        if self.trusted and abs(seen.remain) > slip:
+        expected, allowed = self.start - stood, slip if self.trusted else self.setup.units(_LOST_DEG)
+        if self.stood is not None and abs(seen.remain - expected) > allowed:
             return (
-                f"axis {name} met its end switch where its count was {seen.remain:g}, not 0: home it again to see"
-                " whether count or switch is wrong"
+                f"axis {name} met its end switch where its count was {seen.remain:g}, not {expected:g}: home it again"
+                " to see whether count or switch is wrong"
             )
         return ""

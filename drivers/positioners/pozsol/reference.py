@@ -54,3 +54,36 @@ class Reference:
         """Forget these doubts: a person has seen them."""
         for kind in kinds:
             self._doubts.pop(kind, None)
+
+
+class LastKnown:
+    """Where each axis stands if it has not moved while its count was lost, in the unit's position units.
+
+    A unit that forgets its count begins again at some number, and a reference run may then end on a switch that is
+    stuck: what is known of before the loss tells how far the way to the end has to be.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[AxisName, float] = {}
+        # What the count is short of; without an entry no count could be trusted yet.
+        self._lost: dict[AxisName, float] = {}
+
+    def note(self, axis: AxisName, position: float, *, trusted: bool, set_anew: bool) -> None:
+        """Take note of a look: whether its count is to be trusted, and whether it was set anew since the one before."""
+        if trusted:
+            self._lost[axis] = 0.0
+        elif set_anew and axis in self._lost:
+            self._lost[axis] += self._seen[axis] - position
+        self._seen[axis] = position
+
+    def of(self, axis: AxisName, position: float) -> float | None:
+        """Return where an axis stands whose count is `position`; None where nobody knows."""
+        return position + self._lost[axis] if axis in self._lost else None
+
+    def referenced(self, axis: AxisName) -> None:
+        """Take note that the count was set on the end switch: it is true from there on."""
+        self._lost[axis] = 0.0
+
+    def stuck(self, axis: AxisName, stood: float, position: float) -> None:
+        """Take note that the count was set where the axis stood, which was not on its end switch."""
+        self._lost[axis] = stood - position

@@ -12,7 +12,7 @@ from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import LinkState
-from drivers.positioners.pozsol.reference import Reference
+from drivers.positioners.pozsol.reference import LastKnown, Reference
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.wire import OWN_MOVES, Field, own_moves, parse_status
 
@@ -57,6 +57,8 @@ class PositionerWatch:
         self._stale_s = stale_s
         self._layout = BLayout(b_out_bit)
         self.reference = Reference()
+        self._last_known = LastKnown()
+        self._set_anew = False
         self.run: HomingRun | None = None
         self._settled_s = -math.inf
         self._restarted_s: float | None = None
@@ -70,6 +72,7 @@ class PositionerWatch:
         self._restarted_s, self._jumped_s, self._last = restarted_s, None, None
         self._checks = tuple(SwitchCheck(axis, self._setups[axis]) for axis in AXES)
         if restarted_s is not None:
+            self._set_anew = True
             self.reference.note(f"restart {restarted_s}", "the positioner has restarted")
 
     def read(self, state: LinkState) -> Telemetry:
@@ -105,7 +108,8 @@ class PositionerWatch:
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
         start = before.position_a if axis == "a" else before.position_b
-        self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=not self.reference.doubts(axis))
+        stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
+        self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
         self._last = None
         return self.run
 
@@ -185,25 +189,35 @@ class PositionerWatch:
             self.reference.note(f"{run.axis} failed {run.sent_s}", run.failure, run.axis)
             return False
         self.reference.proven(run.axis, travelled=run.travelled)
+        stuck = bool(run.mismatch) and not run.travelled
+        if stuck and run.stood is not None:
+            self._last_known.stuck(run.axis, run.stood, seen[run.axis].position)
+        else:
+            self._last_known.referenced(run.axis)
         if run.mismatch:
-            stuck = not run.travelled
             self.reference.note(f"{run.axis} mismatch {run.sent_s}", run.mismatch, run.axis, needs_travel=stuck)
         return False
 
     def _note_doubts(self, state: LinkState, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
         status = seen["a"].status
         if status.was_reset:
+            self._set_anew = self._set_anew or "reset" not in self.reference.kinds
             self.reference.note("reset", "the positioner has restarted")
         if state.jumped_s is not None and state.jumped_s != self._jumped_s:
             self._jumped_s = state.jumped_s
             # At the end of a reference run the count is meant to jump.
             if not homing and state.jumped_s > self._settled_s + _JUMP_SHOWS_S:
+                self._set_anew = True
                 self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
         for check in self._checks:
             look = seen[check.axis]
             misfit = check.update(look.position, look.status, look.status_s)
             if misfit and not homing:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
+        for axis in AXES:
+            trusted = not self.reference.doubts(axis)
+            self._last_known.note(axis, seen[axis].position, trusted=trusted, set_anew=self._set_anew)
+        self._set_anew = False
 
 
 @lru_cache(maxsize=64)

@@ -66,6 +66,28 @@ def test_an_axis_that_stood_within_half_a_degree_need_not_have_moved():
         assert ("did not move" in run(*looks, before=place).mismatch) == suspicious
 
 
+def test_who_lost_his_count_and_did_not_move_is_suspicious_by_where_he_stood_before():
+    stands = ((1.2, 0.0, 0.0, 0.0, LOW), (2.0, 0.0, 0.0, 0.0, LOW))
+    for stood, suspicious in ((1.01 * SLIP, True), (0.99 * SLIP, False), (None, False)):
+        assert ("did not move" in run(*stands, before=0.0, trusted=False, stood=stood).mismatch) == suspicious
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_lost_count_is_held_to_five_degrees_of_where_the_axis_stood_before(side):
+    # From 0 where it had been 60, the way to the switch is 60 long.
+    for off, told in ((0.99, ""), (1.01, "not -60: home it again")):
+        remain = -60.0 + side * off * A.units(5.0)
+        assert told in run(*AFTER_RESTART, remain_at(remain), before=0.0, trusted=False, stood=60.0).mismatch
+    assert not run(*AFTER_RESTART, remain_at(-90.0), before=0.0, trusted=False, stood=None).mismatch
+
+
+AFTER_RESTART = ((1.2, -1.5, -11.5, 0.0, HOMING), (20.0, -59.0, -69.0, 0.0, HOMING), (40.0, 0.0, 0.0, 0.0, LOW))
+
+
+def remain_at(count):
+    return 41.0, 0.0, 0.0, count, LOW
+
+
 def test_what_is_over_stays_as_it_was_judged():
     good = ended(0.0)
     assert (good.over, good.travelled) == (True, True)
@@ -90,7 +112,7 @@ def late(status_s, place, aim, status, time_s, homing):
 
 
 def test_a_status_from_before_the_command_or_from_before_it_stood_says_nothing():
-    homing = HomingRun("a", A, 100.0, 1.0, trusted=True)
+    homing = HomingRun("a", A, 100.0, 1.0, trusted=True, stood=100.0)
     assert not late(0.9, 100.0, 100.0, HOMING, 1.2, homing).begun
     assert not late(1.0, 100.0, 100.0, HOMING, 1.2, homing).begun
     assert late(1.1, 100.0, 100.0, HOMING, 1.3, homing).begun

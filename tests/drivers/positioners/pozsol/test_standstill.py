@@ -32,8 +32,8 @@ def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
     assert not standing([float("nan")] * 9).reached
 
 
-def run(*looks, before=100.0, trusted=True):
-    homing = HomingRun("a", A, before, 1.0, trusted)
+def run(*looks, before=100.0, trusted=True, stood=None):
+    homing = HomingRun("a", A, before, 1.0, trusted, before if trusted else stood)
     for time_s, position, destination, remain, status in looks:
         homing.update(AxisObservation(position, destination, remain, time_s, status, time_s))
     return homing
