@@ -411,5 +411,5 @@ class TruthWatch:
         begins = now_s - self.plant.motion.last_move_started_s < 1.0
         if begins and control.mode is Mode.TRACKING and control.state.scan_age_s > STALE_S:
             self.fails("stale", f"{target} is sent in tracking on readings {control.state.scan_age_s:.0f} s old")
-        if control.mode in (Mode.FALLBACK, Mode.NIGHT):
+        if begins and control.mode in (Mode.FALLBACK, Mode.NIGHT):
             self.steps.check(self.plant, target, now_s, self.reach.begun_s)
