@@ -19,10 +19,10 @@ from daemon.api.token import generate_token, load_token
 from daemon.base import process
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder
 from daemon.base.installation import release
 from daemon.base.process import Notifier, on_signals
 from daemon.base.records import Bus, Event
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import new_loop
 from daemon.bridge.key_file import KeyFileWatch
 from daemon.bridge.signing import generate_key, load_keys

@@ -15,9 +15,9 @@ from random import Random
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.files import StateFolder
 from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard

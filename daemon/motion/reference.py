@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from drivers.interfaces import Telemetry
 
 log = logging.getLogger("heliocube.motion")
@@ -61,6 +61,7 @@ class Doubts:
 
     def __init__(self, folder: StateFolder) -> None:
         self._file = StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
+        self._file.reserve()
         kept = self._load()
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.reconnect import Backoff
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import wait_at_most
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.link import Link

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Target
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
 from daemon.tracker.phase import ALONE, Phase

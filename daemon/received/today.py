@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Pose, Quality, Scan
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.tracker.phase import ALONE, Phase
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Limits

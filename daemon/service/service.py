@@ -12,9 +12,9 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import CUBE_FILE_NAME, AlarmFile
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Event, Scan
+from daemon.base.state import StateFolder
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.config.settings import Settings

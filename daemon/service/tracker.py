@@ -12,9 +12,9 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import AlarmFile
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
-from daemon.base.files import StateFolder
 from daemon.base.process import TRACKER
 from daemon.base.records import Event, ModeChange, Pose, Record, Scan, stamped
+from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
 from daemon.motion.motion import Motion, Polling

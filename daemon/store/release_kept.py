@@ -8,8 +8,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import Clock
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Event
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.store.copies import copies_of
 from daemon.store.schema import FILE_NAME as STORE_NAME
 from daemon.store.settings_kept import FILE_NAME as SETTINGS_NAME

@@ -9,8 +9,8 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
 from daemon.base.records import Event
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.store")
 

@@ -5,7 +5,7 @@ import logging
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.config.sections import MotionSettings
 from solar.ephemeris import DAY_S
 

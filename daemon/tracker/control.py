@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
-from daemon.base.files import StateFolder
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
 from daemon.base.recurrence import Recurrence, Wording
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion

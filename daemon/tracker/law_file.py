@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import RootModel
 
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.law")
 

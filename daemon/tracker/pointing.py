@@ -11,8 +11,8 @@ import numpy as np
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder
 from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
+from daemon.base.state import StateFolder
 from daemon.config.plugged import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_file import LawFile

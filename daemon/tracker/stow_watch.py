@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence, Set
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import call_every
 from daemon.tracker.stow import StowSource, StowStatus
 
@@ -42,6 +42,7 @@ class SafetyFile:
 
     def __init__(self, folder: StateFolder) -> None:
         self._file = StateFile(folder, FILE_NAME, KeptSafety, log, "the storm")
+        self._file.reserve()
 
     def load(self) -> str | None:
         """Return why the tracker was stowed when the file was written, or None; what cannot be read counts as stow."""

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 
 log = logging.getLogger("heliocube.control")
 
@@ -109,6 +109,7 @@ class WishFile:
 
     def __init__(self, folder: StateFolder) -> None:
         self._file = StateFile(folder, FILE_NAME, Wishes, log, "what was asked")
+        self._file.reserve()
 
     def load(self) -> Wishes:
         """Return what was wished before the restart; a file that cannot be read counts as a stop."""

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from tests.support import DOCS
 

@@ -8,8 +8,8 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
-from daemon.base.files import StateFolder
 from daemon.base.records import Event, Move, MoveOutcome, Target
+from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from tests.firmware.live import driver_on

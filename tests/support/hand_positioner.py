@@ -6,8 +6,8 @@ from random import Random
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import LoopClock
-from daemon.base.files import StateFolder
 from daemon.base.records import Event, Move, Pose
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import MotionSettings
 from daemon.motion.motion import OFTEN, Motion

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop, call_until
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Polling

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder, toml_text
+from daemon.base.files import toml_text
 from daemon.base.installation import release
+from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
 from daemon.commands.upgrade.installed import Program
 from daemon.config.file import load_settings

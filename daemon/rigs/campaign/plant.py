@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from daemon.base.files import StateFolder
 from daemon.base.records import Bus, Event, ModeChange, Move, Record, Scan
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.rigs.campaign.disk import Disk
@@ -192,7 +192,7 @@ class Plant(HandledRig):
 
     def keep_in(self, directory: Path | None) -> StateFolder:
         """Return what writes the files that a service keeps, to a disk that can be full."""
-        return StateFolder(directory, replace=self.disk.replace)
+        return StateFolder(directory, replace=self.disk.replace, reserve=self.disk.reserve)
 
     def note(self, record: Record) -> None:
         """Keep what somebody may ask for, and show scans to the witness."""

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from daemon.base.clock import LoopClock
-from daemon.base.files import StateFolder
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Mode, Record
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import OFTEN, Motion, Polling

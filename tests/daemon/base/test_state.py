@@ -1,12 +1,18 @@
 """Kept state: what is saved comes back, what cannot be read is said and never guessed, and a full disk is no end."""
 
+import contextlib
 import logging
+import os
 import threading
 
 import pytest
 from pydantic import BaseModel, ConfigDict
 
-from daemon.base.files import StateFile, StateFolder, UnreadableStateError, replace_file
+from daemon.base.files import replace_file
+from daemon.base.state import ROOM_BYTES, StateFile, StateFolder, UnreadableStateError, replace_kept, spare_of
+from tests.daemon.store.test_store import fill, small_disk
+
+__all__ = ["small_disk"]
 
 LOG = logging.getLogger("heliocube.test")
 
@@ -115,3 +121,62 @@ def test_the_end_of_the_service_tries_once_more_and_says_what_is_lost(tmp_path, 
     folder.close()
     assert (tmp_path / "folder" / "kept.json").is_file()
     assert not caplog.records
+
+
+def test_on_a_full_disk_each_new_content_takes_the_room_of_the_one_before(small_disk):
+    kept = state_file(small_disk)
+    kept.reserve()
+    fill(small_disk / "filler")
+    with pytest.raises(OSError, match="No space left"):
+        replace_file(small_disk / "kept.json", "{}")
+    for count in range(5):
+        kept.save(Kept(count=count, why="w" * 100 * count))
+        assert state_file(small_disk).load() == Kept(count=count, why="w" * 100 * count)
+    for longer in (ROOM_BYTES + 1, 2 * ROOM_BYTES):
+        kept.save(Kept(count=9, why="w" * longer))
+        assert state_file(small_disk).load() == Kept(count=4, why="w" * 400), "what has no room leaves the file alone"
+
+
+def test_without_room_that_was_kept_the_first_content_is_lost_and_said(small_disk, caplog):
+    fill(small_disk / "filler")
+    folder = StateFolder(small_disk)
+    StateFile(folder, "kept.json", Kept, LOG, "the count").save(Kept(count=1))
+    assert folder.trouble.endswith("kept.json cannot be written (No space left on device)")
+
+
+@pytest.mark.parametrize("dies_at", range(6))
+def test_whoever_dies_in_the_middle_leaves_the_whole_old_or_the_whole_new_file(tmp_path, monkeypatch, dies_at):
+    path, done = tmp_path / "kept.json", []
+    for text in ("first", "second"):
+        replace_kept(path, text)
+
+    def dying(name):
+        call = getattr(os, name)
+
+        def counted(*arguments, **named):
+            if len(done) == dies_at:
+                raise KeyboardInterrupt
+            done.append(name)
+            return call(*arguments, **named)
+
+        return counted
+
+    for name in ("fsync", "link", "rename", "replace", "unlink"):
+        monkeypatch.setattr(os, name, dying(name))
+    with contextlib.suppress(KeyboardInterrupt):
+        replace_kept(path, "third, and longer")
+    monkeypatch.undo()
+    assert path.read_text() in ("second", "third, and longer")
+    replace_kept(path, "4th")
+    assert (path.read_text(), spare_of(path).exists()) == ("4th", True)
+
+
+def test_a_file_system_without_second_names_keeps_room_too(tmp_path, monkeypatch):
+    def link(*_):
+        raise OSError
+
+    monkeypatch.setattr(os, "link", link)
+    for text in ("first", "second, and longer", "3rd"):
+        replace_kept(tmp_path / "kept.json", text)
+        assert (tmp_path / "kept.json").read_text() == text
+        assert spare_of(tmp_path / "kept.json").read_text() == text

@@ -1,6 +1,6 @@
 """What is in doubt about the reference, in words."""
 
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text
 from drivers.interfaces import Telemetry
 

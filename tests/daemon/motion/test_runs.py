@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from daemon.base.files import StateFolder
 from daemon.base.records import MoveOutcome, Target
+from daemon.base.state import StateFolder
 from daemon.motion.reference import NOT_FINISHED, Doubts
 from drivers.errors import LinkLostError, RefusedError
 from tests.support.hand_positioner import START_UTC_S, run_motion

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from daemon.base.files import StateFolder
 from daemon.base.records import FaceReading, Mode, Pose, Quality, Scan
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.received.today import ReceivedToday
 from daemon.service.recent import Recent

@@ -9,7 +9,7 @@ import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError
 from daemon.rigs.real import build_positioner

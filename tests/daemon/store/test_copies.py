@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 
 from daemon.base.clock import LoopClock, SystemClock
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.store.copies import copies_of, copy_path
 from daemon.store.release_kept import FILE_NAME as RELEASE_NAME

@@ -4,7 +4,7 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import SystemClock
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.config.sections import MotionSettings
 from daemon.tracker.budget import DayBudget
 

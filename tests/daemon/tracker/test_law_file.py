@@ -1,6 +1,6 @@
 """What a law has learned outlives a restart, and what cannot be read is no beginning."""
 
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.tracker.law_file import FILE_NAME, LawFile
 
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from daemon.base.clock import SystemClock
-from daemon.base.files import StateFolder
 from daemon.base.records import Target
+from daemon.base.state import StateFolder
 from daemon.tracker.orders import Orders
 from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import RefusedError

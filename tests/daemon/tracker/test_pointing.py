@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.files import StateFolder
 from daemon.base.plugins import LAWS, load, names
 from daemon.base.records import FaceReading, Irradiances, Quality, Scan, Target
+from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.tracker import pointing
 from daemon.tracker.law_file import LawFile

@@ -7,8 +7,8 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from daemon.base.files import StateFolder
 from daemon.base.records import Decision, Event, Mode, Move, Scan
+from daemon.base.state import StateFolder
 from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.budget import DayBudget

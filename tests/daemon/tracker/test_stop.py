@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.base.files import StateFolder
 from daemon.base.records import Event, Mode, Move
+from daemon.base.state import StateFolder
 from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.wishes import Wishes, WishFile

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from daemon.base.clock import LoopClock
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.sections import SafetySettings
 from daemon.tracker.stow import WindStow

@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 from daemon.tracker.wishes import Wish, Wishes, WishFile
 
 

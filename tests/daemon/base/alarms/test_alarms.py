@@ -4,7 +4,7 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import FILE_NAME, AlarmFile
-from daemon.base.files import StateFolder
+from daemon.base.state import StateFolder
 
 LATCHED, PLAIN = "move-failed", "stow-wanted"
 
