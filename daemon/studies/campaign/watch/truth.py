@@ -403,7 +403,9 @@ class TruthWatch:
         itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
         seen = self._at is not None and self._counts("a", self._at.a_deg) and self._counts("b", self._at.b_deg)
         near = now_s - self._sampled_s <= SAMPLING_S
-        if any(self.moving.values()) and near and seen and not itself and self._live(now_s):
+        # Without Hall pulses an axis seems to stand, until the unit notices.
+        moves = any(moves for axis, moves in self.moving.items() if axis not in self.blind)
+        if moves and near and seen and not itself and self._live(now_s):
             self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.plant.is_served and now_s > self._stop_s:
             self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
