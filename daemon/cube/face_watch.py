@@ -192,6 +192,7 @@ class FaceWatch:
     def _report(self) -> None:
         now = f"{iso_utc(self._clock.utc())[:16].replace('T', ' ')} UTC"
         whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
+        another = bool(whys.keys() - self._since.keys())
         self._since = {name: self._since.get(name, now) for name in whys}
         parts = []
         for doubt, since in dict.fromkeys((why, self._since[name]) for name, why in whys.items()):
@@ -201,7 +202,7 @@ class FaceWatch:
                 f"the {_in_a_row(names)} {many} {_WHY[doubt]}; not used since {since}, until {they} {agree} with the"
                 " others again"
             )
-        self._alarms.set("cube-face", "; ".join(parts) or None)
+        self._alarms.set("cube-face", "; ".join(parts) or None, anew=another)
 
 
 def _in_a_row(names: list[str]) -> str:

@@ -68,8 +68,11 @@ class Alarms:
         """Whether they are kept silent."""
         return self._muted
 
-    def set(self, name: str, text: str | None) -> None:
-        """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently."""
+    def set(self, name: str, text: str | None, *, anew: bool = False) -> None:
+        """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently.
+
+        With `anew` a new text is raised as another alarm would be: nobody has seen what it tells.
+        """
         if self._muted:
             if text is None:
                 self._held.pop(name, None)
@@ -84,6 +87,8 @@ class Alarms:
                 self._clear(before)
         elif before is None or not before.on:
             self._raise(name, text, before)
+        elif anew and before.text != text:
+            self._raise(name, text, None)
         elif before.text != text:
             self._shown[name] = replace(before, text=text)
 

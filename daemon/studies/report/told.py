@@ -62,6 +62,9 @@ def alarms_of(material: Material) -> list[AlarmSpan]:
                 over.append(before)
             if before is None or before.end_utc_s is not None:
                 latest[name or text] = AlarmSpan(name, text, note.utc_s, None)
+            elif before.text != text:
+                # Raised anew: it tells more than what had been seen.
+                latest[name or text] = replace(before, text=text, acknowledged="")
         elif before is None:
             latest[name or text] = AlarmSpan(name, text, None, note.utc_s)
         else:

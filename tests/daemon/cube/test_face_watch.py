@@ -248,8 +248,10 @@ def test_the_light_is_not_sought_by_a_cube_whose_faces_look_elsewhere():
 def test_a_second_face_has_the_time_of_its_own():
     day = WatchedDay(MORNING_UTC_S)
     first = day.minutes(8, frozen=1, at_w_m2=0.0)[1]
+    day.alarms.acknowledge("ana")
     second = day.minutes(8, frozen=[1, 3], at_w_m2=[0.0, 1800.0])[3]
     (alarm,) = day.alarms.active
+    assert alarm.state == "raised", "nobody has seen that there are two"
     told = dict(re.findall(r"the (\w+) face reads .*?; not used since ([-0-9]+ [0-9:]+) UTC", alarm.text))
     at = {face: datetime.fromisoformat(text + "Z").timestamp() - MORNING_UTC_S for face, text in told.items()}
     assert at == pytest.approx({"south": first * 60.0, "zenith": (8 + second) * 60.0}, abs=60.0)

@@ -67,6 +67,18 @@ def test_an_alarm_is_raised_acknowledged_and_gone_with_its_cause(house):
     assert {record.subject for record in house.records} == {"alarm"}
 
 
+def test_what_is_told_anew_is_an_alarm_that_nobody_has_seen(house):
+    house.alarms.set(PLAIN, "south lies")
+    house.alarms.acknowledge("ana@lab", PLAIN)
+    house.clock.now += 60
+    house.alarms.set(PLAIN, "south lies", anew=True)
+    assert house.states == {PLAIN: "acknowledged"}
+    house.alarms.set(PLAIN, "south and west lie", anew=True)
+    (alarm,) = house.alarms.active
+    assert (alarm.state, alarm.text, alarm.raised_utc_s) == ("raised", "south and west lie", house.clock.utc())
+    assert house.told[-1] == f"raised {PLAIN}: south and west lie"
+
+
 def test_a_latched_one_stays_on_show_until_a_person_has_looked(house):
     house.alarms.set(LATCHED, "stalled")
     house.clock.now += 30

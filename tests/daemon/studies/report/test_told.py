@@ -35,6 +35,11 @@ def test_one_that_is_raised_again_is_another_one(alarms):
     ]
 
 
+def test_one_that_is_raised_anew_while_it_is_on_tells_the_newest_which_nobody_has_seen(alarms):
+    found = alarms("raised face: south", "acknowledged face by ana", "raised face: south and west", "raised x: y")
+    assert found[0] == AlarmSpan("face", "south and west", T0, None)
+
+
 def test_one_that_was_on_before_has_no_beginning(alarms):
     assert alarms("cleared wind: no wind") == [AlarmSpan("wind", "no wind", None, T0)]
 
