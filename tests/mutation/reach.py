@@ -7,6 +7,7 @@ A tracer makes these tests three times as long (coverage 7.17, Python 3.11). Ins
 statement of its own in a copy of the tree, which sets one byte: that costs next to nothing.
 """
 
+import argparse
 import importlib
 import json
 import os
@@ -25,7 +26,11 @@ from tests.support import ROOT
 
 def main() -> None:
     """Run the tests that are named and write down what they reach."""
-    kept, *asked = Path(sys.argv[1]).absolute(), *sys.argv[2:]
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("kept", type=Path, metavar="FILE", help="where it is written, as JSON")
+    parser.add_argument("tests", nargs="+", help="files and folders of tests; what else is given goes to pytest")
+    known, for_pytest = parser.parse_known_args()
+    kept, asked = known.kept.absolute(), [*known.tests, *for_pytest]
     sources = {str(file.relative_to(ROOT)): digest(file) for folder in OURS for file in (ROOT / folder).rglob("*.py")}
     with tempfile.TemporaryDirectory(prefix="heliocube-reach-") as folder:
         tree = copy_into(Path(folder))
