@@ -87,15 +87,25 @@ class ArchiveWriter:
         ArchiveError
             What the database does not let; nothing of the pages is in it then.
         """
+        import psycopg  # noqa: PLC0415 - it is in an extra
+
         with telling(self._address):
-            self._make_days(pages)
-            known = dict(self._runs)
-            with self._connection.transaction():
-                runs = [self._run_of(page, known) for page in pages]
-                added = sum(self._insert(name, pages, runs) for name in KINDS)
-                self._advance(pages, runs)
-                rivals = self._rivals(pages, runs) if added else []
-            self._runs = known
+            try:
+                return self._written(pages)
+            except psycopg.errors.CheckViolation:
+                # A day that was made here has been dropped since, as Parquet: what comes late for it begins it anew.
+                self._days.clear()
+                return self._written(pages)
+
+    def _written(self, pages: Sequence[SentPage]) -> Taken:
+        self._make_days(pages)
+        known = dict(self._runs)
+        with self._connection.transaction():
+            runs = [self._run_of(page, known) for page in pages]
+            added = sum(self._insert(name, pages, runs) for name in KINDS)
+            self._advance(pages, runs)
+            rivals = self._rivals(pages, runs) if added else []
+        self._runs = known
         return Taken(added, rivals)
 
     def _make_days(self, pages: Sequence[SentPage]) -> None:

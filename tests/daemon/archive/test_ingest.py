@@ -144,6 +144,19 @@ async def until_kept(lab, sender):
     )
 
 
+def test_what_comes_for_a_day_that_has_been_dropped_is_taken_by_who_wrote_that_day_before(postgres, database):
+    writer, run = ArchiveWriter(parse_archive(database)), origin()
+    writer.prepare()
+    try:
+        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0)]}))]).added == 1
+        name = database.rpartition("/")[2]
+        postgres.sql("DROP TABLE heliocube.poses_20221014", name)
+        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(1)]}))]).added == 1
+        assert postgres.sql("SELECT number FROM heliocube.poses", name) == [(1,)]
+    finally:
+        writer.close()
+
+
 def test_a_wait_for_a_database_that_hangs_can_be_ended(postgres, database):
     writer = ArchiveWriter(parse_archive(database))
     writer.prepare()
