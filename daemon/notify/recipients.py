@@ -1,6 +1,7 @@
 """Whom to tell, and by which way: addresses of apprise, a line each, in a file that only its readers can open."""
 
 import asyncio
+import logging
 from pathlib import Path
 from types import ModuleType
 from typing import Protocol
@@ -8,6 +9,8 @@ from typing import Protocol
 from daemon.base.errors import UserError
 from daemon.base.files import read_secret
 from daemon.notify.notices import Notice
+
+log = logging.getLogger("heliocube.notify")
 
 _LONGEST_FILE = 65536
 _EXAMPLE = "such as ntfy://ntfy.lab/roof"
@@ -53,9 +56,14 @@ class AppriseRecipient:
         kind = self._kinds.FAILURE if notice.urgent else self._kinds.WARNING
         if notice.good:
             kind = self._kinds.SUCCESS
-        return bool(
-            await asyncio.to_thread(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
-        )
+        try:
+            return bool(
+                await asyncio.to_thread(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
+            )
+        except Exception:
+            # Of some hundred ways by other hands one may fail as its author did not expect: the others go on.
+            log.exception("the way to %s has failed", self.name)
+            return False
 
 
 def recipients_of(path: Path | None) -> list[AppriseRecipient]:

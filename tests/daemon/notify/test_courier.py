@@ -8,6 +8,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import httpx
 import pytest
+from apprise.plugins.custom_json import NotifyJSON
 
 from daemon.api.models import AlarmPart
 from daemon.base.addresses import parse_address
@@ -226,6 +227,26 @@ def test_what_is_not_taken_is_tried_again_and_nothing_is_told_twice(lab, told):
         await step(10.0)
         assert lab.told == []
         await step(30.0)
+        await step(30.0)
+        assert len(lab.titles) == 1
+
+    told(scenario)
+
+
+def test_a_way_that_fails_as_nobody_expected_is_logged_and_costs_no_other(lab, told, monkeypatch, caplog):
+    send = NotifyJSON.send
+
+    def fails_at_first(way, *arguments, **named):
+        if not caplog.messages:
+            raise RuntimeError("of its own")
+        return send(way, *arguments, **named)
+
+    monkeypatch.setattr(NotifyJSON, "send", fails_at_first)
+
+    async def scenario(step):
+        lab.alarms = [lab.alarm()]
+        await step()
+        assert [line for line in caplog.messages if line.startswith("the way to json://")] != []
         await step(30.0)
         assert len(lab.titles) == 1
 
