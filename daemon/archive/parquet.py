@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, date, datetime
-from itertools import count as count_from
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -116,7 +115,7 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
         if rows_in(path) != count:
             return None
         # Never written again, whatever comes late: that has a file of its own beside it.
-        final = _free_name(path.parent)
+        final = _final(connection, table, path)
         path.rename(final)
         try:
             connection.execute(f"DROP TABLE {table}")
@@ -126,14 +125,20 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
     return ArchivedDay(kind, day, final, count, written=False)
 
 
-def _free_name(folder: Path) -> Path:
-    names = (folder / f"final-{number}.parquet" for number in count_from(1))
-    return next(name for name in names if not name.exists())
+def _final(connection: "psycopg.Connection", table: str, path: Path) -> Path:
+    """Return the name that the file of a part has once the part is gone; of one day each part has another."""
+    row = connection.execute("SELECT %s::regclass::oid", (table,)).fetchone()
+    assert row is not None  # noqa: S101 - narrowing; it is there
+    return path.with_name(f"final-{row[0]}.parquet")
 
 
 def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:
     path = file_of(out, kind, day)
     table = _table(kind, day)
+    final = _final(connection, table, path)
+    if final.exists():
+        # The drop of this very part was broken off before its end.
+        final.replace(path)
     count = _count(connection, table)
     if not again and rows_in(path) == count:
         return ArchivedDay(kind, day, path, count, written=False)

@@ -98,6 +98,13 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     wanted = [(where, who, True, DAY) for where in ("plant/both", "plant/roof") for who in ("T-Chrono", "T-Cube")]
     assert sorted(in_duckdb(query)) == wanted
 
+    # A drop that was broken off between its file and its end is as if it had not begun.
+    ((part,),) = postgres.sql(f"SELECT 'heliocube.poses_{DAY.replace('-', '')}'::regclass::oid", name)
+    folder = out / "poses" / f"day={DAY}"
+    (folder / "records.parquet").rename(folder / f"final-{part}.parquet")
+    heliocube(*run)
+    assert [path.name for path in folder.iterdir()] == ["records.parquet"]
+
     # Another number of rows is a file anew; a day goes only when its file has all.
     (out / "poses" / f"day={DAY}" / "records.parquet").unlink()
     postgres.sql("DELETE FROM heliocube.scans WHERE number = (SELECT max(number) FROM heliocube.scans)", name)
