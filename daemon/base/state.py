@@ -76,6 +76,9 @@ def reserve_room(path: Path) -> None:
 
 def _overwrite(path: Path, text: str) -> None:
     """Give a file another content in its own place; it is on the disk when this returns."""
+    if path.exists() and not os.access(path, os.W_OK):
+        # Somebody else's, who ran a command here as root.
+        path.unlink()
     with path.open("r+" if path.exists() else "w", encoding="utf-8", newline="\n") as file:
         file.write(text)
         file.truncate()

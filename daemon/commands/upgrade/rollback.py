@@ -118,7 +118,6 @@ def _give_to_owner(directory: Path) -> None:
     """Give what was written here to the user of the service, whose folder it is."""
     if sys.platform == "win32" or os.geteuid() != 0:
         return
-    for path in (directory / WISHES_NAME, *directory.glob(".*-in-use")):
-        if path.exists():
-            owner = directory.stat()
-            os.chown(path, owner.st_uid, owner.st_gid)
+    for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
+        owner = directory.stat()
+        os.chown(path, owner.st_uid, owner.st_gid)

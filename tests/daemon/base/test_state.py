@@ -180,3 +180,13 @@ def test_a_file_system_without_second_names_keeps_room_too(tmp_path, monkeypatch
         replace_kept(tmp_path / "kept.json", text)
         assert (tmp_path / "kept.json").read_text() == text
         assert spare_of(tmp_path / "kept.json").read_text() == text
+
+
+def test_a_spare_that_root_has_left_is_made_anew(tmp_path, monkeypatch):
+    state_file(tmp_path).save(Kept(count=1))
+    spare = spare_of(tmp_path / "kept.json")
+    with spare.open() as left:
+        monkeypatch.setattr(os, "access", lambda path, _mode: path != spare)
+        state_file(tmp_path).save(Kept(count=2))
+        assert left.read() == '{"count":1}', "not written to"
+    assert state_file(tmp_path).load() == Kept(count=2)

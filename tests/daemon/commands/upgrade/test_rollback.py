@@ -116,6 +116,17 @@ def test_every_tracker_is_held_unless_a_person_has_asked_for_something(heliocube
     assert hold["why"] == f"the program was changed back from {release()} to 0.0.9+4f1c, and nobody has looked yet"
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
+def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, program, tmp_path):
+    records = tmp_path / "records"
+    records.mkdir()
+    os.chown(records, 65534, 65534)
+    assert heliocube("rollback", "-c", config, "--to", program(VERSION))[0] == 0
+    kept = [path for path in records.iterdir() if path.name.startswith("operator.")]
+    assert len(kept) == 2
+    assert {path.stat().st_uid for path in kept} == {65534}
+
+
 def test_a_release_that_does_not_say_which_it_is_goes_by_the_name_of_its_folder(heliocube, config, program, tmp_path):
     (tmp_path / "records").mkdir()
     heliocube("rollback", "-c", config, "--to", program(VERSION, release="echo no module; exit 1"))
