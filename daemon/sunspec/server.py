@@ -183,12 +183,17 @@ class SunSpecServer:
 
     async def _command(self, command: Command, override: Override) -> CommandError | None:
         try:
+            self._refuse_held(override)
             await self._operators.carry_out(command)
         except CommandError as error:
             self._tell(f"{command.by}: {error}")
             return error
         self._table.done(override)
         return None
+
+    def _refuse_held(self, override: Override) -> None:
+        if override.name == "auto" and self._table.is_held(override.tracker):
+            raise CommandError("a person has stopped or stowed it meanwhile")
 
     def _tell(self, sentence: str) -> None:
         if line := self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"):

@@ -97,6 +97,17 @@ class SunSpecTable(NoBits):
         self._manual[name] = target
         self._seen_s = -_KEPT_S
 
+    def is_held(self, tracker: str) -> bool:
+        """Tell whether a person's stop, maintenance, stow or snow holds a tracker at this very instant.
+
+        None of them is ended from afar, by a program that writes zeros.
+        """
+        # Not a snapshot of before: the person may have asked a moment ago.
+        self._seen_s = -_KEPT_S
+        self._current()
+        wishes = self._tracker(tracker).wishes
+        return wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None
+
     def take(self) -> Override | None:
         """Return what the last write asks of a tracker, once."""
         asked, self._asked = self._asked, None
@@ -134,10 +145,8 @@ class SunSpecTable(NoBits):
         return target, mode
 
     def _override(self, tracker: TrackerState, target: ManualTarget, mode: int) -> Override:
-        wishes = tracker.wishes
         if mode == AUTOMATIC:
-            # A person's stop, maintenance, stow or snow is not ended from afar, by a program that writes zeros.
-            if wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None:
+            if self.is_held(tracker.name):
                 raise RefusedRequestError(DEVICE_FAILURE)
             return Override(tracker.name, "auto")
         if target.elevation is None or target.azimuth is None:

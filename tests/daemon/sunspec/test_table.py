@@ -201,6 +201,26 @@ def test_a_persons_stop_is_not_ended_from_the_control_room(run_rig):
     on_rig(run_rig, scenario)
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_a_stop_of_this_very_moment_is_not_ended_from_the_control_room(run_rig, late):
+    async def scenario(rig, control):
+        at = (await control.models())[601][0] + 20
+        stop = rig.control.stop("a hand in the gear", "ana")
+        if late:
+            # Between the register and the command.
+            writing = asyncio.create_task(control.write(at + 4, [0]))
+            await asyncio.sleep(0)
+            await stop
+            code = await writing
+        else:
+            await stop
+            code = await control.write(at + 4, [0])
+        assert code == 4
+        assert rig.control.wishes.stop is not None
+
+    on_rig(run_rig, scenario)
+
+
 def test_what_is_read_within_a_moment_is_one_snapshot(run_rig):
     async def scenario(rig, control):
         taken = []
