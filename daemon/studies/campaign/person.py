@@ -82,7 +82,7 @@ class Person:
             self._watch.maintenance_ends()
         elif name in ("clear", "home"):
             # From here on a person answers for the count.
-            self._watch.reference_excused = True
+            self._watch.reference.excused = True
 
     async def _give_wrong(self, value: tuple[float, ...]) -> None:
         plant, watch = self._plant, self._watch

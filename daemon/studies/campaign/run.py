@@ -198,7 +198,7 @@ class CampaignRun:
         elif name == "clock_step":
             watch.steps.note(watch.now_s)
         if fault.uncounts:
-            watch.reference_excused = True
+            watch.reference.excused = True
         if name.endswith("hall_loss"):
             watch.blind.add("a" if name[0] == "a" else "b")
         if fault.by_hand:

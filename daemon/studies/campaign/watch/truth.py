@@ -19,6 +19,7 @@ from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
 from daemon.studies.campaign.watch.steady import FASTEST_DEG_PER_S, FASTEST_PER_S, STANDS, Steady, turning
 from daemon.studies.campaign.watch.storms import STORM_S, Storms
+from daemon.studies.campaign.watch.true_count import REFERENCE_EVERY_S, TrueCount
 from drivers.interfaces import AxisName
 from solar.frames import Angles
 
@@ -33,10 +34,6 @@ SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
 LIMIT_DEG = 0.02
-COUNTED_DEG = 0.02
-REFERENCE_DEG = 0.8
-REFERENCE_EVERY_S = 5.0
-DOUBTS_WITHIN_S = 30.0
 STALE_S = 16.0
 
 
@@ -53,8 +50,6 @@ class TruthWatch:
         From each stop that was given in mid-move to standstill in truth.
     moving
         Which axes turn.
-    reference_excused
-        A person, or a fault that nobody can see, answers for the unit's count.
     blind
         Axes without Hall pulses.
     lasting
@@ -69,9 +64,9 @@ class TruthWatch:
         self.storms = Storms(self.fails)
         self.steps = ClockSteps(self.fails)
         self.reach = Reach()
+        self.reference = TrueCount(self.fails)
         self._steady = Steady()
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
-        self.reference_excused = False
         self.blind: set[AxisName] = set()
         self.lasting = 0
         self._at: Angles | None = None
@@ -83,8 +78,6 @@ class TruthWatch:
         self._stop_s: float | None = None
         self._stop_measured = True
         self._maintenance_s: float | None = None
-        self._wrong_s: float | None = None
-        self._compared_s = -math.inf
         self._sendings = 0
         self._sent_s = -math.inf
         self._noted: set[tuple[str, int]] = set()
@@ -257,9 +250,9 @@ class TruthWatch:
         self._check_stop(now_s, live=live)
         self._check_reference(at, now_s)
         if not any(self.moving.values()):
-            until_s = min(until_s, self._compared_s + REFERENCE_EVERY_S)
+            until_s = min(until_s, self.reference.compared_s + REFERENCE_EVERY_S)
         # The storm itself is one of them.
-        self.storms.excused = self.lasting > 1 or self.reference_excused or self._wrong_s is not None
+        self.storms.excused = self.lasting > 1 or self.reference.excused or self.reference.wrong_s is not None
         self.storms.check(self.plant, at, now_s, self.reach.since_s, live=live)
         if live:
             self.reporting.check(self.plant, now_s, by_hand=self.explained.by_hand(now_s))
@@ -313,10 +306,6 @@ class TruthWatch:
     def _counted_of(self, axis: AxisName) -> Counted:
         return Counted(*self.plant.unit.course(axis, self.now_s))
 
-    def _shown(self) -> Angles:
-        unit, now_s = self.plant.unit, self.now_s
-        return Angles(unit.shown_deg("a", now_s), unit.shown_deg("b", now_s))
-
     # The promises.
 
     def _check_unexplained(self, axis: AxisName, at_deg: float, now_s: float) -> None:
@@ -366,35 +355,16 @@ class TruthWatch:
             )
 
     def _counts(self, axis: AxisName, at_deg: float) -> bool:
-        """Tell whether the unit's count of an axis is the truth, to a hair."""
-        return abs(self.plant.unit.shown_deg(axis, self.now_s) - at_deg) < COUNTED_DEG
+        return self.reference.counts(self.plant, axis, at_deg, self.now_s)
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is not what is true."""
-        shown, at = self._shown(), self._at or self.plant.truth()
-        return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
+        return self.reference.is_wrong(self.plant, self._at or self.plant.truth(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
-        if any(self.moving.values()) or not self.plant.is_served or now_s - self._compared_s < REFERENCE_EVERY_S:
-            return
-        self._compared_s = now_s
-        if not self.is_wrong():
-            self._wrong_s = None
-            # What is a hair at one angle may be a degree at another.
-            true = self._counts("a", at.a_deg) and self._counts("b", at.b_deg)
-            self.reference_excused = self.reference_excused and bool(self.blind or not true)
-            return
-        if self._wrong_s is None:
-            self._wrong_s = now_s
-        motion, control = self.plant.motion, self.plant.control
-        tracks = control.mode in (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
-        since_s = max(self._wrong_s, self.reach.since_s, self.reach.connected_s)
-        late = now_s - since_s > DOUBTS_WITHIN_S
-        if tracks and late and not self.reference_excused and motion.doubt is None and self._live(now_s):
-            self.fails(
-                "believes-a-wrong-count",
-                f"the unit says {self._shown()}, the truth is {at}; mode {control.mode}, no doubt",
-            )
+        if not any(self.moving.values()) and self.plant.is_served:
+            since_s = max(self.reach.since_s, self.reach.connected_s)
+            self.reference.check(self.plant, at, now_s, since_s, blind=bool(self.blind), live=self._live(now_s))
 
     def _check_target(self, target: tuple[float, float]) -> None:
         control, now_s = self.plant.control, self.now_s

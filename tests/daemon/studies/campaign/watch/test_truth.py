@@ -242,7 +242,7 @@ def test_a_target_while_an_axis_still_moves_is_seen(plant):
 @pytest.mark.parametrize("excused", [False, True])
 def test_a_count_that_is_wrong_has_to_be_doubted(plant, excused):
     plant.count_off = 5.0
-    plant.watch.reference_excused = excused
+    plant.watch.reference.excused = excused
     plant.wait(60)
     assert promises(plant) == ([] if excused else ["believes-a-wrong-count"])
     plant.watch.violations.clear()
@@ -363,7 +363,7 @@ def test_a_unit_that_is_not_heard_binds_nobody(plant):
 
 def test_an_alarm_of_what_moves_with_a_wrong_count_is_no_false_one(plant):
     plant.count_off = 5.0
-    plant.watch.reference_excused = True
+    plant.watch.reference.excused = True
     plant.wait(60)
     plant.wait(1.0, a=0.3)
     plant.motion.unexplained = "A moved from 3.0 to 3.3 degrees without an order"

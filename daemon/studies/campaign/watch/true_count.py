@@ -1,0 +1,81 @@
+"""Whether the unit's count is what is true, and whether the service doubts one that is not."""
+
+from collections.abc import Callable
+
+from daemon.base.records import Mode
+from daemon.rigs.campaign.plant import Plant
+from drivers.interfaces import AxisName
+from solar.frames import Angles
+
+COUNTED_DEG = 0.02
+REFERENCE_DEG = 0.8
+REFERENCE_EVERY_S = 5.0
+DOUBTS_WITHIN_S = 30.0
+
+
+class TrueCount:
+    """Compares the unit's count with the truth.
+
+    Parameters
+    ----------
+    fails
+        Called with a promise and a text.
+
+    Attributes
+    ----------
+    excused
+        A person, or a fault that nobody can see, answers for the unit's count.
+    wrong_s
+        Since when it has been wrong, or None.
+    compared_s
+        When that was looked at last.
+    """
+
+    def __init__(self, fails: Callable[[str, str], None]) -> None:
+        self._fails = fails
+        self.excused = False
+        self.wrong_s: float | None = None
+        self.compared_s = float("-inf")
+
+    def counts(self, plant: Plant, axis: AxisName, at_deg: float, now_s: float) -> bool:
+        """Tell whether the unit's count of an axis is the truth, to a hair."""
+        return abs(plant.unit.shown_deg(axis, now_s) - at_deg) < COUNTED_DEG
+
+    def is_wrong(self, plant: Plant, at: Angles, now_s: float) -> bool:
+        """Tell whether the unit's count is not where the axes are."""
+        shown = _shown(plant, now_s)
+        return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
+
+    def check(self, plant: Plant, at: Angles, now_s: float, since_s: float, *, blind: bool, live: bool) -> None:
+        """Look every few seconds at axes that stand.
+
+        Parameters
+        ----------
+        since_s
+            Since when the service can know.
+        blind
+            Whether an axis gives no Hall pulses.
+        live
+            Whether the service is there and connected.
+        """
+        if now_s - self.compared_s < REFERENCE_EVERY_S:
+            return
+        self.compared_s = now_s
+        if not self.is_wrong(plant, at, now_s):
+            self.wrong_s = None
+            # What is a hair at one angle may be a degree at another.
+            true = self.counts(plant, "a", at.a_deg, now_s) and self.counts(plant, "b", at.b_deg, now_s)
+            self.excused = self.excused and (blind or not true)
+            return
+        if self.wrong_s is None:
+            self.wrong_s = now_s
+        control = plant.control
+        tracks = control.mode in (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
+        late = now_s - max(self.wrong_s, since_s) > DOUBTS_WITHIN_S
+        if tracks and late and not self.excused and plant.motion.doubt is None and live:
+            text = f"the unit says {_shown(plant, now_s)}, the truth is {at}; mode {control.mode}, no doubt"
+            self._fails("believes-a-wrong-count", text)
+
+
+def _shown(plant: Plant, now_s: float) -> Angles:
+    return Angles(plant.unit.shown_deg("a", now_s), plant.unit.shown_deg("b", now_s))
