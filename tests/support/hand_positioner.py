@@ -185,6 +185,11 @@ class MotionRig:
         await asyncio.sleep(1.0)
 
 
+async def asleep(rig):
+    """Let everything that a standstill has to last for be over."""
+    await asyncio.sleep(30.0)
+
+
 def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=True, make=HandPositioner, **settings):
     """Run an async function that is given the rig, beside motion, and return the rig."""
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:

@@ -1,0 +1,93 @@
+"""A stop that is not obeyed: when it is tried again, after which time it is told, and what is no deafness."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from daemon.base.records import Target
+from tests.support.hand_positioner import DEAF_S, run_motion
+
+
+def test_a_positioner_that_does_not_obey_is_told_after_five_seconds_and_stopped_again_and_again():
+    async def scenario(rig):
+        rig.motion.order(Target(50.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_deaf = True
+        asked_s = rig.clock.monotonic()
+        await rig.motion.stop()
+        await rig.until(lambda: "deaf-to-stop" in rig.raised, 12.0)
+        assert 5.0 < rig.clock.monotonic() - asked_s < 9.0
+        assert rig.raised["deaf-to-stop"].startswith(
+            "the positioner does not obey stop: switch off the supply of its motors; nothing moves before"
+        )
+        halts = [rig.unit.sent.count("halt")]
+        for _ in range(3):
+            await asyncio.sleep(6.05)
+            halts.append(rig.unit.sent.count("halt"))
+        assert [after - before for before, after in itertools.pairwise(halts)] == [1, 1, 1]
+        rig.unit.is_deaf = False
+        await asyncio.sleep(8.0)
+        assert rig.motion.stands_since_s is not None
+        assert "deaf-to-stop" in rig.raised, "until a person has looked"
+
+    run_motion(scenario)
+
+
+def test_tries_to_stop_come_at_once_and_then_ever_more_slowly():
+    async def scenario(rig):
+        at_s, halt = [], rig.unit.halt
+
+        async def timed():
+            at_s.append(rig.clock.monotonic())
+            await halt()
+
+        rig.unit.halt = timed
+        rig.unit.is_deaf = True
+        rig.motion.freeze("ana")
+        await asyncio.sleep(30.0)
+        pauses_s = [after - before - DEAF_S for before, after in itertools.pairwise(at_s)]
+        assert pauses_s[:6] == pytest.approx([0.5, 1.0, 2.0, 4.0, 4.0, 4.0])
+        assert "deaf-to-stop" not in rig.raised, "nothing moves"
+        assert rig.motion.stands_since_s is None, "a stop is on its way"
+
+    run_motion(scenario)
+
+
+def test_what_moves_under_a_button_is_no_deafness():
+    async def scenario(rig):
+        rig.unit.is_deaf = True
+        rig.unit.says["button_pressed"] = True
+        rig.unit.drive(40.0, 60.0)
+        rig.motion.freeze("ana")
+        await asyncio.sleep(12.0)
+        assert "deaf-to-stop" not in rig.raised
+        rig.unit.says.clear()
+        await asyncio.sleep(4.0)
+        assert "deaf-to-stop" not in rig.raised
+        await rig.until(lambda: "deaf-to-stop" in rig.raised, 6.0)
+
+    run_motion(scenario)
+
+
+def test_one_look_that_shows_motion_late_is_no_deafness():
+    async def scenario(rig):
+        rig.motion.order(Target(50.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_deaf = True
+        looks, read = [], rig.unit.read_telemetry
+
+        async def counted():
+            seen = await read()
+            looks.append(rig.clock.monotonic())
+            return seen
+
+        rig.unit.read_telemetry = counted
+        await rig.motion.stop()
+        asked_s = rig.clock.monotonic()
+        await rig.until(lambda: len(looks) > 1 and looks[-2] > asked_s + 5.6, 12.0)
+        rig.unit.put(*rig.unit.place())
+        await asyncio.sleep(12.0)
+        assert "deaf-to-stop" not in rig.raised
+
+    run_motion(scenario)

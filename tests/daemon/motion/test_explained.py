@@ -1,0 +1,193 @@
+"""What explains motion that nobody ordered, and until when: a button, a restart, a reference run of the unit's own."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from daemon.base.records import Event, Target
+from tests.support.hand_positioner import asleep, run_motion
+
+
+@pytest.mark.parametrize(("after_s", "explained"), [(0.0, True), (2.0, True), (3.4, True), (4.6, False)])
+def test_a_button_explains_motion_for_four_seconds_before_it_is_seen(after_s, explained):
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.says["button_pressed"] = True
+        await asyncio.sleep(1.0)
+        pressed_s = rig.motion.telemetry.status_monotonic_s
+        rig.unit.says.clear()
+        await rig.until(lambda: rig.clock.monotonic() >= pressed_s + after_s)
+        rig.unit.drive(30.0, 60.0)
+        await asyncio.sleep(10.0)
+        assert (rig.motion.unexplained is None) == explained
+        assert rig.unit.place()[0] < 5.0, "it is stopped in any case"
+        assert len([text for text in rig.told if "a button is pressed" in text]) == explained
+
+    run_motion(scenario)
+
+
+def test_a_button_that_the_status_shows_only_after_the_motion_explains_it():
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.status_age_s = 3.0
+        rig.unit.drive(30.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 2.0)
+        await asyncio.sleep(1.0)
+        rig.unit.says["button_pressed"] = True
+        await asyncio.sleep(6.0)
+        assert rig.motion.unexplained is None
+        rig.unit.says.clear()
+        await asyncio.sleep(1.0)
+        assert not rig.raised
+        assert rig.told[-1].startswith("A moved from +0.0 to +")
+        assert rig.told[-1].endswith("a button is pressed at the unit")
+
+    run_motion(scenario)
+
+
+def test_buttons_are_told_of_every_ten_minutes_at_the_most():
+    async def scenario(rig):
+        await asleep(rig)
+        times_s = []
+        for _ in range(14):
+            rig.unit.says["button_pressed"] = True
+            rig.unit.drive(rig.unit.place()[0] + 1.0, 60.0)
+            await asyncio.sleep(5.0)
+            rig.unit.says.clear()
+            await asyncio.sleep(95.0)
+        told = [event for event in rig.of(Event) if "a button is pressed" in event.text]
+        times_s = [event.time_monotonic_s for event in told]
+        assert len(told) in (2, 3)
+        assert all(600.0 < after - before <= 710.0 for before, after in itertools.pairwise(times_s))
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("was_before", [False, True])
+def test_a_restart_that_comes_with_the_motion_is_a_doubt_and_no_incident(was_before):
+    async def scenario(rig):
+        rig.unit.says["was_reset"] = was_before
+        await asleep(rig)
+        rig.unit.put(0.5, 60.0)
+        rig.unit.says["was_reset"] = True
+        await asyncio.sleep(10.0)
+        assert (rig.motion.unexplained is None) == (not was_before)
+        assert "restarted" in rig.motion.doubt
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("fields", [{"autonomous": True}, {}])
+def test_a_restart_explains_neither_own_tracking_nor_what_goes_on_moving(fields):
+    async def scenario(rig):
+        await asleep(rig)
+        # Not in the instant of a look: restart and motion are to be seen by the same one.
+        await rig.until(lambda: rig.clock.monotonic() - rig.motion.telemetry.time_monotonic_s > 0.1)
+        halt = rig.unit.halt
+
+        async def late():
+            await asyncio.sleep(1.0)
+            await halt()
+
+        rig.unit.halt = halt if fields else late
+        rig.unit.says |= {"was_reset": True, **fields}
+        rig.unit.drive(40.0, 60.0)
+        await asyncio.sleep(13.0)
+        assert rig.motion.unexplained
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("kind", ["homing", "aims_home"])
+def test_a_reference_run_of_the_units_own_is_stopped_and_leaves_the_count_in_doubt(kind):
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.says[kind] = True
+        if kind == "aims_home":
+            await asyncio.sleep(2.0)
+            assert rig.motion.doubt is None, "an aim alone is none"
+            rig.unit.drive(-50.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 4.0)
+        rig.unit.says.clear()
+        await asyncio.sleep(10.0)
+        assert rig.motion.doubt == (
+            "the positioner made a reference run of its own, its count may have changed: home it"
+        )
+        if kind == "homing":
+            assert rig.motion.unexplained.startswith("the positioner made a reference run of its own without an order")
+
+    run_motion(scenario)
+
+
+def test_what_the_status_said_before_the_stop_is_no_run_of_its_own():
+    async def scenario(rig):
+        await asleep(rig)
+        rig.motion.freeze("ana")
+        await rig.until(lambda: not rig.motion._guard.halt_wanted, 3.0)
+        judged_s = rig.clock.monotonic()
+        rig.unit.says |= {"homing": True, "status_monotonic_s": judged_s + 0.5}
+        await asyncio.sleep(3.0)
+        assert rig.motion.doubt is None
+        rig.unit.says["status_monotonic_s"] = judged_s + 1.5
+        await asyncio.sleep(2.0)
+        assert "reference run of its own" in rig.motion.doubt
+
+    run_motion(scenario)
+
+
+def test_the_bit_of_a_reference_run_says_nothing_on_the_way_of_a_move_of_ours():
+    async def scenario(rig):
+        rig.motion.order(Target(30.0, 60.0, "go"))
+        await asyncio.sleep(4.0)
+        rig.unit.says["homing"] = True
+        await asyncio.sleep(4.0)
+        assert rig.motion.doubt is None
+        assert rig.motion.unexplained is None
+        assert rig.motion.target is not None
+
+    run_motion(scenario)
+
+
+def test_an_inquiry_under_a_button_blocks_nothing():
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.says["button_pressed"] = True
+        await asyncio.sleep(1.0)
+        rig.unit.drive(30.0, 60.0)
+        for _ in range(40):
+            await asyncio.sleep(0.1)
+            assert rig.motion.unexplained is None
+        assert rig.raised == {}
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_of_its_own_in_the_middle_of_a_move_is_told_as_what_was_seen():
+    async def scenario(rig):
+        rig.motion.order(Target(30.0, 60.0, "go"))
+        await asyncio.sleep(3.0)
+        rig.unit.says["homing"] = True
+        rig.unit.drive(-50.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 4.0)
+        rig.unit.says.clear()
+        await asyncio.sleep(8.0)
+        assert rig.motion.unexplained.startswith("A heads for position -50 and was sent to 30")
+        assert "reference run of its own" in rig.motion.doubt
+
+    run_motion(scenario)
+
+
+def test_what_strays_in_a_reference_run_of_ours_is_no_run_of_its_own():
+    async def scenario(rig):
+        rig.motion.home()
+        await rig.until(lambda: rig.unit.sent[-1] == ("home", "a"), 5.0)
+        await asyncio.sleep(3.0)
+        rig.unit.drive(0.0, 20.0)
+        await rig.until(lambda: not rig.motion.homing, 10.0)
+        await asyncio.sleep(8.0)
+        assert rig.motion.unexplained.startswith("B moved from +60.0 to ")
+        assert "reference run of its own" not in rig.motion.doubt
+        assert rig.motion.doubt.startswith("homing failed (B moved from ")
+
+    run_motion(scenario)
