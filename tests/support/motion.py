@@ -49,3 +49,10 @@ def speed(rig, seconds):
     now = rig.clock.monotonic()
     before, after = rig.unit.truth(now), rig.unit.truth(now + seconds)
     return max(abs(after.a_deg - before.a_deg), abs(after.b_deg - before.b_deg)) / seconds
+
+
+def commands_sent(rig, monkeypatch):
+    """Record (time, bytes) of everything that reaches the simulated unit."""
+    sent, feed = [], rig.unit.feed
+    monkeypatch.setattr(rig.unit, "feed", lambda data, now: (sent.append((now, data)), feed(data, now))[1])
+    return sent

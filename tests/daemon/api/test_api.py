@@ -11,8 +11,9 @@ import pytest
 
 from daemon.base.records import Event, Mode
 from daemon.store.store import StoreStatus
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.api import BEARER, TOKEN, Caller, server_of
+from tests.support.motion import commands_sent
+from tests.support.phases import at_rest, tracking, under_way
 
 
 def test_the_state_tells_everything_with_age_and_quality(serve):

@@ -12,8 +12,9 @@ from daemon.api.refusals import ApiRefusals
 from daemon.api.turns import CrowdedError, ReadTurns
 from daemon.base.records import Event, Mode
 from daemon.base.timeloop import VirtualTimeLoop
-from tests.daemon.service.test_faults import commands_sent, under_way
 from tests.support.api import BEARER
+from tests.support.motion import commands_sent
+from tests.support.phases import under_way
 
 HALF_A_HEAD = b"GET /api/state HTTP/1.1\r\nHost: loc"
 HALF_A_BODY = b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{"

@@ -9,9 +9,9 @@ from daemon.api.models import AuthorisedPage, CommandPage, ErrorPage, HealthPage
 from daemon.api.openapi import description
 from daemon.service.command_bodies import CommandBody, body_of
 from daemon.service.operator_commands import NAMES
-from tests.daemon.service.test_faults import tracking
 from tests.support import ROOT
 from tests.support.api import server_of
+from tests.support.phases import tracking
 
 KEPT = ROOT / "docs" / "openapi.json"
 

@@ -9,9 +9,9 @@ import pytest
 
 from daemon.base.records import Mode
 from tests.daemon.commands.test_operate import COUNTED, MEASURED
-from tests.daemon.service.test_faults import tracking
 from tests.support import ROOT
 from tests.support.api import serve
+from tests.support.phases import tracking
 
 __all__ = ["serve"]
 

@@ -10,8 +10,18 @@ from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
 from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.daemon.motion.test_rule import moves_for, quiet
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
-from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, alarms, drive_b, lose, show
+from tests.support.motion import (
+    A_PACKET,
+    B_PACKET,
+    STOP_PACKET,
+    TRACKING_OFF_PACKET,
+    alarms,
+    commands_sent,
+    drive_b,
+    lose,
+    show,
+)
+from tests.support.phases import at_rest, tracking, under_way
 
 
 def now(rig):

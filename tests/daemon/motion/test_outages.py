@@ -9,8 +9,7 @@ from daemon.motion.motion import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from tests.daemon.motion.test_rule import quiet
-from tests.daemon.service.test_faults import commands_sent
-from tests.support.motion import A_PACKET, B_PACKET, drive, lose
+from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose
 
 # Past the telling after six hours; what comes after it comes every six hours.
 LONG_S = 6.2 * 3600.0

@@ -11,8 +11,8 @@ from daemon.motion.motion import Polling
 from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
 from tests.daemon.motion.test_rule import moves_for, quiet
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking
-from tests.support.motion import STOP_PACKET, alarms, drive_b, lose, show
+from tests.support.motion import STOP_PACKET, alarms, commands_sent, drive_b, lose, show
+from tests.support.phases import at_rest, tracking
 
 CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
 

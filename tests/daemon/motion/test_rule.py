@@ -9,8 +9,8 @@ import pytest
 from daemon.base.records import Event, Mode, Move, MoveOutcome, Pose, Target
 from drivers.errors import DeviceError, RefusedError
 from sim_drivers.pozsol.setup import AxisDrive, Setup
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
-from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, alarms, drive_b, lose, show
+from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, alarms, commands_sent, drive_b, lose, show
+from tests.support.phases import at_rest, tracking, under_way
 
 
 async def quiet(rig):

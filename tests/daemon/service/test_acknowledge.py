@@ -6,8 +6,8 @@ import json
 import pytest
 
 from daemon.base.records import Event, Mode
-from tests.daemon.service.test_faults import tracking
 from tests.support.api import serve
+from tests.support.phases import tracking
 
 __all__ = ["serve"]
 

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import Event
 from tests.daemon.motion.test_outages import ORDINARY, SELDOM, now
-from tests.daemon.service.test_faults import tracking
+from tests.support.phases import tracking
 
 # Past the telling after six hours; what comes after it comes every six hours (tests/daemon/base/test_recurrence.py has
 # the whole day).

@@ -12,7 +12,8 @@ from daemon.config.settings import Settings
 from daemon.service.operator import CommandError, Operator, _Approach
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.rig import Role
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
+from tests.support.motion import commands_sent
+from tests.support.phases import at_rest, tracking, under_way
 from tests.support.rig import HandWeather, ServiceRig
 
 

@@ -18,8 +18,9 @@ from daemon.base.records import Event
 from daemon.service.command_bodies import MODES
 from daemon.service.operator import CommandError, Operator, Seen
 from daemon.service.operator_commands import NAMES, URGENT, BodyError, Operators, TooManyError, parse
-from tests.daemon.service.test_faults import commands_sent, tracking, under_way
 from tests.support import ROOT
+from tests.support.motion import commands_sent
+from tests.support.phases import tracking, under_way
 
 
 def test_every_command_is_one_of_the_operators_and_every_mode_a_command():

@@ -7,8 +7,8 @@ import subprocess
 from daemon.base.clock import SystemClock
 from daemon.base.records import Decision, Mode, Scan
 from daemon.store.store import Store
-from tests.daemon.service.test_faults import tracking
 from tests.daemon.store.test_store import ORIGIN, count, fill, small_disk
+from tests.support.phases import tracking
 
 __all__ = ["small_disk"]
 

@@ -12,7 +12,7 @@ from daemon.sunspec.server import SunSpecServer
 from daemon.sunspec.table import SunSpecTable
 from drivers.modbus.framing import Asked
 from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register, write_registers
-from tests.daemon.service.test_faults import at_rest, tracking
+from tests.support.phases import at_rest, tracking
 
 UNIT = 1
 

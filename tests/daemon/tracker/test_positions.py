@@ -13,10 +13,10 @@ from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.budget import DayBudget
 from solar.frames import Limits
-from tests.daemon.service.test_faults import at_rest, tracking, under_way
 from tests.daemon.tracker.test_optimal import ClearDays
 from tests.daemon.tracker.test_stop import alarms
 from tests.support.api import serve
+from tests.support.phases import at_rest, tracking, under_way
 from tests.support.rig import HandWeather
 
 __all__ = ["serve"]

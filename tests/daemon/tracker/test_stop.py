@@ -12,8 +12,9 @@ from daemon.motion.motion import Polling
 from daemon.service.operator import CommandError, Operator
 from daemon.tracker.wishes import Wishes, WishFile
 from drivers.errors import DeviceError, RefusedError
-from tests.daemon.service.test_faults import at_rest, commands_sent, tracking, under_way
 from tests.support.api import serve
+from tests.support.motion import commands_sent
+from tests.support.phases import at_rest, tracking, under_way
 
 __all__ = ["serve"]
 

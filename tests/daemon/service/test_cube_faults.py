@@ -1,0 +1,143 @@
+"""The cube is lost, dark, late or lies: what the tracker follows then, and when it follows the cube again."""
+
+import asyncio
+import re
+
+import pytest
+
+from daemon.base.records import Decision, Event, Mode, ModeChange, Move
+from solar.ephemeris import sun_direction
+from solar.frames import normal_from_angles, separation_deg
+from tests.support.phases import at_rest, modes, tracking
+from tests.support.rig import SITE, HandWeather
+
+
+@pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter"])
+def test_without_the_cube_the_tracker_follows_the_sun_and_comes_back(run_rig, instrument):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        getattr(rig.cables, instrument).link_up = False
+        await rig.until_mode(Mode.FALLBACK, 90)
+        assert "no good scan" in rig.control.why
+        await asyncio.sleep(700)
+        sun = sun_direction(rig.clock.utc(), *SITE)
+        assert separation_deg(normal_from_angles(*rig.truth()), sun) < 2.5
+        getattr(rig.cables, instrument).link_up = True
+        await rig.until_mode(Mode.TRACKING, 90)
+
+    rig = run_rig(scenario)
+    assert modes(rig) == [Mode.TRACKING, Mode.FALLBACK, Mode.TRACKING]
+    told = [event.text for event in rig.of(Event) if event.subject == "cube"]
+    assert len(told) == 2
+    assert told[0].startswith("the cube is down")
+    assert told[1] == "the cube is back"
+
+
+@pytest.mark.parametrize(("silence_s", "moves"), [(150, 0), (285, 0), (420, 1)])
+def test_a_short_gap_is_not_worth_a_swing_to_the_sun(run_rig, silence_s, moves):
+    async def scenario(rig):
+        await tracking(rig)
+        await asyncio.sleep(900)
+        await at_rest(rig)
+        before = len(rig.of(Move))
+        rig.cables.voltmeter.link_up = False
+        await asyncio.sleep(silence_s)
+        assert rig.mode is Mode.FALLBACK
+        rig.cables.voltmeter.link_up = True
+        await rig.until_mode(Mode.TRACKING, 60)
+        swung = [move for move in rig.of(Move)[before:] if move.target_b_deg < 75]
+        assert len(swung) == moves
+
+    run_rig(scenario, law={"driver": "optimal"}, weather=HandWeather(dni=0, dhi=150), start="2022-12-21T11:00")
+
+
+def test_the_reason_for_fallback_names_what_the_bridge_refuses_and_says_so_no_more_afterwards(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        sender = rig.service.sender
+        key, sender._key = sender._key, bytes(32)
+        await rig.until_mode(Mode.FALLBACK, 90)
+        change = rig.of(ModeChange)[-1]
+        assert re.search(r"no good scan for \d+ s; the bridge refused \d+ forged since; the latest is", change.why)
+        assert change.why.endswith("was not signed with this receiver's key: give both sides the same key file")
+        assert rig.control.state.why.startswith("no good scan")
+        sender._key = key
+        await rig.until_mode(Mode.TRACKING, 90)
+        rig.cables.voltmeter.link_up = False
+        await rig.until_mode(Mode.FALLBACK, 90)
+        assert "refused" not in rig.control.why
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("out_s", [1, 70])
+@pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
+def test_with_the_default_rhythm_it_tracks_again_within_15_s_of_an_instruments_return(run_rig, instrument, out_s):
+    async def scenario(rig):
+        await tracking(rig)
+        await asyncio.sleep(130)
+        device = getattr(rig.cables, instrument)
+        # Another instant of the scan each time, and another one of the waits between tries.
+        for turn in range(5):
+            device.link_up = False
+            await asyncio.sleep(out_s + 0.9 * turn)
+            device.link_up = True
+            await asyncio.sleep(15)
+            assert rig.mode is Mode.TRACKING
+            assert not (rig.motion if instrument == "positioner" else rig.service.acquisition).outage.is_down
+            await asyncio.sleep(130)
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize(("stuck_at_v", "quality"), [(9.9, "over-range"), (0.4, "implausible")])
+def test_one_bad_face_is_named_and_never_steers(run_rig, stuck_at_v, quality):
+    async def scenario(rig):
+        await tracking(rig)
+        rig.scene.break_sensor(2, stuck_at_v)
+        await rig.until_mode(Mode.FALLBACK, 90)
+        assert f"west {quality}" in rig.control.why
+
+    rig = run_rig(scenario)
+    assert all(decision.irradiances.west_w_m2 < 200 for decision in rig.of(Decision) if decision.mode == "tracking")
+
+
+def test_a_meter_that_repeats_itself_to_the_last_digit_is_stale(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        frozen = rig.switch.output_voltage(rig.clock.monotonic())
+        rig.voltmeter.read_voltage = lambda: asyncio.sleep(0.04, frozen)
+        await rig.until_mode(Mode.FALLBACK, 200)
+        assert "stale" in rig.control.why
+
+    run_rig(scenario)
+
+
+def test_darkness_at_noon_is_a_fault_of_the_cube_and_not_night(run_rig):
+    async def scenario(rig):
+        await rig.until_mode(Mode.FALLBACK, 300)
+        assert "daylight" in rig.control.why
+
+    rig = run_rig(scenario, weather=HandWeather(dni=0, dhi=1))
+    assert Mode.NIGHT not in modes(rig)
+
+
+def test_a_late_reply_is_never_credited_to_another_face(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        for _ in range(5):
+            await asyncio.sleep(0.9)
+            rig.meter.reply_delay_s = 2.5
+            await asyncio.sleep(3.0)
+            rig.meter.reply_delay_s = 0.0
+            await asyncio.sleep(20)
+
+    rig = run_rig(scenario)
+    scans = [record for record in rig.records if type(record).__name__ == "Scan"]
+    truth = rig.scene.irradiances(rig.clock.utc())
+    assert any(not scan.ok for scan in scans), "the delays were felt"
+    for scan in scans:
+        for reading, true in zip(scan.faces, truth, strict=True):
+            if reading.quality == "ok":
+                assert reading.irradiance_w_m2 == pytest.approx(true, abs=25)

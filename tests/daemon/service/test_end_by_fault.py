@@ -1,0 +1,71 @@
+"""A part that dies or a driver that hangs ends the service, named in one sentence and with the axes at rest."""
+
+import asyncio
+import logging
+
+import pytest
+
+from daemon.base.errors import UserError
+from daemon.base.records import Event, Move, MoveOutcome
+from drivers.errors import DriverHungError
+from tests.support.phases import under_way
+
+
+@pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
+def test_a_part_that_dies_is_named_and_stops_the_service_and_the_axes(run_rig, caplog, part):
+    class BrokenError(Exception):
+        pass
+
+    def breaking(rig):
+        async def die():
+            await under_way(rig)
+            owner = {
+                "control": (rig.control, "tick"),
+                "motion": (rig.positioner, "read_telemetry"),
+                "acquisition": (rig.multiplexer, "select"),
+                "watchdog": (rig.service._watchdog, "_status"),
+            }[part]
+
+            def fail(*_args):
+                raise BrokenError(part)
+
+            setattr(*owner, fail)
+            await asyncio.sleep(60)
+
+        return die()
+
+    rigs = []
+
+    def remember(rig):
+        rigs.append(rig)
+        return breaking(rig)
+
+    with pytest.raises(BaseExceptionGroup), caplog.at_level(logging.ERROR):
+        run_rig(remember)
+    assert f"the task '{part}' died" in caplog.text
+    unit = rigs[0].unit
+    now = rigs[0].clock.monotonic()
+    assert unit.truth(now + 5) == unit.truth(now + 60), "the axes were stopped"
+
+
+@pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
+def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_with_one_sentence(run_rig, instrument):
+    async def scenario(rig):
+        await rig.until(lambda: rig.motion.moving, 200, "a move")
+
+        async def hung():
+            raise DriverHungError(instrument, "8 calls of its driver never returned")
+
+        getattr(rig, instrument).open = hung
+        getattr(rig.cables, instrument).link_up = False
+        ended = "the service ends, and has to be started anew"
+        await rig.until(lambda: any(ended in event.text for event in rig.of(Event)), 30, "the end")
+        if instrument != "positioner":
+            await asyncio.sleep(2)
+            before = rig.truth()
+            await asyncio.sleep(60)
+            assert rig.truth() == before
+            assert rig.of(Move)[-1].outcome is MoveOutcome.INTERRUPTED
+
+    with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends, and has to be"):
+        run_rig(scenario)

@@ -1,0 +1,173 @@
+"""Wind stows, a person stops and holds, and no way to move goes past the limits, whatever is under way."""
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+
+from daemon.base.records import Mode, ModeChange, Move, MoveOutcome, Target
+from drivers.errors import DeviceError, RefusedError
+from tests.support.motion import commands_sent
+from tests.support.phases import at_rest, tracking, under_way
+
+
+def test_wind_stows_in_mid_move_and_releases_after_its_calm(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        rig.wind_m_s = 16.0
+        await rig.until_mode(Mode.STOW, 6)
+        await asyncio.sleep(180)
+        assert rig.truth() == (pytest.approx(0, abs=1), pytest.approx(90, abs=1))
+        rig.wind_m_s = 5.0
+        await asyncio.sleep(850)
+        assert rig.mode is Mode.STOW
+        await rig.until_mode(Mode.TRACKING, 120)
+
+    rig = run_rig(scenario, safety={"stow_at_least_s": 900})
+    assert rig.of(Move)[0].outcome is MoveOutcome.INTERRUPTED
+    assert "16.0 m/s" in next(change.why for change in rig.of(ModeChange) if change.after is Mode.STOW)
+
+
+def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.home()
+        await rig.until(lambda: rig.motion.homing, 10, "homing")
+        await asyncio.sleep(5)
+        rig.control.stow("storm")
+        await rig.until_mode(Mode.STOW, 1)
+        await rig.until(lambda: not rig.motion.homing, 5, "the end of homing")
+        await asyncio.sleep(200)
+        assert rig.truth().b_deg == pytest.approx(90, abs=1)
+        rig.control.auto()
+        await rig.until_mode(Mode.FAULT, 30)
+        assert "the reference run of A did not end" in rig.control.why
+        rig.control.home()
+        await rig.until_mode(Mode.TRACKING, 300)
+
+    run_rig(scenario)
+
+
+def test_a_wind_sensor_that_falls_silent_stows(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        rig.wind_m_s = None
+        await asyncio.sleep(250)
+        assert rig.mode is Mode.TRACKING
+        await rig.until_mode(Mode.STOW, 60)
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("state", ["idle", "ordering", "moving", "homing", "stowing"])
+def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypatch, state):
+    async def scenario(rig):
+        await tracking(rig)
+        if state == "idle":
+            await at_rest(rig)
+        elif state == "ordering":
+            await at_rest(rig)
+            rig.control.goto(30, 50, "test")
+            await asyncio.sleep(0.01)
+        elif state == "moving":
+            await asyncio.sleep(2)
+        elif state == "homing":
+            await at_rest(rig)
+            rig.control.home()
+            await rig.until(lambda: rig.motion.homing, 10, "homing")
+            await asyncio.sleep(3)
+        else:
+            rig.control.stow("test")
+            await asyncio.sleep(3)
+        sent = commands_sent(rig, monkeypatch)
+        asked = rig.clock.monotonic()
+        await rig.control.stop("test")
+        assert sent[0][1].startswith(b"$9s")
+        assert sent[0][0] - asked < 0.2
+        await asyncio.sleep(3)
+        stands = rig.truth()
+        await asyncio.sleep(900)
+        assert rig.truth() == stands, "it stays where it was stopped"
+        assert rig.mode is Mode.HOLD
+        rig.control.auto()
+        if state == "homing":
+            await rig.until_mode(Mode.FAULT, 10)
+            assert "the reference run of A did not end" in rig.control.why
+            rig.control.clear_faults()
+        await rig.until_mode(Mode.TRACKING, 60)
+
+    run_rig(scenario)
+
+
+def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.goto(-40, 30, "test")
+        await asyncio.sleep(5)
+        rig.cables.positioner.link_up = False
+        await rig.until_mode(Mode.FAULT, 15)
+        with pytest.raises(RefusedError, match="mode fault"):
+            rig.control.goto(10, 60, "test")
+        rig.cables.positioner.link_up = True
+        await rig.until_mode(Mode.HOLD, 30)
+        await asyncio.sleep(3)
+        stands = rig.truth()
+        await asyncio.sleep(600)
+        assert rig.truth() == stands
+
+    run_rig(scenario)
+
+
+def test_goto_moves_there_and_holds(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.control.goto(-20, 70, "look at the other side")
+        await asyncio.sleep(900)
+        assert rig.mode is Mode.HOLD
+        assert rig.truth() == (pytest.approx(-20, abs=0.9), pytest.approx(70, abs=0.9))
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
+def test_nothing_outside_the_limits_gets_past_any_door(run_rig, target):
+    async def scenario(rig):
+        await tracking(rig)
+        with pytest.raises(ValueError, match=r"limits \(A -50..50 deg, B 15..90 deg\)"):
+            rig.control.goto(*target, "test")
+        with pytest.raises(ValueError, match="limits"):
+            await rig.positioner.move_to(*target)
+
+    run_rig(scenario)
+
+
+def test_every_way_to_move_goes_through_one_guard(run_rig):
+    """R24: in the service the only caller of the positioner's move and home commands is the runner of Motion.
+
+    `heliocube probe` and `heliocube setup` are commands of their own, run while the service is not, and hold to the
+    driver's limits.
+    """
+
+    callers = {
+        path.as_posix()
+        for path in Path("daemon").rglob("*.py")
+        if not path.name.startswith("probe")
+        and any(call in path.read_text() for call in ("positioner.move_to(", "positioner.home("))
+    }
+    assert callers == {"daemon/motion/runs.py", "daemon/commands/setup/first_move.py"}
+
+
+def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(5)
+
+        with pytest.raises(RefusedError, match="cannot move"):
+            rig.motion.order(Target(0, 60, "test"))
+        with pytest.raises(DeviceError):
+            await rig.control.stop("test")
+
+    run_rig(lambda rig: (setattr(rig.cables.positioner, "link_up", False), scenario(rig))[1])

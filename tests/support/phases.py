@@ -1,0 +1,25 @@
+"""The phases of a tracker's day that tests wait for."""
+
+import asyncio
+
+from daemon.base.records import Mode, ModeChange
+
+
+def modes(rig):
+    return [change.after for change in rig.of(ModeChange)]
+
+
+async def tracking(rig):
+    await rig.until_mode(Mode.TRACKING, 120)
+
+
+async def under_way(rig):
+    """Wait for a move to be well on its way."""
+    await tracking(rig)
+    await rig.until(lambda: rig.motion.target is not None, 5, "a move")
+    await asyncio.sleep(3)
+    assert rig.motion.target is not None
+
+
+async def at_rest(rig):
+    await rig.until(lambda: not rig.motion.moving, 300, "rest")
