@@ -1,4 +1,4 @@
-"""One move or one reference run from its order to its end, with a positioner in hand: attempts, pauses and outcomes."""
+"""One move from its order to its end, with a positioner in hand: attempts, pauses and outcomes."""
 
 import asyncio
 import itertools
@@ -8,8 +8,6 @@ import math
 import pytest
 
 from daemon.base.records import MoveOutcome, Target
-from daemon.base.state import StateFolder
-from daemon.motion.reference import NOT_FINISHED, Doubts
 from drivers.errors import LinkLostError, RefusedError
 from tests.support.hand_positioner import START_UTC_S, run_motion
 
@@ -24,18 +22,6 @@ def times_of(rig, name):
 
     setattr(rig.unit, name, timed)
     return at_s
-
-
-def clear_slowly(unit):
-    """Let the unit take two seconds to clear its marks."""
-    clear = unit.clear_faults
-
-    async def slow(*, forgive=True):
-        before = await clear(forgive=forgive)
-        await asyncio.sleep(2.0)
-        return before
-
-    unit.clear_faults = slow
 
 
 def test_the_record_of_a_move_says_whence_whither_how_long_and_why():
@@ -281,216 +267,6 @@ def test_an_axis_that_makes_up_the_rest_of_the_last_move_is_halted_before_the_ne
     run_motion(scenario)
 
 
-def test_a_reference_run_clears_homes_both_axes_and_ends_the_doubts():
-    async def scenario(rig):
-        rig.unit.says |= {"was_reset": True, "reference_doubt": "the count jumped"}
-        await asyncio.sleep(2.0)
-
-        async def homed(axis):
-            await home(axis)
-            if axis == "b":
-                rig.unit.says.pop("reference_doubt")
-
-        home, rig.unit.home = rig.unit.home, homed
-        sent, began = len(rig.unit.sent), rig.changes
-        rig.motion.home()
-        await rig.until(lambda: rig.motion.homing, 2.0)
-        assert not rig.motion.resting
-        assert rig.motion._guard.rested is None
-        assert rig.changes > began
-        await rig.until(lambda: not rig.motion.homing, 90.0)
-        assert rig.unit.sent[sent:] == [("clear", False), ("home", "a"), ("home", "b"), "halt"]
-        assert rig.told[-2:] == ["homing", "homing finished"]
-        assert rig.motion.doubt is None
-
-    run_motion(scenario)
-
-
-@pytest.mark.parametrize(
-    ("says", "words"),
-    [
-        ({"reference_doubt": "axis A missed its switch"}, "axis A missed its switch"),
-        ({"faults": ("a_hall",)}, "a_hall"),
-        ({"was_reset": True}, "the positioner has restarted"),
-    ],
-)
-def test_a_reference_run_that_leaves_a_doubt_has_failed(says, words):
-    async def scenario(rig):
-        rig.motion.home()
-        await asyncio.sleep(5.0)
-        rig.unit.says |= says
-        await rig.until(lambda: not rig.motion.homing, 60.0)
-        assert f"homing failed: {words}" in rig.told
-        assert f"homing failed ({words}), the reference is in doubt: home it" in rig.motion.doubt
-        assert ("home", "b") not in rig.unit.sent
-        assert rig.unit.sent[-1] == "halt"
-
-    run_motion(scenario)
-
-
-def test_a_reference_run_that_does_not_end_is_given_up_after_a_quarter_of_an_hour():
-    async def scenario(rig):
-        rig.unit.homes_s = 1e6
-        rig.motion.home()
-        await asyncio.sleep(890.0)
-        assert rig.motion.homing
-        await asyncio.sleep(20.0)
-        assert not rig.motion.homing
-        assert rig.told[-1] == "homing failed: axis A has not ended its reference run in time"
-
-    run_motion(scenario)
-
-
-@pytest.mark.parametrize("call", ["clear", "home"])
-def test_a_reference_run_that_is_refused_is_told_and_was_not_finished(call):
-    async def scenario(rig):
-        rig.unit.refuses[call] = RefusedError("hand", "not now")
-        rig.motion.home()
-        await rig.until(lambda: "homing refused: not now" in rig.told, 5.0)
-        await asyncio.sleep(2.0)
-        assert not rig.motion.homing
-        assert rig.motion.doubt == "homing was not finished, the reference is in doubt: home it"
-        assert rig.unit.sent[-1] == "halt"
-
-    run_motion(scenario)
-
-
-@pytest.mark.parametrize("doubted", [False, True])
-@pytest.mark.parametrize("ended_by", ["rest", "button"])
-def test_a_reference_run_that_is_stopped_leaves_the_doubt_that_was_there_and_no_other(doubted, ended_by):
-    async def scenario(rig):
-        if doubted:
-            rig.unit.says["faults"] = ("a_hall",)
-            await asyncio.sleep(2.0)
-        rig.motion.home()
-        await asyncio.sleep(5.0)
-        if ended_by == "rest":
-            rig.motion.rest()
-        else:
-            rig.unit.says["button_pressed"] = True
-        await rig.until(lambda: not rig.motion.homing, 3.0)
-        assert rig.told[-1] == "homing was stopped before its end"
-        assert (rig.motion.doubt is not None) == doubted
-        assert rig.unit.sent[-1] == "halt"
-
-    run_motion(scenario)
-
-
-def test_a_clear_that_is_refused_is_told_and_forgives_nothing():
-    async def scenario(rig):
-        rig.unit.says["was_reset"] = True
-        rig.unit.refuses["clear"] = RefusedError("hand", "not now")
-        await asyncio.sleep(2.0)
-        rig.motion.clear_faults()
-        await asyncio.sleep(2.0)
-        assert rig.told[-1] == "nothing was cleared: not now"
-        assert rig.motion.doubt is not None
-        rig.unit.says["faults"] = ("a_hall",)
-        await asyncio.sleep(2.0)
-        rig.unit.says["faults"] = ()
-        await asyncio.sleep(2.0)
-        assert "a_hall cleared by itself" in rig.motion.doubt, "it is not being cleared any more"
-
-    run_motion(scenario)
-
-
-@pytest.mark.parametrize("shown", [True, False])
-def test_a_clear_forgives_a_failed_move_that_was_shown(shown):
-    async def scenario(rig):
-        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
-        rig.motion.order(Target(10.0, 60.0, "go"))
-        await rig.until(lambda: rig.moves)
-        assert rig.motion.concerns == ("the last move failed (refused): not taken",)
-        before = rig.changes
-        rig.motion.clear_faults(None if shown else ())
-        await asyncio.sleep(2.0)
-        assert (rig.motion.doubt is None) == shown
-        assert rig.changes > before
-
-    run_motion(scenario, attempts=1)
-
-
-def test_a_doubt_that_both_runs_have_left_is_told_and_stays():
-    async def scenario(rig):
-        rig.unit.says["reference_doubt"] = "the count jumped"
-        await asyncio.sleep(2.0)
-        rig.motion.home()
-        await asyncio.sleep(60.0)
-        assert ("home", "b") in rig.unit.sent
-        assert rig.told[-1] == "homing failed: the count jumped"
-        assert "homing finished" not in rig.told
-
-    run_motion(scenario)
-
-
-def test_the_axis_that_is_homed_may_turn():
-    async def scenario(rig):
-        home = rig.unit.home
-
-        async def turning(axis):
-            await home(axis)
-            rig.unit.drive(*((30.0, 60.0) if axis == "a" else (30.0, 90.0)))
-
-        rig.unit.home = turning
-        rig.motion.home()
-        await asyncio.sleep(60.0)
-        assert rig.told == ["homing", "homing finished"]
-        assert rig.motion.unexplained is rig.motion.doubt is None
-
-    run_motion(scenario)
-
-
-def test_a_reference_run_after_a_move_that_was_interrupted_or_has_failed_begins_anew():
-    async def scenario(rig):
-        rig.motion.order(Target(40.0, 60.0, "go"))
-        await asyncio.sleep(3.0)
-        rig.motion.rest()
-        await rig.until(lambda: rig.moves)
-        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
-        rig.motion.order(Target(40.0, 60.0, "go"))
-        await rig.until(lambda: len(rig.moves) == 2)
-        assert "move-failed" in rig.raised
-        rig.motion.home()
-        await asyncio.sleep(60.0)
-        assert rig.told[-1] == "homing finished"
-        assert rig.motion.doubt is None
-        assert "move-failed" not in rig.raised
-
-    run_motion(scenario, attempts=1)
-
-
-def test_a_reference_run_that_the_service_does_not_live_to_finish_is_kept_in_mind(tmp_path):
-    async def scenario(rig):
-        rig.motion.home()
-        await rig.until(lambda: rig.motion.homing, 3.0)
-        assert Doubts(StateFolder(tmp_path)).reference == NOT_FINISHED
-        await rig.until(lambda: not rig.motion.homing, 90.0)
-        assert Doubts(StateFolder(tmp_path)).reference is None
-
-    run_motion(scenario, folder=tmp_path)
-
-
-@pytest.mark.parametrize("ask", ["clear", "home"])
-def test_faults_that_the_unit_clears_for_us_leave_no_doubt_however_long_it_takes(ask):
-    async def scenario(rig):
-        rig.unit.says["faults"] = ("a_hall",)
-        await asyncio.sleep(2.0)
-        clear_slowly(rig.unit)
-        if ask == "clear":
-            rig.motion.clear_faults()
-        else:
-            rig.motion.home()
-        await asyncio.sleep(4.0)
-        assert not [text for text in rig.motion.concerns if "cleared by itself" in text]
-        rig.unit.says["faults"] = ("b_hall",)
-        await asyncio.sleep(2.0)
-        rig.unit.says["faults"] = ()
-        await asyncio.sleep(2.0)
-        assert [text for text in rig.motion.concerns if text.startswith("b_hall cleared by itself")]
-
-    run_motion(scenario)
-
-
 def test_a_failed_move_is_logged_as_a_warning_the_first_second_and_fourth_time(caplog):
     async def scenario(rig):
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
@@ -534,48 +310,3 @@ def test_the_last_attempt_that_stalls_ends_with_a_halt_too():
         assert rig.unit.sent[-2:] == [("move", 20.0, 60.0, "a"), "halt"]
 
     run_motion(scenario, attempts=1)
-
-
-@pytest.mark.parametrize("doubted", [False, True])
-def test_a_stop_while_marks_are_cleared_for_a_reference_run_keeps_it_from_beginning(doubted):
-    async def scenario(rig):
-        if doubted:
-            rig.unit.says["faults"] = ("a_hall",)
-            await asyncio.sleep(2.0)
-        clear_slowly(rig.unit)
-        rig.motion.home()
-        await asyncio.sleep(1.0)
-        rig.motion.rest()
-        await rig.until(lambda: not rig.motion.homing, 3.0)
-        assert rig.told[-2:] == ["homing", "homing was stopped before its end"]
-        assert rig.motion.doubt == (NOT_FINISHED if doubted else None)
-        assert rig.unit.sent[-2:] == [("clear", False), "halt"]
-
-    run_motion(scenario)
-
-
-def test_the_axis_that_waits_for_its_reference_run_may_not_move():
-    async def scenario(rig):
-        rig.motion.home()
-        await rig.until(lambda: ("home", "a") in rig.unit.sent)
-        await asyncio.sleep(2.0)
-        rig.unit.drive(0.0, 20.0)
-        await rig.until(lambda: not rig.motion.homing, 5.0)
-        assert rig.told[-1].startswith("homing failed: B moved from +60.0")
-        assert rig.unit.place()[1] > 57.0, "it has been stopped"
-        assert "B moved from" in rig.motion.unexplained
-        assert ("home", "b") not in rig.unit.sent
-
-    run_motion(scenario)
-
-
-def test_control_looks_again_at_the_end_of_a_reference_run():
-    async def scenario(rig):
-        rig.motion.home()
-        await asyncio.sleep(5.0)
-        before = rig.changes
-        await rig.until(lambda: not rig.motion.homing, 90.0)
-        await asyncio.sleep(5.0)
-        assert rig.changes == before + 1
-
-    run_motion(scenario)
