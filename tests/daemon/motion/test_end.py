@@ -1,4 +1,4 @@
-"""At the end of the service nothing is said to stand that telemetry has not shown, by a positioner in hand."""
+"""At its end the service halts what moves, and says of nothing that it stands unless telemetry has shown it."""
 
 import asyncio
 
@@ -93,3 +93,63 @@ def test_of_what_was_never_seen_nothing_is_known():
         assert said == f"{SENT}; whether anything moves is not known: look at the tracker"
 
     run_motion(scenario, connects=False)
+
+
+def test_at_the_end_what_moves_is_halted_and_the_unit_is_closed():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent[-2:] == ["halt", "close"]
+
+    async def at_rest(rig):
+        await asyncio.sleep(30.0)
+        rig.halts = rig.unit.sent.count("halt")
+
+    rig = run_motion(at_rest)
+    assert rig.unit.sent.count("halt") == rig.halts
+    assert rig.unit.sent[-1] == "close"
+
+
+def test_at_the_end_a_halt_that_hangs_is_waited_for_three_seconds():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.unit.halt = lambda: asyncio.sleep(1e6)
+        rig.end_s = rig.clock.monotonic()
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent[-1] == "close"
+    assert 2.9 <= rig.clock.monotonic() - rig.end_s <= 3.5
+
+
+def test_at_the_end_a_target_that_was_only_just_sent_is_halted_too():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await rig.until(lambda: rig.unit.sent[-1] == ("move", 40.0, 60.0, "a"), 1.0)
+        assert rig.motion.stands_since_s is not None
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent[-2:] == ["halt", "close"]
+
+
+def test_at_the_end_a_stop_that_is_broken_off_is_sent_again():
+    async def scenario(rig):
+        await asyncio.sleep(30.0)
+        rig.halts = rig.unit.sent.count("halt")
+        rig.motion.freeze("ana")
+        await rig.until(lambda: rig.unit.sent.count("halt") > rig.halts)
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent.count("halt") == rig.halts + 2
+
+
+def test_at_the_end_a_unit_that_does_not_answer_is_not_waited_for():
+    async def scenario(rig):
+        rig.unit.is_lost = True
+        await asyncio.sleep(3.0)
+        rig.halts = rig.unit.sent.count("halt")
+
+    rig = run_motion(scenario)
+    assert rig.unit.sent.count("halt") == rig.halts

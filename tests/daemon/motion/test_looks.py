@@ -6,6 +6,8 @@ import logging
 import pytest
 
 from daemon.base.records import Target
+from daemon.motion.motion import Polling
+from drivers.errors import RefusedError
 from tests.support.hand_positioner import RepeatingPositioner, asleep, run_motion
 
 
@@ -265,3 +267,41 @@ def test_a_pose_is_told_for_a_change_in_either_direction(axis):
             assert len(rig.poses) > count
 
     run_motion(scenario)
+
+
+def test_it_looks_as_often_as_it_is_told():
+    async def scenario(rig):
+        assert rig.motion.looks_every_s == 7.0
+        await asyncio.sleep(10.0)
+        looks = rig.unit.looks
+        await asyncio.sleep(70.0)
+        assert rig.unit.looks - looks == 10
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        looks = rig.unit.looks
+        await asyncio.sleep(10.0)
+        assert 5 <= rig.unit.looks - looks <= 8, "one ends the rest"
+
+    run_motion(scenario, polling=Polling(idle_s=7.0, moving_s=2.0))
+
+
+def test_a_unit_that_repeats_itself_is_read_each_time_while_something_may_be_due():
+    async def scenario(rig):
+        async def looks_in_5_s():
+            looks = rig.unit.looks
+            await asyncio.sleep(5.0)
+            return rig.unit.looks - looks
+
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() <= 2
+        rig.unit.refuses["move"] = RefusedError("hand", "not taken")
+        rig.motion.order(Target(10.0, 60.0, "go"))
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() >= 9, "a pause may end"
+        rig.motion.clear_faults()
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() <= 2
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(20.0)
+        assert await looks_in_5_s() >= 9, "control may let it home"
+
+    run_motion(scenario, make=RepeatingPositioner, attempts=1)

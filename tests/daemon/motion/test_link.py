@@ -1,0 +1,148 @@
+"""The link to the positioner, with one in hand: what is forgotten at its loss, and compared when it is back."""
+
+import asyncio
+import logging
+
+import pytest
+
+from daemon.base.records import MoveOutcome, Target
+from drivers.errors import DriverHungError, LinkLostError, RefusedError
+from tests.support.hand_positioner import HandPositioner, run_motion
+
+
+def test_before_the_first_contact_nothing_is_taken():
+    async def scenario(rig):
+        with pytest.raises(RefusedError, match="cannot move: no telemetry yet"):
+            rig.motion.order(Target(0.0, 80.0, "storm"), stow=True)
+        with pytest.raises(RefusedError, match="cannot be homed: no telemetry"):
+            rig.motion.home()
+        with pytest.raises(RefusedError, match="cannot be cleared: no telemetry"):
+            rig.motion.clear_faults()
+        assert rig.motion.blocked is None
+        assert rig.motion.pose is None
+        assert not rig.motion.connected
+        assert not rig.motion.moving
+
+    run_motion(scenario, connects=False)
+
+
+def test_a_stop_that_cannot_be_sent_is_told_and_sent_when_the_link_is_back():
+    async def scenario(rig):
+        rig.unit.is_lost = True
+        with pytest.raises(LinkLostError):
+            await rig.motion.stop()
+        assert not rig.motion.resting
+        rig.unit.is_lost = False
+        await asyncio.sleep(10.0)
+        assert "halt" in rig.unit.sent[-2:]
+        assert rig.motion.resting
+
+    run_motion(scenario)
+
+
+def test_what_was_asked_before_the_link_was_lost_is_forgotten_and_a_clear_is_told():
+    async def scenario(rig):
+        rig.unit.is_lost = True
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        rig.motion.clear_faults()
+        await rig.until(lambda: not rig.motion.connected, 3.0)
+        assert "nothing was cleared: the positioner was lost first" in rig.told
+        rig.unit.is_lost = False
+        await asyncio.sleep(20.0)
+        rig.unit.is_lost = True
+        rig.motion.home()
+        await rig.until(lambda: not rig.motion.connected, 3.0)
+        rig.unit.is_lost = False
+        await asyncio.sleep(20.0)
+        assert not rig.moves
+        assert not [sent for sent in rig.unit.sent if sent[0] in ("clear", "home")]
+        assert rig.told.count("nothing was cleared: the positioner was lost first") == 1
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize(
+    ("place", "jumps"),
+    [((10.7, 60.7), False), ((10.9, 60.0), True), ((9.1, 60.0), True), ((10.0, 59.1), True), ((10.0, 60.9), True)],
+)
+def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jumps):
+    async def scenario(rig):
+        await asyncio.sleep(10.0)
+        rig.unit.is_lost = True
+        await asyncio.sleep(3.0)
+        assert not rig.motion.resting, "nobody knows"
+        rig.unit.put(*place)
+        rig.unit.is_lost = False
+        await asyncio.sleep(15.0)
+        doubt = rig.motion.doubt
+        assert (doubt is not None) == jumps
+        if jumps:
+            stands = f"positioner stands at A {place[0]:.1f}, B {place[1]:.1f} deg"
+            text = f"{stands}; before the loss it stood at A 10.0, B 60.0"
+            assert doubt.startswith(text)
+            assert doubt.endswith(": compare with the arms, then clear or home it")
+            assert sum(told.startswith(text) for told in rig.told) == 1
+
+    def at_ten(clock):
+        unit = HandPositioner(clock)
+        unit.put(10.0, 60.0)
+        return unit
+
+    run_motion(scenario, make=at_ten)
+
+
+def test_what_was_on_its_way_when_the_link_was_lost_may_stand_elsewhere():
+    async def scenario(rig):
+        rig.motion.order(Target(40.0, 60.0, "far"))
+        await asyncio.sleep(3.0)
+        rig.unit.is_lost = True
+        await asyncio.sleep(4.0)
+        assert rig.moves[-1].outcome is MoveOutcome.LINK_LOST
+        rig.unit.is_lost = False
+        await asyncio.sleep(15.0)
+        assert rig.motion.doubt is None
+        assert 0.0 < rig.unit.place()[0] < 35.0
+
+    run_motion(scenario)
+
+
+def test_the_first_connection_is_logged_and_a_later_one_is_told(caplog):
+    async def scenario(rig):
+        assert not rig.told
+        rig.unit.is_lost = True
+        await asyncio.sleep(3.0)
+        rig.unit.is_lost = False
+        await asyncio.sleep(10.0)
+        assert rig.told == [
+            "the positioner is down: hand: does not answer",
+            "the positioner is back: board, firmware 1, serial 7",
+        ]
+
+    with caplog.at_level(logging.INFO):
+        run_motion(scenario)
+    said = [record.getMessage() for record in caplog.records]
+    assert said.count("the positioner is connected: board, firmware 1, serial 7") == 1
+
+
+def test_a_driver_that_only_a_new_process_can_mend_ends_it_and_what_is_known_is_given_up():
+    async def scenario(rig):
+        rig.unit.is_lost = True
+        rig.unit.refuses["open"] = DriverHungError("hand", "hangs")
+
+        async def hung():
+            raise DriverHungError("hand", "hangs")
+
+        rig.unit.open = hung
+        await asyncio.sleep(30.0)
+
+    with pytest.raises(DriverHungError):
+        run_motion(scenario)
+
+    async def given_up(rig):
+        before = rig.changes
+        rig.motion.give_up("the driver hangs")
+        assert not rig.motion.connected
+        assert rig.motion.blocked == "the driver hangs"
+        assert rig.changes == before + 1
+
+    run_motion(given_up)
