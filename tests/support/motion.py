@@ -1,5 +1,6 @@
-"""What the tests of motion do to the simulated unit behind the service's back."""
+"""What the tests of motion do to the simulated unit behind the service's back, and how they see what it does."""
 
+import asyncio
 from dataclasses import replace
 
 from drivers.positioners.pozsol import wire
@@ -56,3 +57,20 @@ def commands_sent(rig, monkeypatch):
     sent, feed = [], rig.unit.feed
     monkeypatch.setattr(rig.unit, "feed", lambda data, now: (sent.append((now, data)), feed(data, now))[1])
     return sent
+
+
+async def moves_for(rig, within_s):
+    """Return how long something truly moves from now on, looked at ten times a second [s]."""
+    start, last, before = rig.clock.monotonic(), None, rig.truth()
+    while rig.clock.monotonic() - start < within_s:
+        await asyncio.sleep(0.1)
+        now = rig.truth()
+        if now != before:
+            last = rig.clock.monotonic()
+        before = now
+    return 0.0 if last is None else last - start
+
+
+async def cleared(rig):
+    rig.motion.clear_faults(shown=rig.motion.concerns)
+    await rig.until(lambda: rig.motion.blocked is None, 20, "the release")

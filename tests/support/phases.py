@@ -23,3 +23,10 @@ async def under_way(rig):
 
 async def at_rest(rig):
     await rig.until(lambda: not rig.motion.moving, 300, "rest")
+
+
+async def quiet(rig):
+    """Wait for the tracker to stand in TRACKING with its last move long over."""
+    await tracking(rig)
+    await at_rest(rig)
+    await asyncio.sleep(20)

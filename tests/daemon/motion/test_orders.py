@@ -9,7 +9,6 @@ import pytest
 from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
 from sim_drivers.pozsol.setup import AxisDrive, Setup
-from tests.daemon.motion.test_rule import moves_for, quiet
 from tests.support.motion import (
     A_PACKET,
     B_PACKET,
@@ -19,9 +18,10 @@ from tests.support.motion import (
     commands_sent,
     drive_b,
     lose,
+    moves_for,
     show,
 )
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
 def now(rig):

@@ -8,8 +8,8 @@ import pytest
 from daemon.motion.motion import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
-from tests.daemon.motion.test_rule import quiet
 from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose
+from tests.support.phases import quiet
 
 # Past the telling after six hours; what comes after it comes every six hours.
 LONG_S = 6.2 * 3600.0

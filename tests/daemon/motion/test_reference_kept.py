@@ -10,9 +10,8 @@ from daemon.base.records import Event, Mode, Target
 from daemon.motion.motion import Polling
 from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
-from tests.daemon.motion.test_rule import moves_for, quiet
-from tests.support.motion import STOP_PACKET, alarms, commands_sent, drive_b, lose, show
-from tests.support.phases import at_rest, tracking
+from tests.support.motion import STOP_PACKET, alarms, commands_sent, drive_b, lose, moves_for, show
+from tests.support.phases import at_rest, quiet, tracking
 
 CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
 

@@ -2,39 +2,25 @@
 
 import asyncio
 import logging
-from dataclasses import replace
 
 import pytest
 
-from daemon.base.records import Event, Mode, Move, MoveOutcome, Pose, Target
-from drivers.errors import DeviceError, RefusedError
+from daemon.base.records import Event, Mode, Move, MoveOutcome, Target
+from drivers.errors import RefusedError
 from sim_drivers.pozsol.setup import AxisDrive, Setup
-from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, alarms, commands_sent, drive_b, lose, show
-from tests.support.phases import at_rest, tracking, under_way
-
-
-async def quiet(rig):
-    """Wait for the tracker to stand in TRACKING with its last move long over."""
-    await tracking(rig)
-    await at_rest(rig)
-    await asyncio.sleep(20)
-
-
-async def moves_for(rig, within_s):
-    """Return how long something truly moves from now on, looked at ten times a second [s]."""
-    start, last, before = rig.clock.monotonic(), None, rig.truth()
-    while rig.clock.monotonic() - start < within_s:
-        await asyncio.sleep(0.1)
-        now = rig.truth()
-        if now != before:
-            last = rig.clock.monotonic()
-        before = now
-    return 0.0 if last is None else last - start
-
-
-async def cleared(rig):
-    rig.motion.clear_faults(shown=rig.motion.concerns)
-    await rig.until(lambda: rig.motion.blocked is None, 20, "the release")
+from tests.support.motion import (
+    A_PACKET,
+    B_PACKET,
+    STOP_PACKET,
+    alarms,
+    cleared,
+    commands_sent,
+    drive_b,
+    lose,
+    moves_for,
+    show,
+)
+from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
 @pytest.mark.parametrize("what", ["target", "own_tracking", "re_reference"])
@@ -156,44 +142,6 @@ def test_what_moves_at_the_connection_is_stopped_and_blocks_nothing(run_rig):
     run_rig(scenario)
 
 
-@pytest.mark.parametrize("wish", ["stop", "stow", "hold", "goto"])
-@pytest.mark.parametrize("after_s", [0.0, 0.03, 0.1, 0.3, 0.6])
-def test_what_is_asked_while_the_link_comes_back_is_what_happens(run_rig, wish, after_s):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.order(Target(40, 15, "far"))
-        await asyncio.sleep(2)
-        rig.cables.positioner.link_up = False
-        await asyncio.sleep(5)
-        opened = rig.positioner.open
-        rig.positioner.open = lambda: (setattr(rig, "opened", True), opened())[1]
-        rig.opened = False
-        rig.cables.positioner.link_up = True
-        await rig.until(lambda: rig.opened, 10, "the connection")
-        await asyncio.sleep(after_s)
-        try:
-            if wish == "stop":
-                await rig.control.stop("a person")
-            elif wish == "goto":
-                rig.control.goto(-10, 80, "there")
-            else:
-                getattr(rig.control, wish)("a person")
-        except DeviceError:
-            assert wish == "goto" or not rig.motion.connected
-            return
-        await asyncio.sleep(3)
-        stands = rig.truth()
-        await asyncio.sleep(120)
-        if wish in ("stop", "hold"):
-            assert rig.truth() == stands
-        else:
-            there = (0, 90) if wish == "stow" else (-10, 80)
-            assert rig.truth() == (pytest.approx(there[0], abs=1), pytest.approx(there[1], abs=1))
-        assert rig.motion.unexplained is None
-
-    run_rig(scenario)
-
-
 def test_a_button_at_the_unit_stops_motion_and_is_no_unexplained_motion(run_rig):
     async def scenario(rig):
         await quiet(rig)
@@ -263,279 +211,6 @@ def test_small_and_large_moves_are_never_taken_for_unexplained(run_rig, drive_of
             assert rig.motion.unexplained is None
 
     run_rig(scenario, setup=Setup(drive=drive_of_unit), motion={"deadband_deg": 30})
-
-
-def test_overcurrent_on_one_axis_stops_the_other(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.order(Target(40, 15, "far"))
-        await asyncio.sleep(3)
-        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
-        assert await moves_for(rig, 20) <= 2.0
-        assert rig.motion.unexplained is None
-        assert "a_overcurrent" in alarms(rig)["positioner-fault"]
-
-    run_rig(scenario, setup=Setup(synchronous=True))
-
-
-def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fails_at_rest(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        sent = commands_sent(rig, monkeypatch)
-        rig.unit.inject("b_overcurrent", rig.clock.monotonic())
-        await asyncio.sleep(2)
-        assert any(data.startswith(STOP_PACKET) for _, data in sent)
-        stops = len(sent)
-        await asyncio.sleep(600)
-        assert len(sent) == stops, "once is enough"
-
-    run_rig(scenario)
-
-
-def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
-    async def scenario(rig):
-        await under_way(rig)
-        await rig.control.stop("Ann works there")
-        assert await moves_for(rig, 10) <= 2.0
-        for call in (rig.motion.home, lambda: rig.motion.order(Target(0, 60, "test"), stow=True)):
-            with pytest.raises(RefusedError, match="Ann works there"):
-                call()
-        drive_b(rig, 85.0)
-        assert await moves_for(rig, 10) <= 2.0
-        assert "against a stop (" in rig.motion.unexplained
-        assert "Ann works there" in rig.motion.unexplained
-        rig.control.auto()
-        await cleared(rig)
-        rig.motion.order(Target(0, 60, "test"))
-        assert await moves_for(rig, 3) > 0
-
-    run_rig(scenario)
-
-
-def test_freezing_sends_a_stop_even_to_axes_that_seem_to_stand(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        sent = commands_sent(rig, monkeypatch)
-        rig.motion.freeze("Ann works there")
-        assert rig.motion.stands_since_s is None
-        await asyncio.sleep(5)
-        assert any(data.startswith(b"$9s") for _, data in sent)
-        assert rig.motion.stands_since_s is not None
-
-    run_rig(scenario)
-
-
-@pytest.mark.parametrize("busy", ["clear", "home", "queued home", "queued target"])
-def test_a_stop_is_never_lost_in_what_goes_on(run_rig, busy):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.control.hold("so that control orders nothing")
-        if busy == "clear":
-            rig.unit.inject("a_overcurrent", rig.clock.monotonic())
-            await asyncio.sleep(1)
-            rig.motion.clear_faults()
-            await asyncio.sleep(0.05)
-        elif busy == "queued target":
-            rig.motion.order(Target(0, 60, "test"))
-        else:
-            rig.motion.home()
-            await asyncio.sleep(3 if busy == "home" else 0)
-        await rig.motion.stop()
-        asked_s = rig.clock.monotonic()
-        await rig.until(lambda: (rig.motion.stands_since_s or 0) > asked_s - 30 and rig.motion.resting, 3, "rest")
-        stands = rig.truth()
-        await asyncio.sleep(300)
-        assert rig.truth() == stands
-        assert rig.motion.connected
-        assert not any("lost" in event.text for event in rig.of(Event) if event.subject == "positioner")
-        assert not rig.motion.homing
-
-    run_rig(scenario)
-
-
-def test_a_stow_sends_the_axis_first_that_lays_the_module_flat(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        sent = commands_sent(rig, monkeypatch)
-        rig.control.stow("storm")
-        await asyncio.sleep(5)
-        targets = [data[:2] for _, data in sent if data[:2] in (A_PACKET, B_PACKET)]
-        assert targets == [B_PACKET, A_PACKET]
-
-    run_rig(scenario)
-
-
-def test_a_unit_that_contradicts_the_configuration_moves_nothing(run_rig):
-    conflict = "field 74 (holder) says 39.6 mm and the configuration 0: correct instruments.positioner.a_axis"
-
-    async def scenario(rig):
-        opened = rig.positioner.open
-
-        async def contradicting():
-            return replace(await opened(), setup_conflicts=(conflict,))
-
-        rig.positioner.open = contradicting
-        await rig.until_mode(Mode.FAULT, 10)
-        assert rig.motion.blocked == conflict
-        assert alarms(rig)["positioner-setup"] == conflict
-        with pytest.raises(RefusedError, match="holder"):
-            rig.motion.order(Target(0, 90, "storm"), stow=True)
-        with pytest.raises(RefusedError, match="holder"):
-            rig.motion.home()
-        assert not rig.of(Move)
-
-    run_rig(scenario)
-
-
-def test_poses_at_rest_are_told_every_5_s_and_motion_at_once(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        before = len(rig.of(Pose))
-        await asyncio.sleep(100)
-        assert 19 <= len(rig.of(Pose)) - before <= 22
-        drive_b(rig, 80.0)
-        start_s = rig.clock.monotonic()
-        await rig.until(lambda: rig.of(Pose)[-1].time_monotonic_s > start_s, 1.1, "a pose")
-
-    run_rig(scenario)
-
-
-def test_what_rests_and_says_so_is_read_seldom_and_still_known_by_the_last_half_second(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        await asyncio.sleep(10)
-        read, reads = rig.positioner.read_telemetry, []
-
-        def counted():
-            reads.append(rig.clock.monotonic())
-            return read()
-
-        rig.positioner.read_telemetry = counted
-        ages_s = []
-        for _ in range(100):
-            await asyncio.sleep(0.97)
-            now_s = rig.clock.monotonic()
-            ages_s += [now_s - rig.motion.telemetry.time_monotonic_s, now_s - rig.motion.pose.time_monotonic_s]
-        assert len(reads) < 25
-        assert max(ages_s) < 0.6
-        drive_b(rig, 80.0)
-        start_s = rig.clock.monotonic()
-        await rig.until(lambda: rig.motion.unexplained, 1.1, "that it moved")
-        assert rig.motion.telemetry.time_monotonic_s >= start_s
-
-    run_rig(scenario)
-
-
-@pytest.mark.parametrize(
-    ("fields", "words"),
-    [({"a_motor_current_a": 1.9}, "draws more than 1.6 A"), ({"b_motor_current_a": 0.7}, "although it stands")],
-)
-def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
-    async def scenario(rig):
-        await quiet(rig)
-        show(rig, **fields)
-        await asyncio.sleep(1)
-        assert not alarms(rig)
-        await asyncio.sleep(3)
-        assert words in alarms(rig)["motor-current"]
-        del rig.positioner.read_telemetry
-        await asyncio.sleep(3700)
-        assert not alarms(rig)
-
-    run_rig(scenario)
-
-
-# The end of the service
-
-
-def ended(run_rig, caplog, act):
-    """Run until `act` is over, and return what was said about motion at the end, and whether it moves."""
-
-    async def scenario(rig):
-        await quiet(rig)
-        await act(rig)
-
-    with caplog.at_level(logging.INFO):
-        rig = run_rig(scenario)
-    now = rig.clock.monotonic()
-    said = [record.getMessage() for record in caplog.records if record.name == "heliocube.service"]
-    return said[-1], rig.unit.truth(now) != rig.unit.truth(now + 60)
-
-
-def test_at_the_end_motion_that_nobody_ordered_is_stopped_too(run_rig, caplog):
-    async def act(rig):
-        drive_b(rig, 85.0)
-        await asyncio.sleep(0.2)
-
-    said, moves = ended(run_rig, caplog, act)
-    assert said == "motion stopped: telemetry shows both axes standing"
-    assert not moves
-
-
-def test_at_the_end_a_move_of_ours_is_stopped_and_shown(run_rig, caplog):
-    async def act(rig):
-        rig.motion.order(Target(40, 15, "far"))
-        await asyncio.sleep(3)
-
-    said, moves = ended(run_rig, caplog, act)
-    assert said == "motion stopped: telemetry shows both axes standing"
-    assert not moves
-
-
-def test_at_the_end_no_new_move_is_taken(run_rig, caplog):
-    async def act(rig):
-        async def orders():
-            while not refused:
-                try:
-                    rig.motion.order(Target(20, 60, "late"))
-                except RefusedError as error:
-                    refused.append(error.message)
-                await asyncio.sleep(0.01)
-
-        refused = rig.refused = []
-        rig.late = asyncio.create_task(orders())
-        rigs.append(rig)
-        await asyncio.sleep(0.5)
-
-    rigs = []
-    said, moves = ended(run_rig, caplog, act)
-    assert said == "motion stopped: telemetry shows both axes standing"
-    assert not moves
-    assert rigs[0].refused == ["the service ends"]
-
-
-@pytest.mark.parametrize(
-    ("trouble", "words"),
-    [("deaf", "stop was sent, and no telemetry has shown the axes standing since"), ("unplug", "could not be sent")],
-)
-def test_at_the_end_nothing_is_said_to_stand_that_was_not_seen_to(run_rig, caplog, trouble, words):
-    async def act(rig):
-        rig.motion.order(Target(40, 15, "far"))
-        await asyncio.sleep(2)
-        if trouble == "deaf":
-            rig.unit.inject("deaf", rig.clock.monotonic())
-        else:
-            rig.cables.positioner.link_up = False
-        await asyncio.sleep(1)
-
-    said, moves = ended(run_rig, caplog, act)
-    assert moves
-    assert said.startswith("motion is not known to be stopped: ")
-    assert words in said
-    assert "last seen " in said
-    assert "look at the tracker" in said
-
-
-def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service(run_rig, caplog):
-    async def act(rig):
-        rig.positioner.stop = lambda: asyncio.sleep(1e6)
-        rig.end_s = rig.clock.monotonic()
-        rigs.append(rig)
-
-    rigs = []
-    said, _ = ended(run_rig, caplog, act)
-    assert said.startswith("motion is not known to be stopped: ")
-    assert rigs[0].clock.monotonic() - rigs[0].end_s < 12
 
 
 def test_a_host_that_was_busy_for_seconds_does_not_call_a_standing_unit_deaf(run_rig):

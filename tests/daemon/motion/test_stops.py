@@ -1,0 +1,158 @@
+"""A stop holds whatever else goes on: a link that comes back, a fault of one axis, a clear, a reference run."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Event, Target
+from drivers.errors import DeviceError, RefusedError
+from sim_drivers.pozsol.setup import Setup
+from tests.support.motion import (
+    A_PACKET,
+    B_PACKET,
+    STOP_PACKET,
+    alarms,
+    cleared,
+    commands_sent,
+    drive_b,
+    moves_for,
+)
+from tests.support.phases import quiet, under_way
+
+
+@pytest.mark.parametrize("wish", ["stop", "stow", "hold", "goto"])
+@pytest.mark.parametrize("after_s", [0.0, 0.03, 0.1, 0.3, 0.6])
+def test_what_is_asked_while_the_link_comes_back_is_what_happens(run_rig, wish, after_s):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.order(Target(40, 15, "far"))
+        await asyncio.sleep(2)
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(5)
+        opened = rig.positioner.open
+        rig.positioner.open = lambda: (setattr(rig, "opened", True), opened())[1]
+        rig.opened = False
+        rig.cables.positioner.link_up = True
+        await rig.until(lambda: rig.opened, 10, "the connection")
+        await asyncio.sleep(after_s)
+        try:
+            if wish == "stop":
+                await rig.control.stop("a person")
+            elif wish == "goto":
+                rig.control.goto(-10, 80, "there")
+            else:
+                getattr(rig.control, wish)("a person")
+        except DeviceError:
+            assert wish == "goto" or not rig.motion.connected
+            return
+        await asyncio.sleep(3)
+        stands = rig.truth()
+        await asyncio.sleep(120)
+        if wish in ("stop", "hold"):
+            assert rig.truth() == stands
+        else:
+            there = (0, 90) if wish == "stow" else (-10, 80)
+            assert rig.truth() == (pytest.approx(there[0], abs=1), pytest.approx(there[1], abs=1))
+        assert rig.motion.unexplained is None
+
+    run_rig(scenario)
+
+
+def test_overcurrent_on_one_axis_stops_the_other(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.order(Target(40, 15, "far"))
+        await asyncio.sleep(3)
+        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+        assert await moves_for(rig, 20) <= 2.0
+        assert rig.motion.unexplained is None
+        assert "a_overcurrent" in alarms(rig)["positioner-fault"]
+
+    run_rig(scenario, setup=Setup(synchronous=True))
+
+
+def test_the_axis_that_waits_for_its_turn_does_not_start_when_the_other_one_fails_at_rest(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        sent = commands_sent(rig, monkeypatch)
+        rig.unit.inject("b_overcurrent", rig.clock.monotonic())
+        await asyncio.sleep(2)
+        assert any(data.startswith(STOP_PACKET) for _, data in sent)
+        stops = len(sent)
+        await asyncio.sleep(600)
+        assert len(sent) == stops, "once is enough"
+
+    run_rig(scenario)
+
+
+def test_while_frozen_nothing_is_ordered_and_what_moves_is_stopped(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        await rig.control.stop("Ann works there")
+        assert await moves_for(rig, 10) <= 2.0
+        for call in (rig.motion.home, lambda: rig.motion.order(Target(0, 60, "test"), stow=True)):
+            with pytest.raises(RefusedError, match="Ann works there"):
+                call()
+        drive_b(rig, 85.0)
+        assert await moves_for(rig, 10) <= 2.0
+        assert "against a stop (" in rig.motion.unexplained
+        assert "Ann works there" in rig.motion.unexplained
+        rig.control.auto()
+        await cleared(rig)
+        rig.motion.order(Target(0, 60, "test"))
+        assert await moves_for(rig, 3) > 0
+
+    run_rig(scenario)
+
+
+def test_freezing_sends_a_stop_even_to_axes_that_seem_to_stand(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.freeze("Ann works there")
+        assert rig.motion.stands_since_s is None
+        await asyncio.sleep(5)
+        assert any(data.startswith(b"$9s") for _, data in sent)
+        assert rig.motion.stands_since_s is not None
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("busy", ["clear", "home", "queued home", "queued target"])
+def test_a_stop_is_never_lost_in_what_goes_on(run_rig, busy):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.control.hold("so that control orders nothing")
+        if busy == "clear":
+            rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+            await asyncio.sleep(1)
+            rig.motion.clear_faults()
+            await asyncio.sleep(0.05)
+        elif busy == "queued target":
+            rig.motion.order(Target(0, 60, "test"))
+        else:
+            rig.motion.home()
+            await asyncio.sleep(3 if busy == "home" else 0)
+        await rig.motion.stop()
+        asked_s = rig.clock.monotonic()
+        await rig.until(lambda: (rig.motion.stands_since_s or 0) > asked_s - 30 and rig.motion.resting, 3, "rest")
+        stands = rig.truth()
+        await asyncio.sleep(300)
+        assert rig.truth() == stands
+        assert rig.motion.connected
+        assert not any("lost" in event.text for event in rig.of(Event) if event.subject == "positioner")
+        assert not rig.motion.homing
+
+    run_rig(scenario)
+
+
+def test_a_stow_sends_the_axis_first_that_lays_the_module_flat(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        sent = commands_sent(rig, monkeypatch)
+        rig.control.stow("storm")
+        await asyncio.sleep(5)
+        targets = [data[:2] for _, data in sent if data[:2] in (A_PACKET, B_PACKET)]
+        assert targets == [B_PACKET, A_PACKET]
+
+    run_rig(scenario)

@@ -1,0 +1,91 @@
+"""What the service makes of what the unit says while it stands: its setup, its pose, its motor currents."""
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.records import Mode, Move, Pose, Target
+from drivers.errors import RefusedError
+from tests.support.motion import alarms, drive_b, show
+from tests.support.phases import quiet
+
+
+def test_a_unit_that_contradicts_the_configuration_moves_nothing(run_rig):
+    conflict = "field 74 (holder) says 39.6 mm and the configuration 0: correct instruments.positioner.a_axis"
+
+    async def scenario(rig):
+        opened = rig.positioner.open
+
+        async def contradicting():
+            return replace(await opened(), setup_conflicts=(conflict,))
+
+        rig.positioner.open = contradicting
+        await rig.until_mode(Mode.FAULT, 10)
+        assert rig.motion.blocked == conflict
+        assert alarms(rig)["positioner-setup"] == conflict
+        with pytest.raises(RefusedError, match="holder"):
+            rig.motion.order(Target(0, 90, "storm"), stow=True)
+        with pytest.raises(RefusedError, match="holder"):
+            rig.motion.home()
+        assert not rig.of(Move)
+
+    run_rig(scenario)
+
+
+def test_poses_at_rest_are_told_every_5_s_and_motion_at_once(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        before = len(rig.of(Pose))
+        await asyncio.sleep(100)
+        assert 19 <= len(rig.of(Pose)) - before <= 22
+        drive_b(rig, 80.0)
+        start_s = rig.clock.monotonic()
+        await rig.until(lambda: rig.of(Pose)[-1].time_monotonic_s > start_s, 1.1, "a pose")
+
+    run_rig(scenario)
+
+
+def test_what_rests_and_says_so_is_read_seldom_and_still_known_by_the_last_half_second(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        await asyncio.sleep(10)
+        read, reads = rig.positioner.read_telemetry, []
+
+        def counted():
+            reads.append(rig.clock.monotonic())
+            return read()
+
+        rig.positioner.read_telemetry = counted
+        ages_s = []
+        for _ in range(100):
+            await asyncio.sleep(0.97)
+            now_s = rig.clock.monotonic()
+            ages_s += [now_s - rig.motion.telemetry.time_monotonic_s, now_s - rig.motion.pose.time_monotonic_s]
+        assert len(reads) < 25
+        assert max(ages_s) < 0.6
+        drive_b(rig, 80.0)
+        start_s = rig.clock.monotonic()
+        await rig.until(lambda: rig.motion.unexplained, 1.1, "that it moved")
+        assert rig.motion.telemetry.time_monotonic_s >= start_s
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [({"a_motor_current_a": 1.9}, "draws more than 1.6 A"), ({"b_motor_current_a": 0.7}, "although it stands")],
+)
+def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
+    async def scenario(rig):
+        await quiet(rig)
+        show(rig, **fields)
+        await asyncio.sleep(1)
+        assert not alarms(rig)
+        await asyncio.sleep(3)
+        assert words in alarms(rig)["motor-current"]
+        del rig.positioner.read_telemetry
+        await asyncio.sleep(3700)
+        assert not alarms(rig)
+
+    run_rig(scenario)
