@@ -14,7 +14,7 @@ from daemon.bridge.receiver import BridgeReceiver
 from daemon.bridge.sender import BridgeSender, pack
 from daemon.bridge.signing import load_keys
 from daemon.config.links import BridgeSettings
-from tests.daemon.bridge.test_receiver import SETTINGS, UTC_S, scan
+from tests.daemon.bridge.desk import SETTINGS, UTC_S, scan
 
 OLD, NEW, STRANGE = (bytes(range(start, start + 32)) for start in (1, 50, 90))
 

@@ -13,7 +13,7 @@ import pytest
 from daemon.base.addresses import BridgeError
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
-from tests.daemon.bridge.test_receiver import KEY, HandClock, place_of, port, scan, signed
+from tests.daemon.bridge.desk import KEY, HandClock, place_of, port, scan, signed
 
 only_linux = pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux hands a peer's datagrams to a line of its own"

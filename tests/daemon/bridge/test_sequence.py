@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from daemon.bridge.refusals import ScanRefusedError
 from daemon.bridge.sequence import SequenceGuard
-from tests.daemon.bridge.test_receiver import UTC_S, Desk, scan, signed
+from tests.daemon.bridge.desk import UTC_S, Desk, scan, signed
 
 
 def follow_both(desk, first_s, last_s, second="second", second_from_s=0.0):

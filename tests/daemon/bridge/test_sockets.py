@@ -1,0 +1,175 @@
+"""Receivers on real sockets: what arrives over loopback, IPv6 and multicast, and where none can listen."""
+
+import asyncio
+import socket
+from dataclasses import asdict
+
+import pytest
+
+from daemon.base.addresses import BridgeError
+from daemon.bridge import senml
+from daemon.bridge.receiver import BridgeReceiver
+from daemon.bridge.sender import BridgeSender
+from daemon.config.links import BridgeSettings
+from tests.daemon.bridge.desk import GOOD, KEY, SETTINGS, HandClock, place_of, port, scan, signed, until_examined
+
+
+def test_over_a_real_socket_good_scans_arrive_and_every_bad_datagram_is_counted_under_its_name():
+    async def main():
+        async with port() as (receiver, clock, scans, settle):
+            target = place_of(receiver)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                datagrams = [
+                    signed(scan(0)),
+                    signed(scan(1)),
+                    signed(scan(1)),
+                    signed(scan(4)),
+                    signed(scan(3)),
+                    signed(scan(5))[:300],
+                    b"",
+                    signed(scan(5), bytes(32)),
+                    senml.encode(scan(5)),
+                    b"x" * 2048,
+                    b"x" * 2049,
+                    b"x" * 60_000,
+                    signed(scan(5, source="other")),
+                    signed(scan(0, session="second", time_s=-1.0)),
+                    signed(scan(5, time_s=31.0)),
+                    signed(scan(6)),
+                ]
+                clock.now_s += 25.0
+                clock.utc_offset_s -= 25.0
+                for datagram in datagrams:
+                    sender.sendto(datagram, target)
+                await settle(len(datagrams))
+            assert [got.sequence for got in scans] == [0, 1, 4, 6]
+            statistics = asdict(receiver.statistics)
+            assert {name: value for name, value in statistics.items() if isinstance(value, int) and value} == {
+                "accepted": 4,
+                "lost": 1,
+                "duplicate": 1,
+                "reordered": 1,
+                "malformed": 3,
+                "forged": 2,
+                "oversized": 2,
+                "other_source": 1,
+                "replayed": 1,
+                "skewed": 1,
+            }
+            assert statistics["last_refusal_utc_s"] == clock.utc()
+
+    asyncio.run(main())
+
+
+def test_sender_and_receiver_agree_over_loopback_with_and_without_a_key_and_over_ipv6():
+    async def main(listen, key, insecure):
+        settings = BridgeSettings(listen=listen, insecure=insecure)
+        async with port(settings, key) as (receiver, clock, scans, settle):
+            sender = BridgeSender(BridgeSettings(send_to=(receiver.address,), insecure=insecure), key, clock)
+            await sender.open()
+            sender.send(scan())
+            await settle(1)
+            await sender.close()
+            assert [got.sequence for got in scans] == [0]
+
+    asyncio.run(main("127.0.0.1:0", KEY, insecure=False))
+    asyncio.run(main("127.0.0.1:0", None, insecure=True))
+    if socket.has_ipv6:
+        try:
+            asyncio.run(main("[::1]:0", KEY, insecure=False))
+        except BridgeError as error:
+            pytest.skip(f"there is no IPv6 here: {error}")
+
+
+def test_one_multicast_send_reaches_every_process_of_the_group_on_one_machine():
+    async def main():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("0.0.0.0", 0))
+            number = probe.getsockname()[1]
+        settings = BridgeSettings(
+            listen=f"0.0.0.0:{number}",
+            send_to=(),
+            multicast_group=f"239.255.20.71:{number}",
+            multicast_interface="127.0.0.1",
+        )
+        try:
+            async with (
+                port(settings) as (_, clock, scans, settle),
+                port(settings) as (_, _, others, others_settle),
+            ):
+                sender = BridgeSender(settings, KEY, clock)
+                await sender.open()
+                sender.send(scan())
+                failed = sender.statistics[0].last_error
+                await sender.close()
+                if failed:
+                    pytest.skip(f"multicast does not work here: {failed}")
+                await settle(1)
+                await others_settle(1)
+                assert [got.sequence for got in (*scans, *others)] == [0, 0]
+        except BridgeError as error:
+            pytest.skip(f"multicast does not work here: {error}")
+
+    asyncio.run(main())
+
+
+def test_a_group_is_heard_without_an_interface_where_this_machine_has_one():
+    settings = BridgeSettings(listen="0.0.0.0:20578", multicast_group="239.255.20.71:20578")
+    receiver = BridgeReceiver(settings, KEY, HandClock(), print)
+    try:
+        receiver.bind()
+    except BridgeError as error:
+        assert "cannot be joined" in str(error)  # noqa: PT017 - no network is as good
+    finally:
+        asyncio.run(receiver.close())
+
+
+def test_a_port_in_use_is_one_sentence_with_the_address_and_a_remedy():
+    async def main():
+        async with port() as (receiver, *_):
+            second = BridgeReceiver(BridgeSettings(listen=receiver.address), KEY, HandClock(), print)
+            with pytest.raises(BridgeError, match="in use by another program: stop that program") as caught:
+                await second.open()
+            assert receiver.address in str(caught.value)
+
+    asyncio.run(main())
+
+
+def test_an_address_of_another_machine_cannot_be_listened_on():
+    receiver = BridgeReceiver(BridgeSettings(listen="192.0.2.1:20571"), KEY, HandClock(), print)
+    with pytest.raises(BridgeError, match=r"192\.0\.2\.1:20571 is not an address of this machine"):
+        asyncio.run(receiver.open())
+
+
+def test_a_group_that_cannot_be_joined_is_one_sentence():
+    settings = BridgeSettings(
+        listen="0.0.0.0:20579", multicast_group="239.255.20.71:20579", multicast_interface="192.0.2.1"
+    )
+    with pytest.raises(BridgeError, match=r"cannot be joined .* set bridge\.multicast_interface"):
+        asyncio.run(BridgeReceiver(settings, KEY, HandClock(), print).open())
+
+
+def test_a_receiver_on_every_network_is_reached_by_this_machine_over_loopback():
+    async def main(listen, reached):
+        receiver = BridgeReceiver(BridgeSettings(listen=listen), KEY, HandClock(), print)
+        assert receiver.address == reached
+
+    asyncio.run(main("0.0.0.0:20571", "127.0.0.1:20571"))
+    asyncio.run(main("[::]:20571", "[::1]:20571"))
+    asyncio.run(main("192.168.1.20:20571", "192.168.1.20:20571"))
+
+
+def test_a_receiver_opens_again_after_it_was_closed_and_still_knows_its_session():
+    async def main():
+        clock, scans = HandClock(), []
+        receiver = BridgeReceiver(SETTINGS, KEY, clock, scans.append)
+        for expected in (1, 2):
+            await receiver.open()
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sender.sendto(GOOD, place_of(receiver))
+            await until_examined(receiver, expected)
+            await receiver.close()
+        await receiver.close()
+        assert (receiver.statistics.accepted, receiver.statistics.duplicate) == (1, 1)
+
+    asyncio.run(main())
