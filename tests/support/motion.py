@@ -7,6 +7,7 @@ from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field, encode_command
 
 A_PACKET, B_PACKET, STOP_PACKET = b"$.", b"$2", b"$9s"
+CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
 TRACKING_OFF_PACKET = encode_command(Field.MODE, wire.TRACKING_OFF)
 
 

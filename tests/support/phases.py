@@ -1,12 +1,20 @@
-"""The phases of a tracker's day that tests wait for."""
+"""The phases of a tracker's day that tests wait for, the time in them, and what was told."""
 
 import asyncio
 
-from daemon.base.records import Mode, ModeChange
+from daemon.base.records import Event, Mode, ModeChange
+
+
+def now(rig):
+    return rig.clock.monotonic()
 
 
 def modes(rig):
     return [change.after for change in rig.of(ModeChange)]
+
+
+def told(rig):
+    return [event.text for event in rig.of(Event) if event.subject == "positioner"]
 
 
 async def tracking(rig):
@@ -30,3 +38,8 @@ async def quiet(rig):
     await tracking(rig)
     await at_rest(rig)
     await asyncio.sleep(20)
+
+
+async def homed(rig):
+    await rig.until(lambda: rig.motion.homing, 10, "homing")
+    await rig.until(lambda: not rig.motion.homing, 900, "the end of homing")

@@ -9,7 +9,7 @@ from daemon.motion.motion import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
 from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose
-from tests.support.phases import quiet
+from tests.support.phases import now, quiet
 
 # Past the telling after six hours; what comes after it comes every six hours.
 LONG_S = 6.2 * 3600.0
@@ -20,10 +20,6 @@ ORDINARY = ("moving", "staying")
 
 # So that a day of looks at rest is soon over; what is told does not depend on it.
 SELDOM = Polling(idle_s=5.0)
-
-
-def now(rig):
-    return rig.clock.monotonic()
 
 
 async def flapping(rig):

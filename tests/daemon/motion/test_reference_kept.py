@@ -1,4 +1,4 @@
-"""Doubts about the reference: who may end them, and what they outlive."""
+"""Doubts about the reference: what raises them, who may end them, and what they outlive."""
 
 import asyncio
 import json
@@ -6,27 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from daemon.base.records import Event, Mode, Target
-from daemon.motion.motion import Polling
+from daemon.base.records import Mode, Target
 from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
-from tests.support.motion import STOP_PACKET, alarms, commands_sent, drive_b, lose, moves_for, show
-from tests.support.phases import at_rest, quiet, tracking
-
-CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
-
-
-def now(rig):
-    return rig.clock.monotonic()
-
-
-async def homed(rig):
-    await rig.until(lambda: rig.motion.homing, 10, "homing")
-    await rig.until(lambda: not rig.motion.homing, 900, "the end of homing")
-
-
-def told(rig):
-    return [event.text for event in rig.of(Event) if event.subject == "positioner"]
+from tests.support.motion import CLEAR_PACKET, alarms, commands_sent, drive_b
+from tests.support.phases import now, quiet, told, tracking
 
 
 def test_clear_forgives_the_fault_that_was_shown_and_not_the_reset_behind_it(run_rig):
@@ -191,121 +175,6 @@ def test_a_service_that_is_killed_while_homing_comes_back_in_doubt(run_rig, tmp_
     run_rig(again, store={"directory": tmp_path})
 
 
-def test_homing_ends_every_doubt_about_the_reference(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.unit.inject("a_overcurrent", now(rig))
-        await asyncio.sleep(1)
-        rig.unit.power_cycle(now(rig), keep_position=False)
-        await asyncio.sleep(10)
-        assert len(rig.motion.concerns) >= 2
-        rig.motion.home()
-        await homed(rig)
-        assert rig.motion.concerns == ()
-        await rig.until_mode(Mode.TRACKING, 30)
-
-    run_rig(scenario)
-
-
-def test_a_homing_run_that_fails_leaves_a_doubt_though_there_was_none(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.home()
-        await asyncio.sleep(5)
-        rig.unit.inject("a_hall_loss", now(rig))
-        await rig.until(lambda: not rig.motion.homing, 60, "the end of homing")
-        assert "homing failed (" in rig.motion.doubt
-        await asyncio.sleep(60)
-        assert rig.mode is Mode.FAULT
-
-    run_rig(scenario)
-
-
-def test_a_run_that_the_driver_judges_bad_leaves_the_doubt(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.unit.power_cycle(now(rig))
-        await asyncio.sleep(2)
-        rig.motion.home()
-        await asyncio.sleep(3)
-        show(rig, reference_doubt="axis A met its end switch 34 mm early")
-        await rig.until(lambda: not rig.motion.homing, 200, "the end of homing")
-        for words in (RESET, "axis A met its end switch 34 mm early", "homing failed"):
-            assert words in rig.motion.doubt
-        await asyncio.sleep(60)
-        assert rig.mode is Mode.FAULT
-
-    run_rig(scenario)
-
-
-@pytest.mark.parametrize("end", ["stop", "stow", "unplug", "deaf"])
-def test_a_homing_run_that_is_broken_off_leaves_the_doubt_that_was_there(run_rig, end):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.unit.power_cycle(now(rig))
-        await rig.until_mode(Mode.FAULT, 15)
-        rig.motion.home()
-        await asyncio.sleep(8)
-        assert rig.motion.homing
-        if end == "stop":
-            await rig.control.stop("a person")
-            assert await moves_for(rig, 10) <= 2
-            rig.control.auto()
-        elif end == "stow":
-            rig.control.stow("storm")
-            await asyncio.sleep(120)
-            assert rig.truth().b_deg == pytest.approx(90, abs=1)
-            rig.control.auto()
-        elif end == "unplug":
-            rig.cables.positioner.link_up = False
-            await asyncio.sleep(2)
-            rig.cables.positioner.link_up = True
-        else:
-            rig.unit.power_cycle(now(rig))
-        await rig.until_mode(Mode.FAULT, 60)
-        await asyncio.sleep(60)
-        assert "homing" in rig.motion.doubt
-        assert RESET in rig.motion.doubt
-        before = len([1 for text in told(rig) if text == "homing"])
-        assert before == 1
-
-    run_rig(scenario)
-
-
-def test_a_homing_run_that_has_cleared_a_fault_and_is_broken_off_leaves_a_doubt(run_rig):
-    async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
-        rig.unit.inject("a_hall_loss", now(rig))
-        rig.control.goto(20, 60, "test")
-        await rig.until(lambda: rig.motion.telemetry.faults, 60, "the fault")
-        rig.unit.repair("a_hall_loss", now(rig))
-        await at_rest(rig)
-        rig.control.home()
-        await rig.until(lambda: rig.motion.homing and not rig.motion.telemetry.faults, 20, "the clearing")
-        await asyncio.sleep(3)
-        rig.control.stow("storm")
-        await rig.until(lambda: not rig.motion.homing, 10, "the end of homing")
-        await at_rest(rig)
-        assert "homing was not finished" in rig.motion.doubt
-
-    run_rig(scenario)
-
-
-def test_the_other_axis_may_not_move_during_a_reference_run(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.home()
-        await asyncio.sleep(8)
-        assert rig.motion.homing
-        rig.unit.inject("re_reference", now(rig))
-        assert await moves_for(rig, 20) <= 2.0
-        assert "B moved" in rig.motion.unexplained
-        assert "homing failed" in rig.motion.doubt
-
-    run_rig(scenario)
-
-
 def test_a_reference_run_of_the_units_own_is_a_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
@@ -333,73 +202,6 @@ def test_a_destination_of_a_reference_run_is_enough_for_the_doubt(run_rig):
     run_rig(scenario)
 
 
-# Homing without being asked
-
-
-def test_rehoming_by_itself_never_runs_under_a_stop_or_after_unexplained_motion(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        await rig.control.stop("a person works there")
-        rig.motion.freeze("a person works there")
-        rig.unit.power_cycle(now(rig))
-        assert await moves_for(rig, 300) == 0.0
-        rig.motion.freeze(None)
-        rig.control.auto()
-        await homed(rig)
-        await rig.until_mode(Mode.TRACKING, 30)
-        await at_rest(rig)
-        drive_b(rig, 85.0)
-        await asyncio.sleep(10)
-        assert rig.motion.unexplained
-        rig.unit.power_cycle(now(rig))
-        assert await moves_for(rig, 300) == 0.0
-
-    run_rig(scenario, motion={"rehome": "automatic"})
-
-
-@pytest.mark.parametrize("mode", [Mode.STOW, Mode.HOLD])
-def test_rehoming_by_itself_waits_while_the_tracker_is_stowed_or_stopped(run_rig, mode):
-    async def scenario(rig):
-        await quiet(rig)
-        if mode is Mode.STOW:
-            rig.control.stow("storm")
-            await asyncio.sleep(120)
-        else:
-            await rig.control.stop("wait")
-        rig.unit.power_cycle(now(rig))
-        await asyncio.sleep(3)
-        assert await moves_for(rig, 300) == 0.0
-        assert rig.mode is mode
-        rig.control.auto()
-        await homed(rig)
-
-    run_rig(scenario, motion={"rehome": "automatic"})
-
-
-def test_rehoming_that_fails_is_tried_again_after_ever_longer_pauses(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, HOME_A_PACKET)
-        rig.motion._polling = Polling(idle_s=5.0)
-        rig.unit.power_cycle(now(rig))
-        await asyncio.sleep(12 * 3600)
-        assert 2 <= told(rig).count("homing") <= 7
-
-    run_rig(scenario, motion={"rehome": "automatic"}, cube={"scan_every_s": 60}, safety={"scan_stale_s": 130})
-
-
-def test_nothing_is_homed_while_a_fault_is_latched(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.unit.power_cycle(now(rig))
-        rig.unit.inject("a_overcurrent", now(rig))
-        await asyncio.sleep(120)
-        assert rig.motion.doubt
-        assert not [text for text in told(rig) if text == "homing"]
-
-    run_rig(scenario, motion={"rehome": "automatic"})
-
-
 def test_a_tracker_that_stands_elsewhere_after_an_outage_is_in_doubt(run_rig):
     async def scenario(rig):
         await quiet(rig)
@@ -414,37 +216,5 @@ def test_a_tracker_that_stands_elsewhere_after_an_outage_is_in_doubt(run_rig):
         rig.motion.order(Target(0, 90, "storm"), stow=True)
         await asyncio.sleep(60)
         assert rig.truth().b_deg == pytest.approx(90, abs=1)
-
-    run_rig(scenario)
-
-
-@pytest.mark.parametrize("how", ["rest", "a stow"])
-def test_a_homing_run_that_is_broken_off_ends_with_stop(run_rig, monkeypatch, how):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.home()
-        await asyncio.sleep(8)
-        sent = commands_sent(rig, monkeypatch)
-        if how == "rest":
-            rig.motion.rest()
-        else:
-            rig.motion.order(Target(0, 90, "storm"), stow=True)
-        await asyncio.sleep(3)
-        assert sent[0][1].startswith(STOP_PACKET)
-
-    run_rig(scenario)
-
-
-def test_a_homing_run_that_is_given_up_is_stopped_and_no_unexplained_motion(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.home()
-        await rig.until(lambda: rig.motion.homing, 5, "homing")
-        await asyncio.sleep(10)
-        rig.motion.rest()
-        await rig.until(lambda: not rig.motion.homing, 5, "the end of homing")
-        assert rig.motion.stands_since_s is not None
-        await asyncio.sleep(5)
-        assert rig.motion.unexplained is None
 
     run_rig(scenario)

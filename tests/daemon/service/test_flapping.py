@@ -6,8 +6,8 @@ import logging
 import pytest
 
 from daemon.base.records import Event
-from tests.daemon.motion.test_outages import ORDINARY, SELDOM, now
-from tests.support.phases import tracking
+from tests.daemon.motion.test_outages import ORDINARY, SELDOM
+from tests.support.phases import now, tracking
 
 # Past the telling after six hours; what comes after it comes every six hours (tests/daemon/base/test_recurrence.py has
 # the whole day).
