@@ -71,3 +71,21 @@ def test_a_dark_face_in_doubt_is_no_night(run_rig):
         assert stays(rig, before)
 
     run_rig(scenario, law={"name": "chronometric"})
+
+
+def test_the_law_learns_nothing_while_the_time_of_day_is_in_doubt(run_rig):
+    async def scenario(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        received = []
+        law = rig.control.pointing.law
+        observe = law.observe
+        law.observe = lambda reading: (received.append(reading.utc_s), observe(reading))
+        rig.clock.step_s = 7200.0
+        await asyncio.sleep(10)
+        received.clear()
+        await asyncio.sleep(600)
+        assert not received
+        await asyncio.sleep(400)
+        assert received
+
+    run_rig(scenario, law={"name": "optimal"}, weather=HandWeather())

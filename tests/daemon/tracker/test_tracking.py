@@ -9,6 +9,7 @@ import pytest
 from daemon.base.records import Decision, Mode, ModeChange, Move, MoveOutcome, Pose, Scan
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
+from tests.support.phases import tracking
 from tests.support.rig import SITE, HandWeather
 
 
@@ -102,3 +103,21 @@ def test_night_falls_and_morning_comes(run_rig):
     dark = next(change.time_utc_s for change in rig.of(ModeChange) if change.after is Mode.NIGHT)
     at_night = [pose for pose in rig.of(Pose) if dark + 600 < pose.time_utc_s < dark + 7 * 3600]
     assert {(round(pose.a_deg), round(pose.b_deg)) for pose in at_night} == {(0, 90)}
+
+
+def test_a_good_scan_wakes_whoever_waits_for_it(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await asyncio.sleep(130)
+        for wait_s in (0.0, 1.3, 2.9):
+            rig.cables.voltmeter.link_up = False
+            await rig.until_mode(Mode.FALLBACK, 90)
+            await asyncio.sleep(wait_s)
+            rig.cables.voltmeter.link_up = True
+            scans = len(rig.of(Scan))
+            await rig.until(lambda scans=scans: any(scan.ok for scan in rig.of(Scan)[scans:]), 60, "a good scan")
+            await asyncio.sleep(0.1)
+            assert rig.mode is Mode.TRACKING
+            await asyncio.sleep(130)
+
+    run_rig(scenario)

@@ -1,0 +1,27 @@
+"""Days that pass quickly, an operator, and where the tracker stands then."""
+
+import asyncio
+from datetime import datetime
+
+import pytest
+
+from daemon.motion.motion import Polling
+from daemon.service.operator import Operator
+
+FEWER_SCANS = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65, "fallback_after_s": 130}}
+SLOW = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
+
+
+def operator(rig):
+    return Operator(rig.tracker, 1.0)
+
+
+def pass_quietly(rig, until):
+    """Let time jump to this instant: hours in which nothing happens are no test's business."""
+    # Nobody misses the looks at the positioner that are left out with them.
+    rig.motion._polling = Polling(idle_s=86400.0)
+    asyncio.get_running_loop().skip(datetime.fromisoformat(f"{until}Z").timestamp() - rig.clock.utc())
+
+
+def at(a_deg, b_deg):
+    return pytest.approx(a_deg, abs=0.9), pytest.approx(b_deg, abs=0.9)
