@@ -60,6 +60,10 @@ def commands_sent(rig, monkeypatch):
     return sent
 
 
+def targets(sent):
+    return [data for _, data in sent if data[:2] in (A_PACKET, B_PACKET)]
+
+
 async def moves_for(rig, within_s):
     """Return how long something truly moves from now on, looked at ten times a second [s]."""
     start, last, before = rig.clock.monotonic(), None, rig.truth()

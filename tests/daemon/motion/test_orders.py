@@ -1,35 +1,14 @@
-"""The one door for moves: what is accepted, refused, interrupted, tried again."""
+"""The one door for moves: what is accepted, refused, replaced, interrupted and forgotten."""
 
 import asyncio
-import itertools
 import math
 
 import pytest
 
 from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
-from sim_drivers.pozsol.setup import AxisDrive, Setup
-from tests.support.motion import (
-    A_PACKET,
-    B_PACKET,
-    STOP_PACKET,
-    TRACKING_OFF_PACKET,
-    alarms,
-    commands_sent,
-    drive_b,
-    lose,
-    moves_for,
-    show,
-)
-from tests.support.phases import at_rest, quiet, tracking, under_way
-
-
-def now(rig):
-    return rig.clock.monotonic()
-
-
-def targets(sent):
-    return [data for _, data in sent if data[:2] in (A_PACKET, B_PACKET)]
+from tests.support.motion import B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, commands_sent, moves_for, show, targets
+from tests.support.phases import at_rest, now, quiet, tracking, under_way
 
 
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
@@ -195,36 +174,6 @@ def test_own_tracking_is_switched_off(run_rig, monkeypatch, when):
     run_rig(scenario)
 
 
-def test_a_move_is_tried_as_often_as_the_settings_say_and_no_more(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        sent = commands_sent(rig, monkeypatch)
-        rig.motion.order(Target(0, 60, "test"))
-        await asyncio.sleep(120)
-        assert rig.motion.last_move.outcome is MoveOutcome.REFUSED
-        assert len(targets(sent)) == 2 * 4
-        assert rig.motion.doubt.startswith("the last move failed (refused): ")
-
-    run_rig(scenario, motion={"attempts": 4})
-
-
-def test_a_stop_between_two_attempts_ends_the_move(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        rig.motion.order(Target(0, 60, "test"))
-        await asyncio.sleep(1.5)
-        sent = commands_sent(rig, monkeypatch)
-        rig.motion.rest()
-        await rig.until(lambda: rig.motion.target is None, 3, "the end of the move")
-        assert rig.motion.last_move.outcome is MoveOutcome.INTERRUPTED
-        assert not targets(sent)
-        assert rig.motion.doubt is None
-
-    run_rig(scenario)
-
-
 def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
@@ -242,27 +191,6 @@ def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, mo
     run_rig(scenario)
 
 
-def test_what_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        sent = commands_sent(rig, monkeypatch)
-        rig.motion.order(Target(0, 60, "test"))
-        await rig.until(lambda: len(targets(sent)) == 2, 3, "the first attempt")
-        await rig.until(lambda: rig.motion.stands_since_s is None, 3, "the stop after it")
-        await rig.until(lambda: rig.motion.stands_since_s is not None, 3, "standstill")
-        drive_b(rig, 20)
-        begun_s = now(rig)
-        await rig.until(lambda: rig.motion.target is None, 12, "the end of the move")
-        assert len(targets(sent)) == 2
-        assert rig.motion.last_move.outcome is MoveOutcome.OVERSHOT
-        assert "B moved" in rig.motion.unexplained
-        stopped_s = next(at_s for at_s, data in sent if at_s > begun_s and data[:3] == STOP_PACKET)
-        assert stopped_s - begun_s < 1.6
-
-    run_rig(scenario)
-
-
 def test_an_order_that_cannot_be_carried_out_any_more_is_told_and_dropped(run_rig, monkeypatch):
     async def scenario(rig):
         await quiet(rig)
@@ -276,32 +204,6 @@ def test_an_order_that_cannot_be_carried_out_any_more_is_told_and_dropped(run_ri
     run_rig(scenario)
 
 
-def test_a_move_that_overshoots_ends_with_stop(run_rig, monkeypatch):
-    async def scenario(rig):
-        sent = commands_sent(rig, monkeypatch)
-        await rig.until(lambda: rig.motion.last_move, 200, "the end of the move")
-        assert rig.motion.last_move.outcome is MoveOutcome.OVERSHOT
-        assert sent[-1][1].startswith(STOP_PACKET)
-        assert await moves_for(rig, 30) <= 1.0
-
-    run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
-
-
-def test_a_move_that_stalls_ends_with_stop(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        rig.motion.order(Target(rig.motion.pose.a_deg, 60, "test"))
-        await asyncio.sleep(2)
-        here = rig.motion.telemetry
-        sent = commands_sent(rig, monkeypatch)
-        show(rig, position_a=here.position_a, position_b=here.position_b, b_deg=here.b_deg)
-        await rig.until(lambda: rig.motion.target is None, 30, "the end")
-        assert rig.motion.last_move.outcome is MoveOutcome.STALLED
-        assert sent[-1][1].startswith(STOP_PACKET)
-
-    run_rig(scenario, motion={"attempts": 1, "deadband_deg": 30})
-
-
 def test_after_many_short_outages_the_first_tries_to_reconnect_are_quick_again(run_rig):
     async def scenario(rig):
         await quiet(rig)
@@ -313,104 +215,3 @@ def test_after_many_short_outages_the_first_tries_to_reconnect_are_quick_again(r
             await asyncio.sleep(5)
 
     run_rig(scenario)
-
-
-def test_the_port_is_released_at_the_end(run_rig):
-    closed = []
-
-    async def scenario(rig):
-        await quiet(rig)
-        close = rig.positioner.close
-
-        async def noted():
-            closed.append(now(rig))
-            await close()
-
-        rig.positioner.close = noted
-
-    run_rig(scenario)
-    assert len(closed) == 1
-
-
-# What fails is tried again, ever more seldom
-
-
-def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        sent = commands_sent(rig, monkeypatch)
-        start_s = now(rig)
-        rig.wind_m_s = 20.0
-        await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
-        assert "the stow failed and is tried again: the last move failed (refused)" in alarms(rig)["move-failed"]
-        await asyncio.sleep(3600)
-        tries = [at - start_s for at, data in sent if data[:2] == B_PACKET][::3]
-        pauses = [round((b - a) / 60) for a, b in itertools.pairwise(tries)]
-        assert pauses[:4] == [1, 2, 5, 10]
-        assert len(targets(sent)) <= 60
-        monkeypatch.undo()
-        await rig.until(lambda: rig.truth().b_deg > 89, 700, "the stow")
-        await at_rest(rig)
-        assert "move-failed" not in alarms(rig)
-
-    run_rig(scenario)
-
-
-def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_rig, monkeypatch):
-    async def scenario(rig):
-        await quiet(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
-        for pause_s in (600, 1200, 2400):
-            rig.motion.order(Target(0, 60, "test"))
-            await rig.until(lambda: rig.motion.doubt, 30, "the failure")
-            await asyncio.sleep(pause_s - 20)
-            assert rig.motion.doubt
-            await asyncio.sleep(30)
-            assert rig.motion.doubt is None
-        shown = rig.motion.concerns
-        assert shown[0].startswith("the last move failed")
-        rig.motion.clear_faults(shown=shown)
-        await asyncio.sleep(3)
-        assert rig.motion.concerns == ()
-        assert not alarms(rig)
-
-    run_rig(scenario, motion={"deadband_deg": 30})
-
-
-def test_stands_since_tells_when_telemetry_saw_both_axes_come_to_rest(run_rig):
-    async def scenario(rig):
-        await quiet(rig)
-        before_s = rig.motion.stands_since_s
-        assert before_s < now(rig) - 15
-        await rig.motion.stop()
-        assert rig.motion.stands_since_s is None, "whether it stood is not known before the next look"
-        await rig.until(lambda: rig.motion.stands_since_s, 3, "standstill")
-        rig.motion.order(Target(0, 60, "test"))
-        await asyncio.sleep(3)
-        assert rig.motion.stands_since_s is None
-        await rig.motion.stop()
-        stopped_s = now(rig)
-        assert rig.motion.stands_since_s is None, "a stop that was sent is not yet a standstill"
-        await rig.until(lambda: rig.motion.stands_since_s, 3, "standstill")
-        assert rig.motion.stands_since_s > stopped_s
-        rig.cables.positioner.link_up = False
-        await asyncio.sleep(2)
-        assert rig.motion.stands_since_s is None
-
-    run_rig(scenario, motion={"deadband_deg": 30})
-
-
-def test_an_arrived_tracker_that_is_moved_later_is_found(run_rig):
-    async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
-        for wait_s, there in ((1.0, 75.0), (15.0, 70.0)):
-            await asyncio.sleep(wait_s)
-            drive_b(rig, there)
-            assert 0 < await moves_for(rig, 10) <= 2.0
-            assert rig.motion.unexplained
-            rig.motion.clear_faults()
-            await rig.until(lambda: rig.motion.unexplained is None, 10, "the clear")
-
-    run_rig(scenario, motion={"deadband_deg": 30})

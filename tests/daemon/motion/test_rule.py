@@ -228,3 +228,18 @@ def test_a_host_that_was_busy_for_seconds_does_not_call_a_standing_unit_deaf(run
         assert rig.motion.unexplained is None
 
     run_rig(scenario)
+
+
+def test_an_arrived_tracker_that_is_moved_later_is_found(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        for wait_s, there in ((1.0, 75.0), (15.0, 70.0)):
+            await asyncio.sleep(wait_s)
+            drive_b(rig, there)
+            assert 0 < await moves_for(rig, 10) <= 2.0
+            assert rig.motion.unexplained
+            rig.motion.clear_faults()
+            await rig.until(lambda: rig.motion.unexplained is None, 10, "the clear")
+
+    run_rig(scenario, motion={"deadband_deg": 30})

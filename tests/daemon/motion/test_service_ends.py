@@ -8,7 +8,7 @@ import pytest
 from daemon.base.records import Target
 from drivers.errors import RefusedError
 from tests.support.motion import drive_b
-from tests.support.phases import quiet
+from tests.support.phases import now, quiet
 
 
 def ended(run_rig, caplog, act):
@@ -99,3 +99,20 @@ def test_at_the_end_a_driver_that_never_answers_does_not_keep_the_service(run_ri
     said, _ = ended(run_rig, caplog, act)
     assert said.startswith("motion is not known to be stopped: ")
     assert rigs[0].clock.monotonic() - rigs[0].end_s < 12
+
+
+def test_the_port_is_released_at_the_end(run_rig):
+    closed = []
+
+    async def scenario(rig):
+        await quiet(rig)
+        close = rig.positioner.close
+
+        async def noted():
+            closed.append(now(rig))
+            await close()
+
+        rig.positioner.close = noted
+
+    run_rig(scenario)
+    assert len(closed) == 1

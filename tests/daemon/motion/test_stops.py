@@ -7,16 +7,7 @@ import pytest
 from daemon.base.records import Event, Target
 from drivers.errors import DeviceError, RefusedError
 from sim_drivers.pozsol.setup import Setup
-from tests.support.motion import (
-    A_PACKET,
-    B_PACKET,
-    STOP_PACKET,
-    alarms,
-    cleared,
-    commands_sent,
-    drive_b,
-    moves_for,
-)
+from tests.support.motion import A_PACKET, B_PACKET, STOP_PACKET, alarms, cleared, commands_sent, drive_b, moves_for
 from tests.support.phases import quiet, under_way
 
 

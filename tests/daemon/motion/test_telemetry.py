@@ -8,7 +8,7 @@ import pytest
 from daemon.base.records import Mode, Move, Pose, Target
 from drivers.errors import RefusedError
 from tests.support.motion import alarms, drive_b, show
-from tests.support.phases import quiet
+from tests.support.phases import now, quiet
 
 
 def test_a_unit_that_contradicts_the_configuration_moves_nothing(run_rig):
@@ -89,3 +89,26 @@ def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
         assert not alarms(rig)
 
     run_rig(scenario)
+
+
+def test_stands_since_tells_when_telemetry_saw_both_axes_come_to_rest(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        before_s = rig.motion.stands_since_s
+        assert before_s < now(rig) - 15
+        await rig.motion.stop()
+        assert rig.motion.stands_since_s is None, "whether it stood is not known before the next look"
+        await rig.until(lambda: rig.motion.stands_since_s, 3, "standstill")
+        rig.motion.order(Target(0, 60, "test"))
+        await asyncio.sleep(3)
+        assert rig.motion.stands_since_s is None
+        await rig.motion.stop()
+        stopped_s = now(rig)
+        assert rig.motion.stands_since_s is None, "a stop that was sent is not yet a standstill"
+        await rig.until(lambda: rig.motion.stands_since_s, 3, "standstill")
+        assert rig.motion.stands_since_s > stopped_s
+        rig.cables.positioner.link_up = False
+        await asyncio.sleep(2)
+        assert rig.motion.stands_since_s is None
+
+    run_rig(scenario, motion={"deadband_deg": 30})

@@ -1,0 +1,140 @@
+"""A move that is refused or fails: how often it is tried, what ends the tries, and when it is tried anew."""
+
+import asyncio
+import itertools
+
+from daemon.base.records import MoveOutcome, Target
+from sim_drivers.pozsol.setup import AxisDrive, Setup
+from tests.support.motion import (
+    A_PACKET,
+    B_PACKET,
+    STOP_PACKET,
+    alarms,
+    commands_sent,
+    drive_b,
+    lose,
+    moves_for,
+    show,
+    targets,
+)
+from tests.support.phases import at_rest, now, quiet
+
+
+def test_a_move_is_tried_as_often_as_the_settings_say_and_no_more(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.order(Target(0, 60, "test"))
+        await asyncio.sleep(120)
+        assert rig.motion.last_move.outcome is MoveOutcome.REFUSED
+        assert len(targets(sent)) == 2 * 4
+        assert rig.motion.doubt.startswith("the last move failed (refused): ")
+
+    run_rig(scenario, motion={"attempts": 4})
+
+
+def test_a_stop_between_two_attempts_ends_the_move(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        rig.motion.order(Target(0, 60, "test"))
+        await asyncio.sleep(1.5)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.rest()
+        await rig.until(lambda: rig.motion.target is None, 3, "the end of the move")
+        assert rig.motion.last_move.outcome is MoveOutcome.INTERRUPTED
+        assert not targets(sent)
+        assert rig.motion.doubt is None
+
+    run_rig(scenario)
+
+
+def test_what_moves_by_itself_between_two_attempts_is_stopped_and_gets_no_target(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(rig, monkeypatch)
+        rig.motion.order(Target(0, 60, "test"))
+        await rig.until(lambda: len(targets(sent)) == 2, 3, "the first attempt")
+        await rig.until(lambda: rig.motion.stands_since_s is None, 3, "the stop after it")
+        await rig.until(lambda: rig.motion.stands_since_s is not None, 3, "standstill")
+        drive_b(rig, 20)
+        begun_s = now(rig)
+        await rig.until(lambda: rig.motion.target is None, 12, "the end of the move")
+        assert len(targets(sent)) == 2
+        assert rig.motion.last_move.outcome is MoveOutcome.OVERSHOT
+        assert "B moved" in rig.motion.unexplained
+        stopped_s = next(at_s for at_s, data in sent if at_s > begun_s and data[:3] == STOP_PACKET)
+        assert stopped_s - begun_s < 1.6
+
+    run_rig(scenario)
+
+
+def test_a_move_that_overshoots_ends_with_stop(run_rig, monkeypatch):
+    async def scenario(rig):
+        sent = commands_sent(rig, monkeypatch)
+        await rig.until(lambda: rig.motion.last_move, 200, "the end of the move")
+        assert rig.motion.last_move.outcome is MoveOutcome.OVERSHOT
+        assert sent[-1][1].startswith(STOP_PACKET)
+        assert await moves_for(rig, 30) <= 1.0
+
+    run_rig(scenario, motion={"attempts": 1}, setup=Setup(drive=AxisDrive(overshoot_mm=12.0)))
+
+
+def test_a_move_that_stalls_ends_with_stop(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.motion.order(Target(rig.motion.pose.a_deg, 60, "test"))
+        await asyncio.sleep(2)
+        here = rig.motion.telemetry
+        sent = commands_sent(rig, monkeypatch)
+        show(rig, position_a=here.position_a, position_b=here.position_b, b_deg=here.b_deg)
+        await rig.until(lambda: rig.motion.target is None, 30, "the end")
+        assert rig.motion.last_move.outcome is MoveOutcome.STALLED
+        assert sent[-1][1].startswith(STOP_PACKET)
+
+    run_rig(scenario, motion={"attempts": 1, "deadband_deg": 30})
+
+
+def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        sent = commands_sent(rig, monkeypatch)
+        start_s = now(rig)
+        rig.wind_m_s = 20.0
+        await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
+        assert "the stow failed and is tried again: the last move failed (refused)" in alarms(rig)["move-failed"]
+        await asyncio.sleep(3600)
+        tries = [at - start_s for at, data in sent if data[:2] == B_PACKET][::3]
+        pauses = [round((b - a) / 60) for a, b in itertools.pairwise(tries)]
+        assert pauses[:4] == [1, 2, 5, 10]
+        assert len(targets(sent)) <= 60
+        monkeypatch.undo()
+        await rig.until(lambda: rig.truth().b_deg > 89, 700, "the stow")
+        await at_rest(rig)
+        assert "move-failed" not in alarms(rig)
+
+    run_rig(scenario)
+
+
+def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        for pause_s in (600, 1200, 2400):
+            rig.motion.order(Target(0, 60, "test"))
+            await rig.until(lambda: rig.motion.doubt, 30, "the failure")
+            await asyncio.sleep(pause_s - 20)
+            assert rig.motion.doubt
+            await asyncio.sleep(30)
+            assert rig.motion.doubt is None
+        shown = rig.motion.concerns
+        assert shown[0].startswith("the last move failed")
+        rig.motion.clear_faults(shown=shown)
+        await asyncio.sleep(3)
+        assert rig.motion.concerns == ()
+        assert not alarms(rig)
+
+    run_rig(scenario, motion={"deadband_deg": 30})
