@@ -5,9 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from drivers.errors import (
-    LinkLostError,
-)
+from drivers.errors import LinkLostError
 from drivers.load.chroma63600 import Chroma63600
 from drivers.load.sweep import SweepSettings
 from sim_drivers.load.core import LoadCore

@@ -5,12 +5,7 @@ import math
 
 import pytest
 
-from drivers.errors import (
-    ConnectError,
-    IdentityError,
-    LinkLostError,
-    RefusedError,
-)
+from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field
