@@ -3,7 +3,8 @@
 from typing import Literal
 
 from sim_drivers.pozsol.motion import Axis
-from sim_drivers.pozsol.unit import LOW_V, NOMINAL_V, Button, PositionerUnit
+from sim_drivers.pozsol.supply import LOW_V, NOMINAL_V
+from sim_drivers.pozsol.unit import Button, PositionerUnit
 
 SLIP_MM = 5.0
 """How much one slip falsifies the count: the axis is further out than the unit believes."""

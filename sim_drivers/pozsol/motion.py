@@ -103,6 +103,11 @@ class Axis:
         # One axis of two rests at any time, and is asked for its angle all the same.
         return before if before[0] == position_mm else (position_mm, self.actuator.angle_deg(position_mm))
 
+    def position_of(self, angle_deg: float) -> int:
+        """Return what the unit makes of an angle: an unsigned whole number, so no fraction, and nothing below 0."""
+        position = self.actuator.position_mm(angle_deg) if math.isfinite(angle_deg) else 0.0
+        return int(max(position, 0.0)) if math.isfinite(position) else 0
+
     def counts(self, way_mm: float) -> int:
         """Return a distance in whole impulses."""
         return round(way_mm * self.drive.counts_per_mm)

@@ -13,16 +13,13 @@ from sim_drivers.pozsol.motion import ERRORS, HOMING_AHEAD_MM, HOMING_TIMEOUT_S,
 from sim_drivers.pozsol.screens import AxisReadout, Readout, axis_readout
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.pozsol.status import mode_text, status_word
+from sim_drivers.pozsol.supply import MotorSupply
 from solar.frames import Angles
 
 POLL_S = 0.02
 MANUAL_POLLS = 14
 """So many looks at the input after an action (code 57) the unit takes its axes for driven by hand."""
 SELF_CLEAR_S = 900.0
-NOMINAL_V, LOW_V = 24.0, 15.0
-MOVE_V, CUT_OFF_V = 20.0, 17.0
-RECOVERY_S = 5.0
-"""For so long after an undervoltage targets are refused."""
 BRAKING_S = 0.34
 """From its target until the unit has braked an axis; what it is told in that time is lost."""
 IDLE_S = 1.0
@@ -53,13 +50,12 @@ class PositionerUnit:
         self.axes["b"].count(False, now)
         self.modes = OwnModes(setup)
         self.was_reset = False
-        self.supply_v = NOMINAL_V
+        self.supply = MotorSupply()
         self.button: Button | None = None
         self.due_s = math.inf
         self._chosen: AxisName = "a"
         self._by_button: AxisName = "a"
         self._self_clear_s = now + SELF_CLEAR_S
-        self._refuses_until_s = -math.inf
         self._button_s = self._manual_s = self._idle_s = self._braked_s = math.inf
         self._homing_ordered = self._runs_out = self._idled = False
         self.changes = 0
@@ -72,7 +68,7 @@ class PositionerUnit:
 
     def point(self, name: AxisName, angle_deg: float, now: float) -> None:
         """Go to an angle, truncated to a whole unit of position and held in the unit's range."""
-        self.go(name, self._position(name, angle_deg), now)
+        self.go(name, self.axes[name].position_of(angle_deg), now)
 
     def go(self, name: AxisName, position: int, now: float) -> None:
         """Go to a position in whole units."""
@@ -150,10 +146,8 @@ class PositionerUnit:
 
     def set_supply(self, volts: float, now: float) -> None:
         """Change the motor supply."""
-        if self.supply_v < MOVE_V <= volts:
-            self._refuses_until_s = now + RECOVERY_S
-        self.supply_v = volts
-        if volts < CUT_OFF_V:
+        self.supply.set(volts, now)
+        if self.supply.cuts_off:
             self._stop_all(now)
         self.decide(now)
 
@@ -196,7 +190,7 @@ class PositionerUnit:
             b=b,
             clock_s=now,
             service=f"Run:{'synch' if self.setup.synchronous else 'normal'},Wi=0,Si=0",
-            supply_v=self.supply_v,
+            supply_v=self.supply.volts,
             mode=mode_text(self.modes),
             status=status_word(
                 self.setup,
@@ -214,7 +208,7 @@ class PositionerUnit:
         """Let the unit look at its state, and find out when it has to do so again."""
         for name, angle_deg in self.modes.targets(now):
             self._take_back()
-            self._aim(name, self._position(name, angle_deg), now)
+            self._aim(name, self.axes[name].position_of(angle_deg), now)
         # One decision can make the next one possible at once, as the end of a reference run at standstill does.
         for _ in range(3):
             before = self._chosen, self._runs_out, self._axis.control, self._axis.active
@@ -316,8 +310,7 @@ class PositionerUnit:
 
     def _aim(self, name: AxisName, position: float, now: float) -> None:
         axis = self.axes[name]
-        refuses = now < self._refuses_until_s or self.supply_v < MOVE_V
-        if refuses or axis.faults & ERRORS or axis.control == "home" or axis.manual:
+        if self.supply.refuses(now) or axis.faults & ERRORS or axis.control == "home" or axis.manual:
             return
         held = min(max(position + axis.actuator.zero_offset_mm, 0), axis.range_mm)
         per_mm = axis.drive.counts_per_mm
@@ -328,7 +321,7 @@ class PositionerUnit:
         self._homing_ordered = True
         self._choose(name, now)
         axis = self.axes[name]
-        if not (axis.blocked or now < self._refuses_until_s or self.supply_v < MOVE_V):
+        if not (axis.blocked or self.supply.refuses(now)):
             # An axis at rest without a target of its own may lose its turn at once to one that has one.
             self._take_turns(now)
             axis.control, axis.homing_since_s = "home", now
@@ -392,11 +385,6 @@ class PositionerUnit:
         own = (self._manual_s, self._idle_s, self._braked_s, self._self_clear_s, self._button_s, homing_s)
         times = (*own, *self.modes.events(), *a.events(), *b.events())
         self.due_s = min((time_s for time_s in times if time_s > now), default=math.inf)
-
-    def _position(self, name: AxisName, angle_deg: float) -> int:
-        # The unit computes an unsigned whole number: no fraction, and nothing below 0.
-        position = self.axes[name].actuator.position_mm(angle_deg) if math.isfinite(angle_deg) else 0.0
-        return int(max(position, 0.0)) if math.isfinite(position) else 0
 
     @property
     def _axis(self) -> Axis:
