@@ -14,7 +14,7 @@ from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.plant import Plant
 from daemon.studies.campaign.watch.believed import check_scan
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
-from daemon.studies.campaign.watch.explained import AT_TARGET, Counted, Explained
+from daemon.studies.campaign.watch.explained import AT_TARGET, RUN_OUT_S, Counted, Explained
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
 from daemon.studies.campaign.watch.steady import FASTEST_DEG_PER_S, FASTEST_PER_S, STANDS, Steady, turning
@@ -34,6 +34,8 @@ SAMPLING_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
 LIMIT_DEG = 0.02
+LEFT_AT_ARRIVAL = 4.0
+"""More than the tolerance of a move, in the unit's positions."""
 STALE_S = 16.0
 
 
@@ -73,6 +75,7 @@ class TruthWatch:
         self._sampled_s = -math.inf
         self._wake = asyncio.Event()
         self._fast_until_s = 0.0
+        self._headed_s = -math.inf
         self._unexplained_s: dict[AxisName, float | None] = {"a": None, "b": None}
         self._self_moved_s = -math.inf
         self._stop_s: float | None = None
@@ -226,6 +229,8 @@ class TruthWatch:
         now_s, at = self.now_s, self.plant.truth()
         before, gone_s, self._at = self._at, now_s - self._sampled_s, at
         self._sampled_s = now_s
+        if self.plant.motion.target is not None:
+            self._headed_s = now_s
         if before is None or gone_s <= 0:
             self._look_closely(at, at, 0.0, now_s)
             return
@@ -273,9 +278,11 @@ class TruthWatch:
             self._unexplained_s[axis] = None
             return math.inf
         self._note_motion(now_s)
-        motion = self.plant.motion
         counted = self._counted_of(axis)
-        heading = motion.target is not None
+        motion, left = self.plant.motion, abs(counted.destination - counted.position)
+        # A move has arrived within its tolerance; what is left of it the axis may still make up.
+        heads_until_s = self._headed_s + RUN_OUT_S
+        heading = motion.target is not None or (left <= LEFT_AT_ARRIVAL and now_s < heads_until_s)
         why = self.explained.why(axis, turned_deg, counted, now_s, homing=motion.homing, heading=heading)
         if not live:
             self._unexplained_s[axis] = None
@@ -292,8 +299,8 @@ class TruthWatch:
         self.reporting.stands()
         if why == "order":
             left_deg = self._check_limits(axis, at_deg, turned_deg)
-            left = abs(counted.destination - counted.position) - AT_TARGET
-            return now_s + min(left / FASTEST_PER_S, left_deg / FASTEST_DEG_PER_S)
+            until_s = now_s + min((left - AT_TARGET) / FASTEST_PER_S, left_deg / FASTEST_DEG_PER_S)
+            return until_s if motion.target is not None else min(until_s, heads_until_s)
         return math.inf if why == "home" else -math.inf
 
     def _live(self, now_s: float) -> bool:
