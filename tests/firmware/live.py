@@ -84,7 +84,7 @@ async def move(positioner, a_deg, b_deg, **options):
 
 def driver_on(firmware, a=A, b=B, **options):
     """Return the real driver on the firmware's port; what a busy machine holds up for seconds is no lost link."""
-    line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic)
+    line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic, write_s=10.0)
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
 
 

@@ -80,17 +80,26 @@ class SerialLine:
         How long the unit may take to restart because its port was opened; 0 if it does not.
     banner
         What the unit prints when it has restarted; None if nothing is known of that.
+    write_s
+        How long a packet may take to be written before the link counts as lost.
     """
 
     simulated = False
 
     def __init__(
-        self, connect: Callable[[], Port], now: Callable[[], float], *, boot_s: float = 0.0, banner: str | None = None
+        self,
+        connect: Callable[[], Port],
+        now: Callable[[], float],
+        *,
+        boot_s: float = 0.0,
+        banner: str | None = None,
+        write_s: float = _WRITE_S,
     ) -> None:
         self._connect = connect
         self._now = now
         self.boot_s = boot_s
         self._banner = b"" if banner is None else banner.encode("latin-1")
+        self._write_s = write_s
         self._thread = DeviceThread(_DEVICE)
         self._reader: TelemetryReader | None = None
 
@@ -107,10 +116,10 @@ class SerialLine:
         await self._thread.finish(None if reader is None else reader.close, _CLOSE_S)
 
     async def send(self, packet: bytes) -> None:
-        """Write one packet, within a second."""
+        """Write one packet, within a second or what was asked for."""
         reader = self._require_reader()
         reader.attend()
-        await self._thread.call(lambda: reader.port.write(packet), _WRITE_S)
+        await self._thread.call(lambda: reader.port.write(packet), self._write_s)
 
     def state(self) -> LinkState:
         """Return the newest values."""

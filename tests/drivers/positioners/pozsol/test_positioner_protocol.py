@@ -39,6 +39,7 @@ def positioner_on(link, a=A, b=B, **options):
         time.monotonic,
         boot_s=options.pop("boot_s", 0.0),
         banner=options.pop("banner", None),
+        write_s=10.0,
     )
     # What a busy machine holds up for seconds is no lost link.
     return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
