@@ -212,7 +212,7 @@ class CampaignRun:
         if fault.by_hand:
             watch.explained.held(is_held=False, now_s=watch.now_s)
         if name.endswith("hall_loss"):
-            watch.blind.discard("a" if name[0] == "a" else "b")
+            watch.sees_again("a" if name[0] == "a" else "b")
         if name == "deaf":
             watch.deaf(is_deaf=False)
         watch.disturbs()

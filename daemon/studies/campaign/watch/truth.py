@@ -139,6 +139,11 @@ class TruthWatch:
         self.reach.deaf(self.now_s, is_deaf=is_deaf)
         self.wake()
 
+    def sees_again(self, axis: AxisName) -> None:
+        """Take note that an axis gives Hall pulses again: what it did without them, nobody could see."""
+        self.blind.discard(axis)
+        self._unexplained_s[axis] = None
+
     def moves_itself(self) -> None:
         """Take note that the unit may move by itself from now on."""
         self._self_moved_s = self.now_s
