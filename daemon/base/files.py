@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import stat
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,32 @@ def replace_file(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
+
+
+def rewrite_file(path: Path, text: str) -> None:
+    """Replace the content of a person's file as a whole; its owner and its rights stay as they are.
+
+    Raises
+    ------
+    OSError
+        It cannot be written, on a full disk for one. The file is what it was.
+    """
+    path = path.resolve()
+    had, part = path.stat(), path.with_name(f".{path.name}.part")
+    try:
+        with part.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.chmod(stat.S_IMODE(had.st_mode))
+        if sys.platform != "win32":
+            # Refused where it would make somebody else's file one's own.
+            os.chown(part, had.st_uid, had.st_gid)
         part.replace(path)
     except OSError:
         with contextlib.suppress(OSError):

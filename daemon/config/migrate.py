@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 
 from daemon.base.errors import UserError
-from daemon.base.files import toml_text
+from daemon.base.files import rewrite_file, toml_text
 from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.plugged import DRIVER, SECTIONS
@@ -76,8 +76,7 @@ def _replace(path: Path, text: str) -> Path:
         old = first.with_name(f"{first.name}-{again}")
     try:
         shutil.copy2(path, old)
-        with path.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        rewrite_file(path, text)
     except OSError as error:
         raise UserError(f"{path} cannot be migrated: {error.strerror}") from None
     return old

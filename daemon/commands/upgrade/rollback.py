@@ -7,7 +7,7 @@ from pathlib import Path
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import toml_text
+from daemon.base.files import rewrite_file, toml_text
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.commands.kept import records_of
@@ -109,8 +109,7 @@ def _file(config: Path, to: Program) -> Iterator[str]:
     newer = config.with_name(f"{config.name}.newer-{release()}")
     newer.write_text(toml_text(config), encoding="utf-8", newline="\n")
     newer.chmod(config.stat().st_mode & 0o777)
-    # In place, so that owner and rights stay.
-    config.write_text(toml_text(old), encoding="utf-8", newline="\n")
+    rewrite_file(config, toml_text(old))
     yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
 
 

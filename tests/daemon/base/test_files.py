@@ -1,0 +1,36 @@
+"""A person's file that is written anew: as a whole or not at all, and it stays that person's."""
+
+import os
+import stat
+
+import pytest
+
+from daemon.base.files import rewrite_file
+from tests.daemon.store.test_store import fill, small_disk
+
+__all__ = ["small_disk"]
+
+
+def test_owner_and_rights_stay_and_a_link_stays_a_link(tmp_path):
+    file, link = tmp_path / "real.toml", tmp_path / "link.toml"
+    file.write_text("a = 1\n")
+    file.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(file, 65534, 65534)
+    before = file.stat()
+    link.symlink_to(file)
+    rewrite_file(link, "b = 2\n")
+    after = file.stat()
+    assert (file.read_text(), link.is_symlink()) == ("b = 2\n", True)
+    assert (after.st_uid, after.st_gid, stat.S_IMODE(after.st_mode)) == (before.st_uid, before.st_gid, 0o640)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.toml", "real.toml"]
+
+
+def test_on_a_full_disk_it_is_what_it_was(small_disk):
+    file = small_disk / "heliocube.toml"
+    file.write_text("a = 1\n")
+    fill(small_disk / "filler")
+    with pytest.raises(OSError, match="No space left"):
+        rewrite_file(file, "b = 2\n" * 1000)
+    assert file.read_text() == "a = 1\n"
+    assert sorted(path.name for path in small_disk.iterdir()) == ["filler", "heliocube.toml"]
