@@ -1,7 +1,6 @@
 """Small files: TOML within bounds, replacing as a whole so that a crash leaves no part, and secrets."""
 
 import contextlib
-import logging
 import os
 import stat
 import sys
@@ -10,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from daemon.base.errors import UserError
-
-log = logging.getLogger("heliocube.state")
 
 # A file that names every key with its comment has 40 kB.
 _MOST_TOML_BYTES = 131072
@@ -24,18 +21,8 @@ _LONGEST_TOML_TEXT = 4096
 
 def replace_file(path: Path, text: str) -> None:
     """Write `text` to `path` by way of a file beside it, and make its folder; raises `OSError` and leaves nothing."""
-    part = path.with_suffix(".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _swap_in(path.with_suffix(".part"), path, text)
 
 
 def rewrite_file(path: Path, text: str) -> None:
@@ -47,16 +34,21 @@ def rewrite_file(path: Path, text: str) -> None:
         It cannot be written, on a full disk for one. The file is what it was.
     """
     path = path.resolve()
-    had, part = path.stat(), path.with_name(f".{path.name}.part")
+    _swap_in(path.with_name(f".{path.name}.part"), path, text, path.stat())
+
+
+def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = None) -> None:
+    """Put a text in a file's place by way of `part`, with owner and rights as in `like`; `OSError` leaves nothing."""
     try:
         with part.open("w", encoding="utf-8", newline="\n") as file:
+            if like is not None:
+                part.chmod(stat.S_IMODE(like.st_mode))
+            if like is not None and sys.platform != "win32":
+                # Refused where it would make somebody else's file one's own.
+                os.chown(part, like.st_uid, like.st_gid)
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        part.chmod(stat.S_IMODE(had.st_mode))
-        if sys.platform != "win32":
-            # Refused where it would make somebody else's file one's own.
-            os.chown(part, had.st_uid, had.st_gid)
         part.replace(path)
     except OSError:
         with contextlib.suppress(OSError):

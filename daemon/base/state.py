@@ -69,9 +69,9 @@ def reserve_room(path: Path) -> None:
     spare, first = spare_of(path), path.with_suffix(".before")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        for missing in (spare, first):
-            if not missing.exists() and not (missing == first and path.exists()):
-                _overwrite(missing, " " * ROOM_BYTES)
+        for room in (spare,) if path.exists() else (spare, first):
+            if not room.exists():
+                _overwrite(room, " " * ROOM_BYTES)
 
 
 def _overwrite(path: Path, text: str) -> None:
