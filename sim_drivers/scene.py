@@ -15,7 +15,7 @@ import numpy as np
 from sim_drivers.weather import Weather
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array, azimuth_from_direction, normal_from_angles
-from solar.sky import Sky, SkyModel, normal_from_tilt, sky
+from solar.skies.sky import Sky, SkyModel, normal_from_tilt, sky
 
 CHUNK_S = 3600
 KEPT_CHUNKS = 4

@@ -11,10 +11,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.allweather import all_weather_sky
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
 from solar.frames import FACE_NORMALS, Array, Limits, normal_from_angles
-from solar.sky import SKY_MODELS, sky
+from solar.skies.allweather import all_weather_sky
+from solar.skies.sky import SKY_MODELS, sky
 
 ALL_WEATHER = "perez1993"
 SKIES = (*SKY_MODELS, ALL_WEATHER)

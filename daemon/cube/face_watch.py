@@ -15,7 +15,7 @@ from daemon.cube.contradictions import MINUTES, Contradictions
 from solar.ephemeris import SunDirection
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.frames import FACE_NORMALS, Array
-from solar.sky import normal_from_tilt
+from solar.skies.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
 BLOCKS = 5

@@ -43,7 +43,7 @@ from sim_drivers.weather_files import MeasuredWeather, load_weather
 from solar.ephemeris import extraterrestrial_dni, sun_direction
 from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305, PvModule
-from solar.sky import Sky, sky
+from solar.skies.sky import Sky, sky
 
 if TYPE_CHECKING:
     from sim_drivers.pozsol.core import PositionerCore

@@ -14,7 +14,7 @@ from daemon.config.settings import Settings
 from daemon.store.tables import COLUMNS, Column, Row
 from solar.ephemeris import extraterrestrial_dni, sun_direction
 from solar.frames import Array, angles_within, azimuth_from_direction, normal_from_angles
-from solar.sky import sky
+from solar.skies.sky import sky
 
 _STEP_S = 60.0
 _PLANE = [Column(name, name, "float") for name in ("surface_tilt", "surface_azimuth")]

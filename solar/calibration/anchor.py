@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from solar.calibration.selection import CLEAR_WATER_CM, clear_sky_ghi
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
-from solar.sky import SkyModel, sky
+from solar.skies.sky import SkyModel, sky
 
 # One sigma: of the model for one clear instant, whose aerosol drifts through the day, and of a sensor's sensitivity
 # before it has been calibrated (5 % is the maker's limit).

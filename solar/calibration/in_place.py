@@ -12,7 +12,7 @@ from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, 
 from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import FACE_NORMALS, Array
-from solar.sky import SkyModel
+from solar.skies.sky import SkyModel
 
 _BLOCK_S = 900.0
 _ROUNDS = 6

@@ -1,8 +1,8 @@
 """Relative gains, attitude and albedo of a cube in place, from its own readings under clear sky.
 
-What falls on a face at one instant is, for every sky model of :mod:`solar.sky`, linear in two numbers of that instant:
-the beam B = DNI + C (C the circumsolar part) and the uniform part D. Equation (1) of Andriamahefa et al. (2023) with
-these parts, for a face with cosine of incidence c and vertical component u of its normal:
+What falls on a face at one instant is, for every sky model of :mod:`solar.skies.sky`, linear in two numbers of that
+instant: the beam B = DNI + C (C the circumsolar part) and the uniform part D. Equation (1) of Andriamahefa et al.
+(2023) with these parts, for a face with cosine of incidence c and vertical component u of its normal:
 
     I = B [c+ r(c) + rho s (1 - u)/2] + D [(1 + u)/2 + h phi sqrt(1 - u u) + rho (1 - u)/2],   s = sin(elevation)
 
@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 from solar.calibration.attitude import Attitude, face_normals
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import FACE_NORMALS, Array
-from solar.sky import SkyModel, sky
+from solar.skies.sky import SkyModel, sky
 
 # Within this of grazing incidence (80 deg) the cosine error of a face exceeds the 1 % that its maker promises.
 _GRAZING_COSINE = np.array([-0.05, np.cos(np.radians(80.0))])

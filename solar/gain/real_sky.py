@@ -1,8 +1,8 @@
 """The same devices under a real sky: an atmosphere, diffuse light, the ground, and the sun where it really is.
 
-Irradiance on each device comes from the transposition of :mod:`solar.sky`, the sun from :mod:`solar.ephemeris`. Tilts
-and azimuth deviations carry the signs of :mod:`solar.gain.geometry`. Every panel has one face. K can be below 1 here: a
-panel that faces a cloud receives less diffuse light than one that lies flat.
+Irradiance on each device comes from the transposition of :mod:`solar.skies.sky`, the sun from :mod:`solar.ephemeris`.
+Tilts and azimuth deviations carry the signs of :mod:`solar.gain.geometry`. Every panel has one face. K can be below 1
+here: a panel that faces a cloud receives less diffuse light than one that lies flat.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from pvlib.clearsky import simplified_solis
 
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_position
 from solar.frames import Array, direction_from_azimuth
-from solar.sky import Sky, SkyModel, normal_from_tilt, sky
+from solar.skies.sky import Sky, SkyModel, normal_from_tilt, sky
 
 ALBEDO = 0.2
 # A clear continental atmosphere: aerosol optical depth at 700 nm and precipitable water.
@@ -81,7 +81,7 @@ def clear_sky(site: Site, utc_s: Array) -> tuple[Array, Array]:
 def sky_series(site: Site, utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, model: SkyModel = "perez1990") -> SkySeries:
     """Return the sky at instants of shape (n,) with their direct normal and diffuse horizontal irradiance [W/m2].
 
-    Its parts are those of :func:`solar.sky.sky`, whose models are cited there.
+    Its parts are those of :func:`solar.skies.sky.sky`, whose models are cited there.
     """
     sun = sun_position(utc_s, *site)
     solar_days = np.floor((utc_s + site.longitude_deg * 240.0) / DAY_S).astype(np.int64).astype("datetime64[D]")

@@ -17,7 +17,7 @@ from solar.calibration.in_place import FieldCalibration, UndeterminedError, cali
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Array, separation_deg
 from solar.laws.paper import complete_poleward, sun_vector
-from solar.sky import SKY_MODELS, SkyModel
+from solar.skies.sky import SKY_MODELS, SkyModel
 
 SITE = Site(55.79064, 12.52505, 50.0)
 ERRORS = np.array([1.03, 0.97, 1.02, 0.98])

@@ -23,7 +23,7 @@ from daemon.cube.face_watch import FaceWatch, face_normals
 from daemon.studies.energy import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
-from solar.sky import sky
+from solar.skies.sky import sky
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 SEASONS = {1: "January", 4: "April", 7: "July", 10: "October"}

@@ -17,7 +17,7 @@ from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
-from solar.sky import SkyModel, sky
+from solar.skies.sky import SkyModel, sky
 
 LYNGBY = Site(55.79064, 12.52505, 50.0)
 NOISE_MV = 0.02

@@ -11,8 +11,8 @@ from solar.calibration.selection import clear_sky_ghi
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array, Limits, angles_within, separation_deg
 from solar.laws.paper import sun_vector
-from solar.overcast import overcast_factor
-from solar.sky import normal_from_tilt, sky
+from solar.skies.overcast import overcast_factor
+from solar.skies.sky import normal_from_tilt, sky
 
 DRAWS = 100_000
 NOISE_W_M2 = 0.2

@@ -21,7 +21,7 @@ import numpy as np
 
 from daemon.base.clock import iso_utc
 from solar.ephemeris import sun_direction
-from solar.sky import sky
+from solar.skies.sky import sky
 
 SIRTA = (48.7176, 2.2090, 156.0)
 FIRST_DAY_UTC_S = 1656633600.0

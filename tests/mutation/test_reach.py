@@ -75,10 +75,10 @@ def test_each_line_of_a_function_is_of_one_block():
 
 
 def test_of_what_is_worked_out_once_all_tests_of_its_file_are_asked(tmp_path):
-    path = "solar/allweather.py"
+    path = "solar/skies/dome.py"
     source = (ROOT / path).read_bytes()
-    change = next(mutant for mutant in mutants(path, source) if mutant.function == "_dome")
-    tests = {f"tests/solar/test_sky.py::test_{place}": {"seconds": 1.0, "blocks": [f"{path}:1"]} for place in "ab"}
+    change = next(mutant for mutant in mutants(path, source) if mutant.function == "dome")
+    tests = {f"tests/solar/skies/test_sky.py::test_{at}": {"seconds": 1.0, "blocks": [f"{path}:1"]} for at in "ab"}
     notes = tmp_path / "reach.json"
     notes.write_text(json.dumps({"sources": {path: digest(ROOT / path)}, "tests": tests}))
     assert {test for stage in Reached(notes).stages(change) for test in stage} >= tests.keys()
@@ -89,7 +89,7 @@ def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_t
     source = (ROOT / path).read_bytes()
     blocks = block_of_line(path, source)
     mutant = next(mutant for mutant in mutants(path, source) if mutant.line in blocks)
-    near, far = "tests/daemon/base/test_reconnect.py::test_near", "tests/solar/test_sky.py::test_far"
+    near, far = "tests/daemon/base/test_reconnect.py::test_near", "tests/solar/skies/test_sky.py::test_far"
     notes = tmp_path / "reach.json"
 
     def note(sources, **of_block):
@@ -100,7 +100,7 @@ def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_t
                 "seconds": 0.1,
                 "blocks": [blocks[mutant.line]],
             },
-            "tests/solar/test_sky.py::test_elsewhere": {"seconds": 0.1, "blocks": [], **of_block},
+            "tests/solar/skies/test_sky.py::test_elsewhere": {"seconds": 0.1, "blocks": [], **of_block},
         }
         notes.write_text(json.dumps({"sources": sources, "tests": tests}))
         return [test for stage in Reached(notes).stages(mutant) for test in stage if "::" in test]
@@ -108,4 +108,4 @@ def test_a_change_goes_to_the_tests_of_its_module_first_and_then_to_all_others_t
     assert note({path: digest(ROOT / path)}) == [near, far]
     # Of a source that was another one then, each test that reaches the file may reach the line.
     elsewhere = note({path: "another"}, blocks=[f"{path}:1"])
-    assert set(elsewhere) == {near, far, "tests/solar/test_sky.py::test_elsewhere"}
+    assert set(elsewhere) == {near, far, "tests/solar/skies/test_sky.py::test_elsewhere"}

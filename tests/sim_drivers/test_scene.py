@@ -10,7 +10,7 @@ from sim_drivers.weather import GeneratedWeather, WeatherError
 from sim_drivers.weather_files import MeasuredWeather, load_weather
 from solar.ephemeris import Site, extraterrestrial_dni, sun_day, sun_direction, sun_position
 from solar.frames import Limits, angles_from_direction, separation_deg
-from solar.sky import SKY_MODELS, plane_of_array
+from solar.skies.sky import SKY_MODELS, plane_of_array
 
 pytestmark = pytest.mark.slow
 

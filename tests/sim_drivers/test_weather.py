@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sim_drivers.weather import GeneratedWeather, Noise
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction, sun_position
-from solar.sky import plane_of_array
+from solar.skies.sky import plane_of_array
 
 pytestmark = pytest.mark.slow
 

@@ -267,7 +267,7 @@ def paper(
 
     from daemon.config.plugged import law_names
     from daemon.config.simulation import WeatherName
-    from solar.sky import SKY_MODELS, SkyModel
+    from solar.skies.sky import SKY_MODELS, SkyModel
 
     chosen: list[SkyModel] = [_one_of(text, SKY_MODELS, "--skies") for text in _words(skies)]
     if not chosen:

@@ -12,7 +12,7 @@ from daemon.studies.calibrate.request import CubeSetup
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
 from solar.calibration.selection import block_means, night_offset
 from solar.frames import Array
-from solar.sky import SkyModel
+from solar.skies.sky import SkyModel
 
 _LEAST_READINGS = 60
 

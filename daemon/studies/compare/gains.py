@@ -14,7 +14,7 @@ from daemon.studies.text_table import signed, table
 from solar.compare import ChainBias, energy_wh, gain_pct
 from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array
-from solar.sky_periods import sky_periods
+from solar.skies.sky_periods import sky_periods
 
 WHOLE_DAY = "day"
 # Lower, the light of a clear sky is mostly diffuse, and the diffuse fraction tells nothing.

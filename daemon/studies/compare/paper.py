@@ -25,8 +25,8 @@ from daemon.studies.spread.workers import Workers, gather
 from daemon.studies.text_table import signed, table
 from solar.ephemeris import Site, sun_direction
 from solar.frames import Array, Limits, angles_within, normal_from_angles
-from solar.overcast import ISOTROPIC, STANDARD, overcast_factor
-from solar.sky import SkyModel
+from solar.skies.overcast import ISOTROPIC, STANDARD, overcast_factor
+from solar.skies.sky import SkyModel
 
 NAMES = (T_CUBE, T_CHRONO)
 # The paper's trackers had no such limits.

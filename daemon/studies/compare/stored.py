@@ -23,7 +23,7 @@ from daemon.studies.compare.measurements import Measurement
 from daemon.studies.recorded import stored_faces
 from solar.ephemeris import Site
 from solar.frames import Array
-from solar.sky_periods import diffuse_fraction_of_faces
+from solar.skies.sky_periods import diffuse_fraction_of_faces
 
 # A tracker at rest is looked at more often than this, and the cube is read more often.
 _POSE_HOLDS_S = 900.0

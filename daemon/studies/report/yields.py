@@ -9,7 +9,7 @@ from daemon.studies.report.material import Material
 from solar.ephemeris import sun_direction
 from solar.frames import Array
 from solar.received import Received, insolation, received
-from solar.sky_periods import Period, diffuse_fraction_of_faces, sky_periods
+from solar.skies.sky_periods import Period, diffuse_fraction_of_faces, sky_periods
 
 USUAL_ALBEDO = 0.2
 DAYLIGHT_EVERY_S = 60.0

@@ -14,7 +14,7 @@ from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch, face_normals
 from solar.ephemeris import extraterrestrial_dni, sun_direction
 from solar.frames import FACE_NORMALS
-from solar.sky import sky
+from solar.skies.sky import sky
 from tests.support.rig import HandWeather
 
 

@@ -17,7 +17,7 @@ from daemon.studies.recorded import read_csv
 from daemon.studies.replay import COLUMNS, replay
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-from solar.sky import sky
+from solar.skies.sky import sky
 from tests.daemon.tracker.test_optimal import Blinking, one_hour
 from tests.support.rig import SITE
 

@@ -11,7 +11,7 @@ from solar.calibration.attitude import Attitude, face_normals
 from solar.calibration.selection import clear_sky_ghi
 from solar.calibration.shape import fit_shape
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
-from solar.sky import sky
+from solar.skies.sky import sky
 
 SITE = Site(48.7, 2.2, 156.0)
 DAY_S = 86400.0

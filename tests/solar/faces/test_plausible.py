@@ -5,7 +5,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.faces.plausible import Doubt, Response, doubts, lit, lit_at_night, responses
-from solar.sky import sky
+from solar.skies.sky import sky
 
 SITE = (48.7176, 2.2090, 156.0)
 NORMALS = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])

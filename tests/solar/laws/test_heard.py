@@ -12,7 +12,7 @@ from solar.laws.heard import Begun, Heard, solar_day
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.memory import LightMemory, OptimalSettings
 from solar.laws.optimal_live import SETTINGS, LiveOptimal
-from solar.sky import sky
+from solar.skies.sky import sky
 
 SITE = Site(48.7176, 2.2090, 156.0)
 NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])

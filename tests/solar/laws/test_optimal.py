@@ -9,7 +9,7 @@ import pytest
 from solar.ephemeris import sun_direction
 from solar.frames import Limits, angles_within, normal_from_angles, separation_deg
 from solar.laws.optimal import OptimalLaw, OptimalSettings
-from solar.sky import sky
+from solar.skies.sky import sky
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.laws.site import Learned
 from solar.laws.words import weighed
-from solar.sky import sky
+from solar.skies.sky import sky
 
 SITE = Site(48.7176, 2.2090, 156.0)
 LIMITS = Limits()

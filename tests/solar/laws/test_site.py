@@ -6,7 +6,7 @@ import pytest
 from solar.ephemeris import sun_direction
 from solar.laws.light import light_from_faces, usable_faces
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning, no_sums, step
-from solar.sky import sky
+from solar.skies.sky import sky
 
 pytestmark = pytest.mark.slow
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solar.overcast import ISOTROPIC, STANDARD, overcast_factor
+from solar.skies.overcast import ISOTROPIC, STANDARD, overcast_factor
 
 
 @pytest.mark.parametrize("brightening", [ISOTROPIC, STANDARD, 0.5])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from solar.sky_periods import Period, diffuse_fraction_of_faces, sky_periods
+from solar.skies.sky_periods import Period, diffuse_fraction_of_faces, sky_periods
 
 HOUR = 3600.0
 

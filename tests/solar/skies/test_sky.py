@@ -6,7 +6,7 @@ from pvlib import irradiance
 from pvlib.atmosphere import get_relative_airmass
 
 from solar.frames import direction_from_azimuth
-from solar.sky import SKY_MODELS, normal_from_tilt, plane_of_array, sky
+from solar.skies.sky import SKY_MODELS, normal_from_tilt, plane_of_array, sky
 
 LATITUDE = 48.7
 UP = np.array([0.0, 0.0, 1.0])

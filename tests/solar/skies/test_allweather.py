@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from solar.allweather import all_weather_sky
 from solar.frames import direction_from_azimuth
+from solar.skies.allweather import all_weather_sky
 
 NORMALS = np.array([[0.0, 1, 0], [1, 0, 0], [0, -1, 0], [0, 0, 1]])
 
