@@ -20,7 +20,7 @@ from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch, face_normals
-from daemon.studies.energy import measured_minutes
+from daemon.studies.energy.benchmark import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
 from solar.skies.sky import sky

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
-from daemon.studies.energy import measured_minutes
+from daemon.studies.energy.benchmark import measured_minutes
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt, Response, doubts, responses

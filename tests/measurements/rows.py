@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daemon.studies.energy import measured_minutes
+from daemon.studies.energy.benchmark import measured_minutes
 from solar.energy import DaylightWeather, Drive, Harvest, Shining, Steer, build_sky, faces_under, harvest, lay_out
 from solar.ephemeris import DAY_S, Site
 from solar.frames import Angles, Array, Limits, normal_from_angles

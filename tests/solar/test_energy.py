@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daemon.studies.energy import measured_minutes
+from daemon.studies.energy.benchmark import measured_minutes
 from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, fixed, harvest, lay_out
 from solar.ephemeris import Site
 from solar.frames import Limits, angles_within, normal_from_angles

@@ -14,8 +14,8 @@ from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
-    from daemon.studies.energy import EnergyRow
-    from daemon.studies.energy_worth import Prices
+    from daemon.studies.energy.benchmark import EnergyRow
+    from daemon.studies.energy.worth import Prices
     from daemon.studies.sites.table import AskedSite
     from daemon.studies.spread.workers import Workers
 
@@ -88,7 +88,7 @@ def energy(
     as_json: JsonOption = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
-    from daemon.studies.energy_names import check_names, default_names
+    from daemon.studies.energy.names import check_names, default_names
     from daemon.studies.inputs import check_weather_file, parse_site
 
     skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
@@ -122,7 +122,7 @@ def _prices(
         if any(given is not None for given in (peak_kw, price, drive_price, drive_life_deg)):
             raise UserError("what a law is worth takes all of --peak-kw, --price, --drive-price and --drive-life-deg")
         return None
-    from daemon.studies.energy_worth import Prices
+    from daemon.studies.energy.worth import Prices
 
     return Prices(peak_kw=peak_kw, per_kwh=price, drive=drive_price, life_deg=drive_life_deg)
 
@@ -139,9 +139,17 @@ def _compare(
     *,
     as_json: bool,
 ) -> None:
-    from daemon.studies import energy_worth
-    from daemon.studies.energy import IDEAL, Terms, as_page, as_text, measured_minutes, run_benchmark, write_csv
-    from daemon.studies.energy_plot import plot
+    from daemon.studies.energy import worth
+    from daemon.studies.energy.benchmark import (
+        IDEAL,
+        Terms,
+        as_page,
+        as_text,
+        measured_minutes,
+        run_benchmark,
+        write_csv,
+    )
+    from daemon.studies.energy.plot import plot
     from solar.energy import Drive, lay_out
     from solar.ephemeris import Site
     from solar.frames import Limits
@@ -169,9 +177,9 @@ def _compare(
     text = as_text(rows, days, terms, simulated=simulated)
     page = as_page(rows, days, terms, simulated=simulated)
     if prices is not None:
-        worths = energy_worth.worths(rows, sum(page["days"].values()), prices)
-        text += energy_worth.as_text(worths, prices)
-        page["worth"] = energy_worth.as_page(worths, prices)
+        worths = worth.worths(rows, sum(page["days"].values()), prices)
+        text += worth.as_text(worths, prices)
+        page["worth"] = worth.as_page(worths, prices)
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "energy.txt").write_text(text, encoding="utf-8")
@@ -212,7 +220,7 @@ def _compare_sites(
     *,
     as_json: bool,
 ) -> None:
-    from daemon.studies.energy import IDEAL, Terms
+    from daemon.studies.energy.benchmark import IDEAL, Terms
     from daemon.studies.sites.map import draw_map
     from daemon.studies.sites.output import as_page, as_text, write_csv
     from daemon.studies.sites.study import Benchmark, run_sites

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.studies.energy_names import BOUND, FIXED
+from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.sites.output import is_simulated
 from daemon.studies.sites.study import SiteOutcome
 from daemon.studies.stamp import stamped

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from daemon.studies.energy import CSV_NUMBERS, EnergyRow, csv_cells
+from daemon.studies.energy.benchmark import CSV_NUMBERS, EnergyRow, csv_cells
 from daemon.studies.sites.study import Benchmark, SiteOutcome
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import DAY_TYPES

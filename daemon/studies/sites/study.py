@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.config.file import override
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_weather
-from daemon.studies.energy import EnergyRow, Minutes, Terms, measured_minutes, run_benchmark
+from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms, measured_minutes, run_benchmark
 from daemon.studies.sites.table import AskedSite
 from daemon.studies.spread.workers import Workers, gather
 from solar.energy import lay_out

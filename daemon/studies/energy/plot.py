@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from daemon.studies.energy import EnergyRow
-from daemon.studies.energy_names import FIXED
+from daemon.studies.energy.benchmark import EnergyRow
+from daemon.studies.energy.names import FIXED
 from daemon.studies.stamp import stamped
 from solar.energy import DAY_TYPES
 

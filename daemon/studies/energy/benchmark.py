@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.rigs.measured import measured_weather, weather_notes
-from daemon.studies.energy_names import BOUND, FIXED, choice
+from daemon.studies.energy.names import BOUND, FIXED, choice
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import (
     DAY_TYPES,

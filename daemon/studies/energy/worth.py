@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from textwrap import wrap
 from typing import Any
 
-from daemon.studies.energy import EnergyRow
-from daemon.studies.energy_names import BOUND, FIXED
+from daemon.studies.energy.benchmark import EnergyRow
+from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.text_table import WIDTH, table
 
 _YEAR_DAYS = 365.25
