@@ -195,6 +195,11 @@ class Motion(MotionState):
         self._clear_wanted = self.concerns if shown is None else shown
         self._wake.set()
 
+    def forget_waiting(self) -> None:
+        """Drop an order that waits for the end of the pause after a failure; what moves goes on."""
+        if self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) > self._clock.monotonic():
+            self._wanted = None
+
     def rest(self) -> None:
         """Ask for whatever moves to be stopped, by the task that moves it."""
         self._wanted = None

@@ -300,6 +300,8 @@ class Control(Doors):
         self._since_utc_s = utc_s
         self._due_s = max(now_s, self._readings.good_s + kept_s)
         self._parking.forget()
+        # A move that waits to be tried again was ordered for a reason that is no longer in force.
+        self._motion.forget_waiting()
         if mode is Mode.FAULT:
             # Where an operator wanted to go before the fault may be a wrong place to go to after it.
             self._orders.hold_at = None

@@ -3,8 +3,9 @@
 import asyncio
 import itertools
 
-from daemon.base.records import MoveOutcome, Target
+from daemon.base.records import Mode, MoveOutcome, Target
 from sim_drivers.pozsol.setup import AxisDrive, Setup
+from tests.daemon.tracker.days import operator
 from tests.support.motion import (
     A_PACKET,
     B_PACKET,
@@ -117,6 +118,24 @@ def test_a_stow_that_fails_is_an_alarm_and_is_tried_again_with_growing_pauses(ru
         assert "move-failed" not in alarms(rig)
 
     run_rig(scenario)
+
+
+def test_a_stow_that_waits_to_be_tried_again_is_forgotten_with_its_reason(run_rig, monkeypatch):
+    async def scenario(rig):
+        await quiet(rig)
+        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        await operator(rig).stow("storm")
+        await rig.until(lambda: "move-failed" in alarms(rig), 30, "the alarm")
+        # The third try waits for the end of two minutes by then.
+        await asyncio.sleep(140)
+        await operator(rig).auto("it is over")
+        assert rig.control.mode is Mode.TRACKING
+        monkeypatch.undo()
+        before = rig.truth()
+        await asyncio.sleep(120)
+        assert rig.truth() == before
+
+    run_rig(scenario, motion={"deadband_deg": 30})
 
 
 def test_an_ordinary_move_that_fails_again_is_tried_after_twice_the_pause(run_rig, monkeypatch):
