@@ -362,9 +362,10 @@ def _replaced(before: Wishes, now: Wishes) -> str:
 
 
 def _stands(motion: Motion, asked_s: float) -> bool:
-    """Whether telemetry from after a command shows both axes unmoved."""
+    """Whether telemetry from after a command shows both axes unmoved, and about to stay where they are."""
     telemetry, stands_s = motion.telemetry, motion.stands_since_s
-    if telemetry is None or stands_s is None or motion.moving:
+    # A reference run of the unit's own shows in its destinations before an axis has turned by more than its jitter.
+    if telemetry is None or stands_s is None or motion.moving or telemetry.aims_home:
         return False
     return telemetry.time_monotonic_s >= asked_s
 

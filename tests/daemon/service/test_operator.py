@@ -12,7 +12,7 @@ from daemon.config.settings import Settings
 from daemon.service.operator import CommandError, Operator, _Approach
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.rig import Role
-from tests.support.motion import commands_sent
+from tests.support.motion import commands_sent, show
 from tests.support.phases import at_rest, tracking, under_way
 from tests.support.rig import HandWeather, ServiceRig
 
@@ -322,3 +322,15 @@ def test_nearer_counts_from_the_farthest_place_that_was_seen():
     for a_deg, seen in ((0.0, None), (-5.0, None), (-4.9, None), (-4.8, "under-way")):
         motion.pose = SimpleNamespace(a_deg=a_deg, b_deg=40.0)
         assert approach.seen() == seen
+
+
+def test_hold_is_not_said_to_be_done_while_the_unit_is_about_to_make_a_reference_run(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        show(rig, aims_home=True)
+        assert (await operator(rig).hold("x")).seen == "not-seen"
+        del rig.positioner.read_telemetry
+        assert (await operator(rig).hold("x")).done
+
+    run_rig(scenario)
