@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
 from solar.frames import FACE_NORMALS, Array, Limits, normal_from_angles
 from solar.skies.allweather import all_weather_sky
+from solar.skies.cie import cie_sky
 from solar.skies.sky import SKY_MODELS, sky
 
-ALL_WEATHER = "perez1993"
-SKIES = (*SKY_MODELS, ALL_WEATHER)
+ALL_WEATHER, CIE = "perez1993", "cie"
+SKIES = (*SKY_MODELS, ALL_WEATHER, CIE)
 DAY_TYPES = ("clear", "variable", "cloudy", "overcast")
 _DAY_TYPE_BOUNDS = (0.3, 0.8, 0.97)
 _NIGHT_A_DEG, _NIGHT_B_DEG = 0.0, 90.0
@@ -118,6 +119,8 @@ def build_sky(weather: DaylightWeather, model: str) -> Shining:
     """Return the weather's sky under one of SKIES; `ValueError` for another name."""
     if model == ALL_WEATHER:
         return all_weather_sky(weather.sun, weather.dni_w_m2, weather.dhi_w_m2, weather.extra_w_m2)
+    if model == CIE:
+        return cie_sky(weather.sun, weather.dni_w_m2, weather.dhi_w_m2, weather.utc_s)
     for known in SKY_MODELS:
         if model == known:
             return sky(known, weather.sun, weather.dni_w_m2, weather.dhi_w_m2, weather.extra_w_m2)

@@ -24,7 +24,7 @@ _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#
 # What is left of a colour in grey.
 _HATCHES = ("", "//", "\\\\", "..", "xx", "++", "--")
 _BOUND = "0.65"
-_MARKERS = ("o", "s", "^", "D")
+_MARKERS = ("o", "s", "^", "D", "v")
 _LINES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _GAIN_TICKS = (-5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20, 50, 100)
 _MOVING_WORST_PCT = -5.0
@@ -69,7 +69,14 @@ def plot(rows: Sequence[EnergyRow], path: Path, *, simulated: bool = False) -> N
     ]
     if len(skies) > 1:
         shown += [
-            Line2D([], [], color="0.3", marker=_MARKERS[index % 4], linestyle=_LINES[index % 4], label=f"sky {name}")
+            Line2D(
+                [],
+                [],
+                color="0.3",
+                marker=_MARKERS[index % len(_MARKERS)],
+                linestyle=_LINES[index % len(_LINES)],
+                label=f"sky {name}",
+            )
             for index, name in enumerate(skies)
         ]
     figure.legend(handles=shown, loc="outside lower center", ncols=min(len(shown), 7), frameon=False)
@@ -130,8 +137,8 @@ def _draw_wear(axes: Axes, rows: Sequence[EnergyRow], colours: Mapping[str, str]
         axes.plot(
             *zip(*sorted(points), strict=True),
             color=colours[law],
-            marker=_MARKERS[sky % 4],
-            linestyle=_LINES[sky % 4],
+            marker=_MARKERS[sky % len(_MARKERS)],
+            linestyle=_LINES[sky % len(_LINES)],
             markersize=6,
         )
     return left_out

@@ -1,0 +1,100 @@
+"""The sky of CIE types with drifting clouds."""
+
+import numpy as np
+import pytest
+
+from solar.frames import FACE_NORMALS, direction_from_azimuth
+from solar.skies.cie import cie_sky
+
+NOON_UTC_S = 1465128000.0
+TYPES = {1: (4.0, -0.70, 0.0, -1.0, 0.0), 12: (-1.0, -0.32, 10.0, -3.0, 0.45)}
+SOUTH_37_DEG = np.array([0.6, 0.0, 0.8])
+PLANES = np.vstack([FACE_NORMALS[:3], [[-1.0, 0.0, 0.0]], SOUTH_37_DEG[None, :]])
+
+
+def sky_at(elevation, dni, dhi, utc_s=NOON_UTC_S, azimuth=180.0, structure=1.0):
+    utc_s = np.atleast_1d(utc_s)
+    sun = np.broadcast_to(direction_from_azimuth(azimuth, elevation, 50.0), (len(utc_s), 3))
+    return cie_sky(sun, np.full(len(utc_s), dni), np.full(len(utc_s), dhi), utc_s, structure)
+
+
+def by_the_formula(kind, sun, planes):
+    """Return what planes get of a standard sky that gives a horizontal one 1, summed over patches of 1 deg."""
+    a, b, c, d, e = TYPES[kind]
+    sine = (np.arange(90) + 0.5) * np.pi / 180
+    azimuth = (np.arange(360) + 0.5) * np.pi / 180
+    up, round_ = np.meshgrid(np.sin(sine), azimuth, indexing="ij")
+    side = np.sqrt(1 - up**2)
+    towards = np.stack([side * np.cos(round_), side * np.sin(round_), up], axis=-1)
+    gamma = np.arccos(np.clip(towards @ sun, -1, 1))
+    radiance = (1 + a * np.exp(b / up)) * (1 + c * (np.exp(d * gamma) - np.exp(d * np.pi / 2)) + e * np.cos(gamma) ** 2)
+    radiance = radiance * side
+    return np.array([(radiance * np.maximum(towards @ n, 0)).sum() for n in planes]) / (radiance * up).sum()
+
+
+@pytest.mark.parametrize(("kind", "dni", "dhi"), [(1, 0.0, 150.0), (12, 900.0, 55.0)])
+def test_at_both_ends_of_clearness_it_is_the_standard_sky(kind, dni, dhi):
+    for azimuth, elevation in ((180.0, 40.0), (120.0, 25.0)):
+        light = sky_at(elevation, dni, dhi, azimuth=azimuth, structure=0.0)
+        sun = light.sun[0]
+        diffuse = light.irradiance_on(PLANES[:, None, :], 0.0)[:, 0] - dni * np.maximum(PLANES @ sun, 0)
+        np.testing.assert_allclose(diffuse / dhi, by_the_formula(kind, sun, PLANES), atol=0.012)
+
+
+def test_between_two_types_it_lies_between_them():
+    def south(dni):
+        light = sky_at(40.0, dni, 200.0, structure=0.0)
+        return float(light.irradiance_on(FACE_NORMALS[1][None, :], 0.0)[0]) - dni * np.cos(np.radians(40.0))
+
+    dark, bright = south(0.0), south(200.0)
+    # Clearness is 1 + (DNI/DHI)/(1 + 1.041 z^3); the types 1 and 6 blend in its logarithm up to 1.3.
+    zenith_term = 1 + 1.041 * np.radians(50.0) ** 3
+    end, middle = 0.3 * 200 * zenith_term, (1.3**0.5 - 1) * 200 * zenith_term
+    assert dark < south(middle) < bright
+    assert south(middle) == pytest.approx((dark + south(end)) / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize(("dni", "dhi"), [(0.0, 120.0), (150.0, 250.0), (900.0, 90.0)])
+def test_a_horizontal_plane_receives_the_global_irradiance_whatever_the_clouds(dni, dhi):
+    light = sky_at(35.0, dni, dhi, NOON_UTC_S + 300.0 * np.arange(50))
+    assert light.irradiance_on(FACE_NORMALS[3][None, :]) == pytest.approx(
+        dhi + dni * np.sin(np.radians(35.0)), rel=2e-3
+    )
+
+
+def lateral(light):
+    """East less west, of their mean: what no symmetric sky shows while the sun is south."""
+    east, west = (light.irradiance_on(FACE_NORMALS[face][None, :], 0.0) for face in (0, 2))
+    return (east - west) / (east + west)
+
+
+def test_clouds_make_the_sky_uneven_most_under_a_broken_one():
+    minutes = NOON_UTC_S + 60.0 * np.arange(3000)
+    smooth = sky_at(35.0, 150.0, 250.0, minutes, structure=0.0)
+    assert abs(lateral(smooth)).max() < 1e-5
+    broken, clear = (lateral(sky_at(35.0, *light, minutes)) for light in ((150.0, 250.0), (900.0, 90.0)))
+    assert 0.05 < broken.std() < 0.3
+    assert clear.std() < broken.std() / 4
+    assert abs(broken.mean()) < broken.std() / 5
+
+
+def test_clouds_drift_in_minutes_and_never_come_back():
+    uneven = lateral(sky_at(35.0, 150.0, 250.0, NOON_UTC_S + 10.0 * np.arange(20000)))
+
+    def alike(steps):
+        return np.corrcoef(uneven[:-steps], uneven[steps:])[0, 1]
+
+    assert alike(1) > 0.95
+    assert alike(60) < 0.5
+    assert max(alike(steps) for steps in range(360, 12000, 6)) < 0.75
+
+
+def test_the_same_instant_has_the_same_clouds():
+    whole = lateral(sky_at(35.0, 150.0, 250.0, NOON_UTC_S + 60.0 * np.arange(5000)))
+    alone = lateral(sky_at(35.0, 150.0, 250.0, NOON_UTC_S + 60.0 * 4500))
+    assert alone[0] == pytest.approx(whole[4500], abs=1e-5)
+
+
+def test_without_diffuse_light_there_is_the_beam_alone():
+    plane = np.array([[np.sin(np.radians(60.0)), 0.0, 0.5]])
+    assert sky_at(30.0, 800.0, 0.0).irradiance_on(plane, 0.0)[0] == pytest.approx(800.0)
