@@ -14,10 +14,11 @@ from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
-    from daemon.studies.energy.benchmark import EnergyRow
+    from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms
     from daemon.studies.energy.worth import Prices
     from daemon.studies.sites.table import AskedSite
     from daemon.studies.spread.workers import Workers
+    from solar.energy import DaylightWeather
 
 _ENDINGS = ("txt", "csv", "png")
 
@@ -48,7 +49,9 @@ def energy(
             metavar="SKY", help="Built-in sky of sites without weather: clear, overcast, variable, broken. SIMULATED."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="NUMBER", help="Of the built-in skies.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="NUMBER", help="Of the built-in skies, and of what is random in --losses.")
+    ] = 1,
     laws: Annotated[
         str | None,
         typer.Option(
@@ -59,7 +62,8 @@ def energy(
     sky: Annotated[
         str,
         typer.Option(
-            help="Skies, separated by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance)."
+            help="Skies, separated by commas: isotropic, haydavies, perez1990, perez1993 (all-weather radiance), cie"
+            " (standard skies with drifting clouds)."
         ),
     ] = "perez1990",
     albedo: Annotated[float, typer.Option(min=0, max=1, help="Of the ground.")] = 0.2,
@@ -82,24 +86,32 @@ def energy(
     drive_life_deg: Annotated[
         float | None, typer.Option(min=1, metavar="DEG", help="Travel, A and B added, that they last.")
     ] = None,
+    losses: Annotated[
+        bool,
+        typer.Option(
+            "--losses",
+            help="Instead, where the law optimal loses what the bound has, by cause and type of day. Writes"
+            " energy-losses.txt, .csv and .png.",
+        ),
+    ] = False,
     jobs: JobsOption = 1,
     cluster: ClusterOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
-    from daemon.studies.energy.names import check_names, default_names
+    from daemon.studies.energy.names import TOLD_APART, check_laws_of_losses, check_names, default_names
     from daemon.studies.inputs import check_weather_file, parse_site
 
-    skies, names = _words(sky), list(default_names()) if laws is None else _words(laws)
+    skies, names = _words(sky), _words(laws) if laws is not None else [TOLD_APART] if losses else list(default_names())
     check_names(skies, names)
     speed_deg_per_s, workers = None if ideal else speed, chosen_workers(jobs, cluster)
     prices = _prices(peak_kw, price, drive_price, drive_life_deg)
     if sites is not None:
         if weather or site is not None:
             raise UserError("--sites has the place and the weather of each site: leave out WEATHER and --site")
-        if prices is not None:
-            raise UserError("--peak-kw and the prices are for the weather of one site: leave out --sites")
+        if prices is not None or losses:
+            raise UserError("--losses, --peak-kw and the prices are for the weather of one site: leave out --sites")
         asked = _asked_sites(sites, model)
         check_outputs([out / f"energy-sites.{ending}" for ending in _ENDINGS], "--out", force=force)
         _compare_sites(asked, out, skies, names, albedo, speed_deg_per_s, seed, workers, as_json=as_json)
@@ -111,6 +123,13 @@ def energy(
     place = parse_site(site)
     for path in weather:
         check_weather_file(path, or_built_in=False)
+    if losses:
+        if prices is not None:
+            raise UserError("--losses tells no money: leave out --peak-kw and the prices")
+        check_laws_of_losses(names)
+        check_outputs([out / f"energy-losses.{ending}" for ending in _ENDINGS], "--out", force=force)
+        _tell_losses(weather, place, out, skies, names, albedo, speed_deg_per_s, seed, as_json=as_json)
+        return
     check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
     _compare(weather, place, out, skies, names, albedo, speed_deg_per_s, prices, as_json=as_json)
 
@@ -141,31 +160,17 @@ def _compare(
 ) -> None:
     from daemon.studies.energy import worth
     from daemon.studies.energy.benchmark import (
-        IDEAL,
-        Terms,
         as_page,
         as_text,
-        measured_minutes,
         run_benchmark,
         write_csv,
     )
     from daemon.studies.energy.plot import plot
-    from solar.energy import Drive, lay_out
-    from solar.ephemeris import Site
-    from solar.frames import Limits
 
-    errors, done = Console(stderr=True), "all"
-    minutes = measured_minutes(weather, Site(*place))
-    for warning in minutes.warnings:
-        say(f"heliocube: warning: {warning}", err=True)
-    try:
-        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
-    except ValueError as error:
-        raise UserError(f"the weather cannot be used: {error}") from error
-    drive = IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s)
-    terms = Terms(albedo, Limits(), drive)
+    minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
+    done = "all"
     rows: list[EnergyRow] = []
-    with progress_bar(errors, "comparing") as progress:
+    with progress_bar(Console(stderr=True), "comparing") as progress:
         try:
             for row in run_benchmark(days, skies, names, terms, progress):
                 rows.append(row)  # noqa: PERF402 - what is there counts when the next one is interrupted
@@ -193,6 +198,57 @@ def _compare(
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if done != "all":
         raise InterruptedEarlyError(f"interrupted: {out} has {done} laws")
+
+
+def _tell_losses(
+    weather: list[Path],
+    place: tuple[float, float, float],
+    out: Path,
+    skies: list[str],
+    names: list[str],
+    albedo: float,
+    speed_deg_per_s: float | None,
+    seed: int,
+    *,
+    as_json: bool,
+) -> None:
+    from daemon.studies.energy.losses import as_page, as_text, run_losses, write_csv
+    from daemon.studies.energy.losses_plot import plot
+
+    minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
+    with progress_bar(Console(stderr=True), "comparing") as progress:
+        found = list(run_losses(days, skies, names, terms, seed, progress))
+    text = as_text(found, days, terms, simulated=minutes.simulated)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "energy-losses.txt").write_text(text, encoding="utf-8")
+        write_csv(found, out / "energy-losses.csv", simulated=minutes.simulated)
+        plot(found, out / "energy-losses.png", simulated=minutes.simulated)
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
+    if as_json:
+        print_json(as_page(found, simulated=minutes.simulated) | {"tables": out, "warnings": minutes.warnings})
+    else:
+        Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
+
+
+def _laid_out(
+    weather: list[Path], place: tuple[float, float, float], albedo: float, speed_deg_per_s: float | None
+) -> "tuple[Minutes, DaylightWeather, Terms]":
+    """Read the weather, tell its warnings, and return it with its daylight and what the benchmark assumes."""
+    from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes
+    from solar.energy import Drive, lay_out
+    from solar.ephemeris import Site
+    from solar.frames import Limits
+
+    minutes = measured_minutes(weather, Site(*place))
+    for warning in minutes.warnings:
+        say(f"heliocube: warning: {warning}", err=True)
+    try:
+        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
+    except ValueError as error:
+        raise UserError(f"the weather cannot be used: {error}") from error
+    return minutes, days, Terms(albedo, Limits(), IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s))
 
 
 def _asked_sites(path: Path, model: str | None) -> "list[AskedSite]":

@@ -32,6 +32,10 @@ from solar.frames import Array, Limits
 from solar.laws.law import Law, TrackerFacts
 from solar.laws.steer import by_readings
 
+_PVLIB = (
+    "The skies isotropic, haydavies and perez1990 agree with pvlib's above 5 deg of the sun's elevation; below it a"
+    " horizontal plane keeps its GHI."
+)
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
@@ -94,7 +98,7 @@ def run_benchmark(
         faces = faces_under(light, terms.albedo)
         bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
         run = partial(harvest, weather, light, terms.albedo)
-        reference = run(IDEAL, _steer(FALLBACK_LAW, weather, faces, terms)).energy_kwh_m2
+        reference = run(IDEAL, steer_of(FALLBACK_LAW, weather, faces, terms)).energy_kwh_m2
         summarise = partial(_row, sky_name, types=types, reference=reference, bound=bound)
         for name in law_names:
             progress((done + 1) / total)
@@ -104,7 +108,7 @@ def run_benchmark(
                 yield summarise(name, Harvest(bound, nothing, nothing, nothing))
             else:
                 drive = IDEAL if name.startswith(FIXED) else terms.drive
-                yield summarise(name, run(drive, _steer(name, weather, faces, terms)))
+                yield summarise(name, run(drive, steer_of(name, weather, faces, terms)))
     progress(1.0)
 
 
@@ -125,6 +129,16 @@ def csv_cells(row: EnergyRow) -> list[str]:
 
 def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:
     """Return the tables of all skies and what they assume, for reading."""
+    lines = conditions(weather, terms, simulated=simulated)
+    travel = "Travel adds A and B from the night position on; the way back to it at night is in its own column."
+    lines += wrap(travel, WIDTH)
+    for name in dict.fromkeys(row.sky for row in rows):
+        lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
+    return "\n".join(lines) + "\n"
+
+
+def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> list[str]:
+    """Return what the tables of a benchmark are of and what they assume, in lines for reading."""
     types = weather.day_types()
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
     moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
@@ -132,13 +146,9 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         *(["SIMULATED: at least one weather file says that it was not measured."] if simulated else []),
         f"{_days(int(np.count_nonzero(types >= 0)))} ({days}), {len(weather.utc_s)} minutes of daylight.",
         f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
-        "Travel adds A and B from the night position on; the way back to it at night is in its own column.",
-        "The skies agree with pvlib's above 5 deg of the sun's elevation; below it a horizontal plane keeps its GHI.",
+        _PVLIB,
     ]
-    lines = [line for text in lines for line in wrap(text, WIDTH)]
-    for name in dict.fromkeys(row.sky for row in rows):
-        lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
-    return "\n".join(lines) + "\n"
+    return [line for text in lines for line in wrap(text, WIDTH)]
 
 
 def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> dict[str, Any]:
@@ -199,7 +209,8 @@ def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
     return 100.0 * float(energy[chosen].sum() / reference[chosen].sum() - 1.0)
 
 
-def _steer(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
+def steer_of(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
+    """Return what steers the trackers of all days by a law, or a plane that never moves, of this name."""
     asked = choice(name)
     if asked.law is None:
         return fixed(weather, asked.tilt_deg or 0.0)

@@ -13,6 +13,8 @@ from solar.laws.law import LawSettings
 
 FIXED, BOUND = "fixed", "bound"
 """What is no law and stands beside them: a plane of some tilt that never moves, and what no controller can beat."""
+TOLD_APART = "optimal"
+"""The law whose losses are told by cause: no other has a price and an expectation that can be taken from it."""
 
 
 def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
@@ -22,6 +24,13 @@ def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
             raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
     for name in law_names:
         choice(name)
+
+
+def check_laws_of_losses(law_names: Sequence[str]) -> None:
+    """Raise `UserError` for a law whose losses cannot be told apart."""
+    for name in law_names:
+        if name.partition(":")[0] != TOLD_APART:
+            raise UserError(f"--losses: it tells of {TOLD_APART} and {TOLD_APART}:THRIFT only, not of {name}")
 
 
 def default_names() -> tuple[str, ...]:

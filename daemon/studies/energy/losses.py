@@ -1,0 +1,223 @@
+"""Where the law `optimal` loses what the bound has: one cause after the other, by type of day.
+
+Each cause is what one step of a row of trackers costs, each with one burden more than the one before:
+
+structure
+    A tracker that knows what the four faces show of the same minute, and moves at once, against the bound: what four
+    faces cannot tell of the sky.
+delay
+    The law without a price on its moves, at once: the light has changed by the time it is known.
+price
+    The law as it is set: moves that are not worth their wear.
+motion
+    Its moves take time, and the drive has a deadband.
+noise
+    Readings are off by 1 % and 1 W/m2, at random.
+gaps
+    1 % of the minutes are without readings, one or two minutes at a time.
+
+What is kept is the gain over ideal chronometric. Steps depend on each other: in another order each would cost something
+else, and a step can gain, as less restless moves do.
+"""
+
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import wrap
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+
+from daemon.config.plugged import FALLBACK_LAW
+from daemon.studies.energy.benchmark import IDEAL, Terms, conditions, steer_of
+from daemon.studies.energy.names import choice
+from daemon.studies.text_table import WIDTH, table
+from solar.energy import (
+    DAY_TYPES,
+    DaylightWeather,
+    Drive,
+    Shining,
+    Steer,
+    best_possible,
+    build_sky,
+    faces_under,
+    harvest,
+)
+from solar.frames import Array, angles_within
+from solar.laws import optimal_live
+from solar.laws.light import aim_vector, light_from_faces
+from solar.laws.memory import THRIFT_RANGE
+from solar.laws.optimal_live import LiveOptimalSettings
+from solar.laws.steer import or_stay
+
+Cause = Literal["structure", "delay", "price", "motion", "noise", "gaps"]
+CAUSES: tuple[Cause, ...] = get_args(Cause)
+KEPT = "kept"
+NOISE_SHARE, NOISE_W_M2 = 0.01, 1.0
+MISSING_SHARE = 0.01
+_FREE = {"thrift": THRIFT_RANGE[0], "travel_per_day_deg": 100000.0, "moves_per_day": 1440}
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """What one law loses under one sky.
+
+    Attributes
+    ----------
+    sky, law
+        By name.
+    room_kwh_m2
+        What the bound has over ideal chronometric, of each type of day, shape (4,).
+    lost_kwh_m2
+        Of that, what each cause costs on each type of day, shape (6, 4).
+    """
+
+    sky: str
+    law: str
+    room_kwh_m2: Array
+    lost_kwh_m2: Array
+
+    @property
+    def kept_kwh_m2(self) -> Array:
+        """What the law has over ideal chronometric with all burdens, shape (4,)."""
+        kept: Array = self.room_kwh_m2 - self.lost_kwh_m2.sum(axis=0)
+        return kept
+
+    def points(self, energy_kwh_m2: Array) -> Array:
+        """Return energy in percent of the whole room, of all days."""
+        whole = float(self.room_kwh_m2.sum())
+        return 100.0 * energy_kwh_m2 / whole if whole > 0.0 else np.full_like(energy_kwh_m2, np.nan)
+
+
+def run_losses(
+    weather: DaylightWeather,
+    skies: Sequence[str],
+    law_names: Sequence[str],
+    terms: Terms,
+    seed: int,
+    progress: Callable[[float], None],
+) -> Iterator[Losses]:
+    """Yield the losses of every law under every sky, as soon as they are known.
+
+    Parameters
+    ----------
+    weather, skies, law_names, terms
+        As for the benchmark.
+    seed
+        Of noise and gaps.
+    progress
+        Told the share that is done.
+    """
+    types = weather.day_types()
+    members = np.stack([types == number for number in range(len(DAY_TYPES))]).astype(np.float64)
+    done = 0
+    for sky in skies:
+        light = build_sky(weather, sky)
+        faces = faces_under(light, terms.albedo)
+        bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
+        under = _Under(weather, light, faces, terms)
+        room = bound - under.energy(steer_of(FALLBACK_LAW, weather, faces, terms), IDEAL)
+        for name in law_names:
+            progress((done + 0.5) / (len(skies) * len(law_names)))
+            done += 1
+            settings = cast("LiveOptimalSettings", choice(name).settings)
+            harvests = np.stack([bound, *_burdened(under, settings, np.random.default_rng(seed))])
+            yield Losses(sky, name, members @ room, -np.diff(harvests, axis=0) @ members.T)
+    progress(1.0)
+
+
+def as_text(found: Sequence[Losses], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:
+    """Return the tables of all skies and laws and what they assume, for reading."""
+    lines = conditions(weather, terms, simulated=simulated)
+    lines += wrap(
+        "Points are percent of what the bound gains over ideal chronometric, of all days. Each cause is what one more"
+        " burden costs a tracker that has those above it.",
+        WIDTH,
+    )
+    for each in found:
+        heads = ("points", "all", *DAY_TYPES)
+        rows = [(name, *_cells(each.points(lost))) for name, lost in zip(CAUSES, each.lost_kwh_m2, strict=True)]
+        rows += [(KEPT, *_cells(each.points(each.kept_kwh_m2))), ("bound", *_cells(each.points(each.room_kwh_m2)))]
+        room = f"{each.room_kwh_m2.sum():.1f} kWh/m2"
+        lines += ["", f"sky {each.sky}, {each.law}: the bound gains {room}", *table([heads, *rows])]
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
+    """Write a line for each cause and type of day, with whether the weather was simulated."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(("sky", "law", "cause", "day_type", "lost_kwh_m2", "points", "simulated"))
+        for each in found:
+            for cause, lost in zip((*CAUSES, KEPT), (*each.lost_kwh_m2, each.kept_kwh_m2), strict=True):
+                for kind, energy, points in zip(DAY_TYPES, lost, each.points(lost), strict=True):
+                    numbers = (f"{energy:.4f}", "" if np.isnan(points) else f"{points:.4f}")
+                    writer.writerow((each.sky, each.law, cause, kind, *numbers, "true" if simulated else "false"))
+
+
+def as_page(found: Sequence[Losses], *, simulated: bool) -> dict[str, Any]:
+    """Return the same for scripts: energy [kWh/m2] by type of day under its name."""
+    return {
+        "simulated": simulated,
+        "rows": [
+            {
+                "sky": each.sky,
+                "law": each.law,
+                "bound_gains_kwh_m2": _by_type(each.room_kwh_m2),
+                "lost_kwh_m2": {cause: _by_type(lost) for cause, lost in zip(CAUSES, each.lost_kwh_m2, strict=True)},
+                "kept_kwh_m2": _by_type(each.kept_kwh_m2),
+            }
+            for each in found
+        ],
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Under:
+    """The days under one sky."""
+
+    weather: DaylightWeather
+    light: Shining
+    faces: Array
+    terms: Terms
+
+    def energy(self, steer: Steer, drive: Drive) -> Array:
+        return harvest(self.weather, self.light, self.terms.albedo, drive, steer).energy_kwh_m2
+
+    def steer(self, settings: LiveOptimalSettings, faces: Array) -> Steer:
+        return optimal_live.steer(settings, self.weather, faces, self.terms.limits)
+
+
+def _burdened(under: _Under, settings: LiveOptimalSettings, random: np.random.Generator) -> Iterator[Array]:
+    """Yield the energy of each day [kWh/m2], shape (days,), after each cause."""
+    faces, drive = under.faces, under.terms.drive
+    yield under.energy(_same_minute(under), IDEAL)
+    yield under.energy(under.steer(settings.model_copy(update=_FREE), faces), IDEAL)
+    yield under.energy(under.steer(settings, faces), IDEAL)
+    yield under.energy(under.steer(settings, faces), drive)
+    noisy = faces * (1.0 + NOISE_SHARE * random.standard_normal(faces.shape))
+    noisy += NOISE_W_M2 * random.standard_normal(faces.shape)
+    yield under.energy(under.steer(settings, noisy), drive)
+    # Half of the gaps are two minutes long.
+    begins = random.random(len(faces)) < MISSING_SHARE / 1.5
+    lasts = random.random(len(faces)) < 0.5
+    missing = begins | np.roll(begins & lasts, 1)
+    yield under.energy(under.steer(settings, np.where(missing[:, None], np.nan, noisy)), drive)
+
+
+def _same_minute(under: _Under) -> Steer:
+    """Point by the light of the minute that is collected, as the law makes it out from the faces."""
+    weather, albedo = under.weather, under.terms.albedo
+    light = light_from_faces(under.faces, weather.sun, albedo)
+    poses = angles_within(aim_vector(light, weather.sun, albedo), under.terms.limits)
+    a_deg, b_deg = (weather.gridded(angle, np.nan) for angle in poses)
+    return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)
+
+
+def _cells(by_type: Array) -> list[str]:
+    return [f"{value:z.1f}" for value in (float(by_type.sum()), *by_type)]
+
+
+def _by_type(energy: Array) -> dict[str, float]:
+    return dict(zip(DAY_TYPES, energy.tolist(), strict=True))

@@ -1,0 +1,156 @@
+"""`heliocube energy --losses`."""
+
+import csv
+import json
+import sys
+
+import pytest
+
+from daemon.commands.main import main
+
+pytestmark = pytest.mark.slow
+
+SITE = "55.79,12.53,50"
+CAUSES = ["structure", "delay", "price", "motion", "noise", "gaps"]
+
+
+def written(path):
+    """Write the middle of a day whose beam comes and goes, and of an overcast one."""
+    lines = ["time,ghi,dni,dhi"]
+    for day, minute in ((day, minute) for day in (5, 6) for minute in range(480, 780)):
+        dni = 700 if day == 5 and minute % 60 < 25 else 0
+        lines.append(f"2016-06-{day:02d}T{minute // 60:02d}:{minute % 60:02d}:00Z,{150 + dni / 2},{dni},150")
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.fixture
+def weather(tmp_path):
+    return written(tmp_path / "weather.csv")
+
+
+def energy(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["heliocube", "energy", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def points_in(out):
+    """Return the CSV's points by sky, law, cause and type of day."""
+    rows = list(csv.DictReader((out / "energy-losses.csv").read_text().splitlines()))
+    points = {(row["sky"], row["law"], row["cause"], row["day_type"]): float(row["points"]) for row in rows}
+    assert len(points) == len(rows)
+    return points
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What the command has written for two skies and two thrifts."""
+    folder = tmp_path_factory.mktemp("losses")
+    asked = ("--losses", "--sky", "perez1990,cie", "--laws", "optimal,optimal:8")
+    with pytest.MonkeyPatch.context() as patch:
+        assert energy(patch, written(folder / "weather.csv"), "--site", SITE, "--out", folder, *asked) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def points(folder):
+    return points_in(folder)
+
+
+def of(points, cause, sky="perez1990", law="optimal"):
+    return sum(value for key, value in points.items() if key[:3] == (sky, law, cause))
+
+
+def test_what_is_lost_and_what_is_kept_are_all_that_the_bound_has(folder, points):
+    text = (folder / "energy-losses.txt").read_text()
+    assert all(len(line) <= 80 for line in text.splitlines())
+    assert "sky cie, optimal:8: the bound gains" in text
+    assert (folder / "energy-losses.png").read_bytes().startswith(b"\x89PNG")
+    for sky in ("perez1990", "cie"):
+        assert sum(of(points, cause, sky) for cause in (*CAUSES, "kept")) == pytest.approx(100.0, abs=0.01)
+        assert of(points, "delay", sky) > 10.0
+        assert of(points, "kept", sky) > 40.0
+    # The law's picture of the sky is that of the one, and not of the other.
+    assert abs(of(points, "structure")) < 0.05
+    assert of(points, "structure", "cie") > 0.2
+
+
+def test_a_delay_is_lost_where_the_light_changes(points):
+    assert points["perez1990", "optimal", "delay", "variable"] > 10.0
+    assert abs(points["perez1990", "optimal", "delay", "overcast"]) < 4.0
+    assert points["perez1990", "optimal", "delay", "clear"] == 0.0
+
+
+def test_thrift_is_paid_for_by_price(points):
+    assert of(points, "price", law="optimal:8") > of(points, "price") + 3.0
+    assert of(points, "delay", law="optimal:8") == pytest.approx(of(points, "delay"), abs=0.01)
+
+
+def test_it_is_the_benchmark_s_own_share_but_for_noise_and_gaps(monkeypatch, weather, tmp_path, points):
+    assert energy(monkeypatch, weather, "--site", SITE, "--laws", "optimal", "--out", tmp_path / "b") == 0
+    (row,) = csv.DictReader((tmp_path / "b" / "energy.csv").read_text().splitlines())
+    kept = of(points, "kept") + of(points, "noise") + of(points, "gaps")
+    assert kept == pytest.approx(float(row["share_pct"]), abs=0.01)
+
+
+def test_noise_and_gaps_are_those_of_the_seed_and_ideal_moves_lose_no_motion(
+    monkeypatch, weather, tmp_path, points, capsys
+):
+    asked = (weather, "--site", SITE, "--losses", "--ideal", "--json")
+    assert of(points, "motion") > 0.05
+    runs = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        assert energy(monkeypatch, *asked, "--out", tmp_path / name, "--seed", seed) == 0
+        runs.append(json.loads(capsys.readouterr().out)["rows"])
+    first, again, other = runs
+    assert first == again
+    (row,), (otherwise,) = first, other
+    assert (row["sky"], row["law"]) == ("perez1990", "optimal")
+    assert set(row["lost_kwh_m2"]["motion"].values()) == {0.0}
+    for cause in CAUSES:
+        alike = row["lost_kwh_m2"][cause] == otherwise["lost_kwh_m2"][cause]
+        assert alike is (cause not in {"noise", "gaps"})
+    room = sum(row["bound_gains_kwh_m2"].values())
+    for cause in ("structure", "delay", "price"):
+        lost = sum(row["lost_kwh_m2"][cause].values())
+        assert 100.0 * lost / room == pytest.approx(of(points, cause), abs=0.05)
+
+
+def test_weather_that_nobody_measured_is_marked(monkeypatch, weather, tmp_path, capsys):
+    lines = weather.read_text().splitlines()
+    weather.write_text("\n".join([f"{lines[0]},simulated", *(f"{line},true" for line in lines[1:])]))
+    assert energy(monkeypatch, weather, "--site", SITE, "--losses", "--out", tmp_path / "o") == 0
+    assert capsys.readouterr().out.startswith("SIMULATED: ")
+    rows = csv.DictReader((tmp_path / "o" / "energy-losses.csv").read_text().splitlines())
+    assert {row["simulated"] for row in rows} == {"true"}
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (("--laws", "optimal,mu-prime"), "--losses: it tells of optimal and optimal:THRIFT only, not of mu-prime"),
+        (("--laws", "bound"), "not of bound"),
+        (("--peak-kw", 1, "--price", 1, "--drive-price", 1, "--drive-life-deg", 9), "--losses tells no money"),
+        (("--sky", "rainbow"), "there is no sky 'rainbow'"),
+    ],
+)
+def test_what_it_cannot_tell_is_refused_before_the_work(monkeypatch, weather, tmp_path, capsys, more, reason):
+    assert energy(monkeypatch, weather, "--site", SITE, "--losses", "--out", tmp_path / "o", *more) == 2
+    assert reason in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_many_sites_have_no_losses(monkeypatch, tmp_path, capsys):
+    assert energy(monkeypatch, "--sites", tmp_path / "sites.csv", "--losses", "--out", tmp_path / "o") == 2
+    assert "for the weather of one site" in capsys.readouterr().err
+
+
+def test_what_is_there_is_not_overwritten_unasked(monkeypatch, weather, tmp_path, capsys):
+    out = tmp_path / "o"
+    out.mkdir()
+    (out / "energy-losses.csv").write_text("mine")
+    assert energy(monkeypatch, weather, "--site", SITE, "--losses", "--out", out) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert (out / "energy-losses.csv").read_text() == "mine"

@@ -1,0 +1,194 @@
+"""How much of the bound anything could take: ceilings of pointing on minute data, and what a lateral term is worth.
+
+    python -m tests.measurements.ceilings LAT,LON,ALT WEATHER... [--sky SKY] [--prices 1,2,4] [--without-trees]
+
+Prints the share of what the bound gains over ideal chronometric and the travel of: the light of the same minute as the
+faces show it, with moves at once and at the drive's speed, and with a lateral term of the diffuse light that uses the
+fourth face; the light of the minute before; boosted trees on the history of the faces, which are fitted on every second
+day and judged on the others; and somebody who knows the day beforehand and pays for each degree. Trees need
+scikit-learn, which the project does without: `pip install scikit-learn`, or leave them out.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes, steer_of
+from daemon.studies.inputs import parse_site
+from solar.energy import Drive, best_possible, build_sky, faces_under, harvest, lay_out
+from solar.ephemeris import Site
+from solar.frames import FACE_NORMALS, Limits, angles_within, normal_from_angles
+from solar.laws.light import Light, aim_vector, light_from_faces
+from solar.laws.steer import or_stay
+
+ALBEDO = 0.2
+LIMITS = Limits()
+TERMS = Terms(ALBEDO, LIMITS, Drive())
+GRID_DEG = 2.5
+LATERAL_PRIOR = 1.0
+LATERAL_ON_TILTS = 1.5
+"""What a lateral gradient gives a plane of moderate tilt, which sees more of the vault than a wall, in its sine."""
+HALF_LIVES_MIN = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
+
+
+class Days:
+    """The weather of one file, or of all, under a sky."""
+
+    def __init__(self, files, site, sky):
+        minutes = measured_minutes(files, site)
+        self.weather = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
+        self.light = build_sky(self.weather, sky)
+        self.faces = faces_under(self.light, ALBEDO)
+        self.bound = self.weather.by_day(best_possible(self.weather, self.light, LIMITS, ALBEDO))
+        self.clock = self.run(steer_of("chronometric", self.weather, self.faces, TERMS), IDEAL).energy_kwh_m2
+
+    def run(self, steer, drive):
+        """Drive all days."""
+        return harvest(self.weather, self.light, ALBEDO, drive, steer)
+
+    def towards(self, vector, late=0):
+        """Point along a vector of each instant, some steps late."""
+        poses = angles_within(vector, LIMITS)
+        a_deg, b_deg = (self.weather.gridded(angle, np.nan) for angle in poses)
+        return lambda step, a, b: or_stay(a_deg[step - late], b_deg[step - late], a, b) if step >= late else (a, b)
+
+
+def share_pct(days, energy, chosen):
+    """Return the share of the bound's gain."""
+    return 100.0 * float((energy - days.clock)[chosen].sum() / (days.bound - days.clock)[chosen].sum())
+
+
+def say(name, days, done, chosen=None):
+    """Print one line, of the days with light unless others are chosen."""
+    chosen = days.weather.day_types() >= 0 if chosen is None else chosen
+    share, travel = share_pct(days, done.energy_kwh_m2, chosen), done.travel_deg[chosen].mean()
+    print(f"{name:58} {share:6.1f} % {travel:6.0f} deg/day {done.moves[chosen].mean():5.0f} moves", flush=True)
+
+
+def with_lateral(days):
+    """Return the direction of the best pose where the light has a lateral gradient too: four unknowns, four faces."""
+    sun, faces = days.weather.sun, days.faces
+    across = np.maximum(np.hypot(sun[:, 0], sun[:, 1]), 1e-4)
+    aside = np.stack([-sun[:, 1] / across, sun[:, 0] / across, np.zeros(len(sun))], axis=-1)
+    rows = []
+    for normal in FACE_NORMALS[:3]:
+        beam = np.maximum(sun @ normal, 0.0) + 0.5 * ALBEDO * sun[:, 2]
+        ones = np.ones(len(sun))
+        rows.append(np.stack([beam, 0.5 * (1.0 + ALBEDO) * ones, ones, aside @ normal], axis=-1))
+    rows.append(np.stack([sun[:, 2], ones, 0.0 * ones, 0.0 * ones], axis=-1))
+    each = np.stack(rows, axis=1)
+    normal_equations = np.einsum("nfi,nfj->nij", each, each) + np.diag([1e-6, 1e-6, 0.02, LATERAL_PRIOR])
+    lateral = np.linalg.solve(normal_equations, np.einsum("nfi,nf->ni", each, faces)[..., None])[:, 3, 0]
+    light = light_from_faces(faces, sun, ALBEDO)
+    return aim_vector(light, sun, ALBEDO) + LATERAL_ON_TILTS * lateral[:, None] * aside
+
+
+def remembered(values, half_life_min):
+    """Return the exponential mean of (steps, days), NaN where there is no weather."""
+    mean, means = np.full(values.shape[1], np.nan), np.empty_like(values)
+    share = 1.0 - 0.5 ** (1.0 / half_life_min)
+    for step, now in enumerate(values):
+        mean = np.where(np.isfinite(mean), np.where(np.isfinite(now), mean + share * (now - mean), mean), now)
+        means[step] = mean
+    return means
+
+
+def by_trees(days):
+    """Return the direction that trees expect for each minute from those before it, and which days are new to them."""
+    from sklearn.ensemble import HistGradientBoostingRegressor  # noqa: PLC0415 - only where it is asked for
+
+    weather = days.weather
+    light = light_from_faces(days.faces, weather.sun, ALBEDO)
+    grids = [weather.gridded(part, np.nan) for part in light]
+    told = []
+    for grid in grids:
+        told += [grid, *(remembered(grid, half_life) for half_life in HALF_LIVES_MIN)]
+    told += [remembered(np.abs(grids[0] - told[4]), 10.0), weather.gridded(weather.sun[:, 2], np.nan)]
+    before = np.stack([np.vstack([np.full((1, each.shape[1]), np.nan), each[:-1]]) for each in told], axis=-1)
+    unseen = np.arange(weather.shape[1]) % 2 == 1
+    fitted = ~unseen[weather.day]
+    asked = before[weather.step, weather.day]
+    expected = []
+    for part in light:
+        trees = HistGradientBoostingRegressor(max_iter=200, learning_rate=0.06, min_samples_leaf=200, random_state=1)
+        trees.fit(asked[fitted], part[fitted])
+        expected.append(trees.predict(asked))
+    beam, uniform, horizon = expected
+    return aim_vector(Light(np.maximum(beam, 0.0), np.maximum(uniform, 0.0), horizon), weather.sun, ALBEDO), unseen
+
+
+def foreseen(days, price):
+    """Plan each day with all its light known, a degree costing `price` W min/m2; poses on a grid of 2.5 deg."""
+    a_deg = np.arange(LIMITS.a_min_deg, LIMITS.a_max_deg + 0.1, GRID_DEG)
+    b_deg = np.arange(LIMITS.b_min_deg, LIMITS.b_max_deg + 0.1, GRID_DEG)
+    weather = days.weather
+    steps, count = weather.shape
+    worth = np.zeros((steps, count, a_deg.size, b_deg.size), dtype=np.float32)
+    for i, a in enumerate(a_deg):
+        normals = normal_from_angles(np.full(b_deg.size, a), b_deg)[:, None, :]
+        for j, normal in enumerate(normals):
+            worth[weather.step, weather.day, i, j] = days.light.irradiance_on(normal, ALBEDO)
+    for step in range(steps - 2, -1, -1):
+        best = worth[step + 1].copy()
+        for axis in (1, 2):
+            along = np.moveaxis(best, axis, 0)
+            for at in range(1, len(along)):
+                np.maximum(along[at], along[at - 1] - price * GRID_DEG, out=along[at])
+            for at in range(len(along) - 2, -1, -1):
+                np.maximum(along[at], along[at + 1] - price * GRID_DEG, out=along[at])
+        worth[step] += best
+
+    def steer(step, a, b):
+        far = np.abs(a_deg[None, :, None] - a[:, None, None]) + np.abs(b_deg[None, None, :] - b[:, None, None])
+        best = (worth[step] - price * far).reshape(count, -1).argmax(axis=1)
+        return a_deg[best // b_deg.size], b_deg[best % b_deg.size]
+
+    return steer
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("site")
+    parser.add_argument("weather", nargs="+", type=Path)
+    parser.add_argument("--sky", default="perez1990")
+    parser.add_argument("--prices", default="0.5,1,2,4")
+    parser.add_argument("--without-trees", action="store_true")
+    arguments = parser.parse_args()
+    site = Site(*parse_site(arguments.site))
+    days = Days(arguments.weather, site, arguments.sky)
+    print(f"{days.weather.shape[1]} days, sky {arguments.sky}")
+    for law in ("mu-prime", "optimal"):
+        say(law, days, days.run(steer_of(law, days.weather, days.faces, TERMS), TERMS.drive))
+    now = aim_vector(light_from_faces(days.faces, days.weather.sun, ALBEDO), days.weather.sun, ALBEDO)
+    lateral = with_lateral(days)
+    say("the same minute's light, moves at once", days, days.run(days.towards(now), IDEAL))
+    say("the same with a lateral term", days, days.run(days.towards(lateral), IDEAL))
+    say("the same minute's light, 0.9 deg/s", days, days.run(days.towards(now), Drive()))
+    say("the light of the minute before, moves at once", days, days.run(days.towards(now, 1), IDEAL))
+    say("the same with a lateral term", days, days.run(days.towards(lateral, 1), IDEAL))
+    if not arguments.without_trees:
+        expected, unseen = by_trees(days)
+        say(
+            "trees on the history, moves at once, days not fitted on",
+            days,
+            days.run(days.towards(expected), IDEAL),
+            unseen,
+        )
+    # A plan needs all poses of all minutes: file by file, a month of them takes 200 MB.
+    months = [Days([path], site, arguments.sky) for path in arguments.weather]
+    for price in map(float, arguments.prices.split(",")):
+        done = [each.run(foreseen(each, price), Drive()) for each in months]
+        gain = sum(float((one.energy_kwh_m2 - each.clock).sum()) for one, each in zip(done, months, strict=True))
+        room = sum(float((each.bound - each.clock).sum()) for each in months)
+        lit = np.concatenate([each.weather.day_types() >= 0 for each in months])
+        travel, moves = (
+            np.concatenate([getattr(one, of) for one in done])[lit].mean() for of in ("travel_deg", "moves")
+        )
+        name = f"the day known beforehand, {price:g} W min/m2 a degree, 0.9 deg/s"
+        print(f"{name:58} {100.0 * gain / room:6.1f} % {travel:6.0f} deg/day {moves:5.0f} moves", flush=True)
+
+
+if __name__ == "__main__":
+    main()
