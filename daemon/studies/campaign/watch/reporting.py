@@ -11,6 +11,8 @@ from daemon.rigs.campaign.plant import Plant
 WORTH_REPORTING_DEG = 0.5
 REPORTED_WITHIN_S = 10.0
 """The unit shows some things in its slow screens only, and control decides every 5 s."""
+MOVE_ENDS_WITHIN_S = 60.0
+"""What happens to a move is told at its end, after its attempts."""
 CAUSE_WITHIN_S = 30.0
 _SUBJECTS = ("alarm", "positioner", "control")
 _LATE_RECORDS = 500
@@ -78,7 +80,8 @@ class Reporting:
         if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
             self._fails("false-alarm", f"nothing has moved by itself, but: {blocked}")
         self._blocked = blocked
-        while self._unreported and now_s - self._unreported[0][0] > REPORTED_WITHIN_S:
+        within_s = REPORTED_WITHIN_S if plant.motion.target is None else MOVE_ENDS_WITHIN_S
+        while self._unreported and now_s - self._unreported[0][0] > within_s:
             begun_s, turned_deg = self._unreported.pop(0)
             late = islice(reversed(plant.records), _LATE_RECORDS)
             if not blocked and not any(_reports(record, begun_s) for record in late):
