@@ -135,7 +135,7 @@ def _unusable(value: Any) -> str | None:
 
 
 def write_secret(path: Path, content: bytes, called: str, error: type[UserError]) -> None:
-    """Write a new file that only its owner can read; never overwrites.
+    """Write a new file that only its owner can read; never overwrites, and leaves nothing that is not whole.
 
     Parameters
     ----------
@@ -146,11 +146,18 @@ def write_secret(path: Path, content: bytes, called: str, error: type[UserError]
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
     except FileExistsError:
         raise error(f"{called} exists and is not overwritten: move it away to make a new one") from None
     except OSError as failure:
+        raise error(f"{called} cannot be written: {failure.strerror}") from None
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(descriptor)
+    except OSError as failure:
+        # Whoever finds a file of this name takes it for the secret.
+        path.unlink(missing_ok=True)
         raise error(f"{called} cannot be written: {failure.strerror}") from None
 
 

@@ -9,6 +9,7 @@ from typing import Literal, cast
 
 from daemon.api.token import generate_token, write_token
 from daemon.base.errors import UserError
+from daemon.base.files import replace_file, rewrite_file
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.config.template import example
@@ -44,8 +45,9 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
             old = _free_name(file)
             shutil.copy2(file, old)
             done.append(f"{old}, the configuration before")
-        with file.open("w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
+            rewrite_file(file, text)
+        else:
+            replace_file(file, text)
         _owned_like(model, file)
     except OSError as error:
         raise UserError(f"{error.filename or file.parent} cannot be written: {error.strerror}") from None

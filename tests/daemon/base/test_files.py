@@ -1,11 +1,12 @@
-"""A person's file that is written anew: as a whole or not at all, and it stays that person's."""
+"""Files that are written as a whole or not at all: a person's own, which stays that person's, and secrets."""
 
 import os
 import stat
 
 import pytest
 
-from daemon.base.files import rewrite_file
+from daemon.base.errors import UserError
+from daemon.base.files import rewrite_file, write_secret
 from tests.daemon.store.test_store import fill, small_disk
 
 __all__ = ["small_disk"]
@@ -34,3 +35,17 @@ def test_on_a_full_disk_it_is_what_it_was(small_disk):
         rewrite_file(file, "b = 2\n" * 1000)
     assert file.read_text() == "a = 1\n"
     assert sorted(path.name for path in small_disk.iterdir()) == ["filler", "heliocube.toml"]
+
+
+def test_a_secret_that_a_full_disk_cannot_take_leaves_no_file_that_looks_like_one(small_disk):
+    file = small_disk / "bridge.key"
+    fill(small_disk / "filler")
+    with pytest.raises(UserError, match=r"^the key cannot be written: No space left on device$"):
+        write_secret(file, b"k" * 10000, "the key", UserError)
+    assert not file.exists()
+    (small_disk / "filler").unlink()
+    write_secret(file, b"whole", "the key", UserError)
+    assert (file.read_bytes(), stat.S_IMODE(file.stat().st_mode)) == (b"whole", 0o600)
+    with pytest.raises(UserError, match="exists and is not overwritten"):
+        write_secret(file, b"other", "the key", UserError)
+    assert file.read_bytes() == b"whole"

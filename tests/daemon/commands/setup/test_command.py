@@ -7,6 +7,9 @@ from daemon.bridge.signing import generate_key, load_key, write_key
 from daemon.commands.main import app
 from daemon.commands.setup.command import LEFT
 from daemon.config.file import load_settings
+from tests.daemon.store.test_store import fill, small_disk
+
+__all__ = ["small_disk"]
 
 CUBE = ["real", "Roof", "48.7", "2.2", "156", "yes", "modbus", "tcp:192.168.1.40:502", "skip", "10.0.0.5:20571"]
 
@@ -50,6 +53,22 @@ def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
     assert key.read_bytes() == secret
     found = load_settings(file)
     assert (found.cube.name, found.store.directory) == ("roof", tmp_path / "kept")
+
+
+def test_a_full_disk_leaves_the_configuration_that_was_there(setup, small_disk, tmp_path):
+    file = small_disk / "cube.toml"
+    said = setup(file, *CUBE, "new")
+    assert said.exit_code == 0, said.output
+    before = file.read_text()
+    # Room for the copy of what was there and for the answers, and for nothing else.
+    spare = small_disk / "spare"
+    spare.write_bytes(b"x" * 4096 * (len(before) // 4096 + 3))
+    fill(small_disk / "filler")
+    spare.unlink()
+    done = setup(file, *CUBE, "")
+    assert str(done.exception) == f"{small_disk} cannot be written: No space left on device"
+    assert (small_disk / "cube.toml.before").read_text() == before
+    assert file.read_text() == before
 
 
 def test_the_end_of_the_input_leaves_and_the_same_command_goes_on(setup, tmp_path):
