@@ -112,15 +112,18 @@ async def serve(
         if parent is not None:
             Thread(target=_await_end, args=(parent, end_from_outside), daemon=True).start()
         with on_signals(end_from_outside):
-            tasks = [asyncio.create_task(fleet.run()), asyncio.create_task(_watchdog(notifier))]
+            following, watching = asyncio.create_task(fleet.run()), asyncio.create_task(_watchdog(notifier))
+            # Without it pages would show for ever what was so when it ended.
+            following.add_done_callback(lambda _: end())
             notifier.ready()
             try:
                 await server.serve(sockets=[bound])
             finally:
                 notifier.stopping()
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
+                following.cancel()
+                watching.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await following
 
 
 def _server(dashboard: Dashboard) -> _Server:

@@ -80,7 +80,7 @@ class Upstream:
                     self._outage.up(self._clock.monotonic())
                     self._publish(f'{{"service": {json.dumps(self.name)}, "up": true, "state": {state}}}')
                 reason = "has ended the connection"
-            except (httpx.HTTPError, SSEError, ValueError) as error:
+            except (httpx.HTTPError, SSEError, ValueError, RecursionError) as error:
                 reason = _reason(error)
             self._outage.down(self._clock.monotonic(), reason)
             self._tell(False, reason)
@@ -92,8 +92,8 @@ class Upstream:
             source.response.raise_for_status()
             async for event in source.aiter_sse():
                 if event.event == "state":
-                    # What is not JSON would end every browser's page.
-                    json.loads(event.data)
+                    # What is not JSON, NaN for one, would end every browser's page.
+                    json.loads(event.data, parse_constant=_refuse)
                     yield event.data.replace("\n", " ")
 
     def _tell(self, up: bool | None, why: str) -> None:
@@ -147,6 +147,10 @@ class Fleet:
     def _hand_on(self, service: Upstream) -> None:
         for listener in self._listeners:
             listener.put(service.name, service.message)
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no JSON")
 
 
 def _reason(error: Exception) -> str:

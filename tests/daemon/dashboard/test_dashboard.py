@@ -3,6 +3,7 @@
 import asyncio
 import gzip
 import json
+import os
 
 import httpx
 import pytest
@@ -10,8 +11,9 @@ import pytest
 from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
+from daemon.base.process import Notifier
 from daemon.dashboard.app import COOKIE, STATIC, Dashboard
-from daemon.dashboard.serve import bind, settings_of_file
+from daemon.dashboard.serve import bind, serve, settings_of_file
 from daemon.dashboard.upstream import Fleet
 
 TOKEN = "t" * 43
@@ -320,21 +322,35 @@ def test_a_browser_that_does_not_read_holds_one_message_of_each_service():
     in_house(scenario)
 
 
-def test_what_is_no_state_never_reaches_a_browser():
+@pytest.mark.parametrize("text", ["<html>", '{"a_deg": NaN}', "[" * 100_000])
+def test_what_is_no_state_never_reaches_a_browser(text):
     async def scenario(house):
-        house.services[NAMES[0]].states = ["<html>"]
+        house.services[NAMES[0]].states = [text]
         following = asyncio.create_task(house.fleet.run())
         try:
             with house.fleet.listening() as listener:
                 seen = ""
                 while "does not speak as heliocube does" not in seen:
                     seen = "".join(await listener.next())
-                assert "<html>" not in seen
+                assert text not in seen
         finally:
             following.cancel()
             await asyncio.gather(following, return_exceptions=True)
 
     in_house(scenario)
+
+
+def test_it_ends_with_what_follows_the_services_instead_of_showing_for_ever_what_was(monkeypatch):
+    def broken(*_, **__):
+        raise LookupError("a defect of a library")
+
+    monkeypatch.setattr("daemon.dashboard.upstream.aconnect_sse", broken)
+    bound = bind("127.0.0.1:0")
+    notifier = Notifier({}, os.getpid())
+    ends = asyncio.wait_for(serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), notifier), 20.0)
+    with pytest.raises(ExceptionGroup) as ended:
+        asyncio.run(ends)
+    assert ended.group_contains(LookupError)
 
 
 def test_the_services_are_those_of_the_file_or_the_one_of_its_own_interface(tmp_path):
