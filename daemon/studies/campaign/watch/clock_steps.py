@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from daemon.base.records import Mode
+from daemon.base.records import Mode, ModeChange
 from daemon.rigs.campaign.plant import Plant
 
 CLOCK_SETTLES_S = 890.0
@@ -35,6 +35,13 @@ class ClockSteps:
         wrong = known and abs(clock.step_s) > CLOCK_STEP_S and 1.0 < now_s - self._stepped_s < CLOCK_SETTLES_S
         # To be parked when it is night in truth takes no clock.
         parked = control.mode is Mode.NIGHT and plant.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
-        if wrong and not parked:
+        if wrong and not parked and not _ordered_before(plant):
             text = f"{target} is sent in mode {control.mode} with the clock off by {clock.step_s:g} s: {control.why}"
             self._fails("clock", text)
+
+
+def _ordered_before(plant: Plant) -> bool:
+    """Tell whether the move that is sent was ordered in another mode: it is no decision of this one."""
+    changes = (record for record in reversed(plant.records) if isinstance(record, ModeChange))
+    latest = next(changes, None)
+    return latest is not None and plant.motion.last_move_started_s < latest.time_monotonic_s
