@@ -1,5 +1,7 @@
 """`heliocube energy`: what the laws harvest on measured weather."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +17,7 @@ from daemon.store.outputs import check_outputs
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms
+    from daemon.studies.energy.losses import Losses
     from daemon.studies.energy.worth import Prices
     from daemon.studies.sites.table import AskedSite
     from daemon.studies.spread.workers import Workers
@@ -159,12 +162,7 @@ def _compare(
     as_json: bool,
 ) -> None:
     from daemon.studies.energy import worth
-    from daemon.studies.energy.benchmark import (
-        as_page,
-        as_text,
-        run_benchmark,
-        write_csv,
-    )
+    from daemon.studies.energy.benchmark import as_page, as_text, run_benchmark, write_csv
     from daemon.studies.energy.plot import plot
 
     minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
@@ -185,13 +183,10 @@ def _compare(
         worths = worth.worths(rows, sum(page["days"].values()), prices)
         text += worth.as_text(worths, prices)
         page["worth"] = worth.as_page(worths, prices)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _writing_to(out):
         (out / "energy.txt").write_text(text, encoding="utf-8")
         write_csv(rows, out / "energy.csv", simulated=simulated)
         plot(rows, out / "energy.png", simulated=simulated)
-    except OSError as error:
-        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
         print_json(page | {"tables": out, "warnings": minutes.warnings})
     else:
@@ -216,20 +211,27 @@ def _tell_losses(
     from daemon.studies.energy.losses_plot import plot
 
     minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
+    found: list[Losses] = []
+    done = "all"
     with progress_bar(Console(stderr=True), "comparing") as progress:
-        found = list(run_losses(days, skies, names, terms, seed, progress))
+        try:
+            for losses in run_losses(days, skies, names, terms, seed, progress):
+                found.append(losses)  # noqa: PERF402 - what is there counts when the next one is interrupted
+        except KeyboardInterrupt:
+            done = f"{len(found)} of {len(skies) * len(names)}"
+            if not found:
+                raise
     text = as_text(found, days, terms, simulated=minutes.simulated)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _writing_to(out):
         (out / "energy-losses.txt").write_text(text, encoding="utf-8")
         write_csv(found, out / "energy-losses.csv", simulated=minutes.simulated)
         plot(found, out / "energy-losses.png", simulated=minutes.simulated)
-    except OSError as error:
-        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
         print_json(as_page(found, simulated=minutes.simulated) | {"tables": out, "warnings": minutes.warnings})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
+    if done != "all":
+        raise InterruptedEarlyError(f"interrupted: the losses in {out} are those of {done} laws")
 
 
 def _laid_out(
@@ -249,6 +251,16 @@ def _laid_out(
     except ValueError as error:
         raise UserError(f"the weather cannot be used: {error}") from error
     return minutes, days, Terms(albedo, Limits(), IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s))
+
+
+@contextmanager
+def _writing_to(out: Path) -> Iterator[None]:
+    """Make the folder, and say in a sentence if it cannot be written to."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
 
 
 def _asked_sites(path: Path, model: str | None) -> "list[AskedSite]":
@@ -294,13 +306,10 @@ def _compare_sites(
     if len(refused) == len(outcomes):
         raise UserError(f"no site could be used; the first: {refused[0].site.name}: {refused[0].refused}")
     text = as_text(outcomes, benchmark)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _writing_to(out):
         (out / "energy-sites.txt").write_text(text, encoding="utf-8")
         write_csv(outcomes, out / "energy-sites.csv")
         draw_map(outcomes, out / "energy-sites.png")
-    except OSError as error:
-        raise UserError(f"--out: {out} cannot be written to: {error.strerror}") from error
     if as_json:
         print_json(as_page(outcomes, benchmark) | {"tables": out})
     else:

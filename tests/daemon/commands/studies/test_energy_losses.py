@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from daemon.commands.main import main
+from solar.laws import optimal_live
 
 pytestmark = pytest.mark.slow
 
@@ -116,6 +117,22 @@ def test_noise_and_gaps_are_those_of_the_seed_and_ideal_moves_lose_no_motion(
     for cause in ("structure", "delay", "price"):
         lost = sum(row["lost_kwh_m2"][cause].values())
         assert 100.0 * lost / room == pytest.approx(of(points, cause), abs=0.05)
+
+
+def test_interrupted_it_keeps_the_laws_that_are_done(monkeypatch, weather, tmp_path, capsys):
+    steer = optimal_live.steer
+
+    def interrupted(settings, *more):
+        if settings.thrift == 8.0:
+            raise KeyboardInterrupt
+        return steer(settings, *more)
+
+    monkeypatch.setattr(optimal_live, "steer", interrupted)
+    asked = ("--losses", "--laws", "optimal,optimal:8", "--out", tmp_path / "o")
+    assert energy(monkeypatch, weather, "--site", SITE, *asked) == 130
+    said = f"heliocube: interrupted: the losses in {tmp_path / 'o'} are those of 1 of 2 laws\n"
+    assert capsys.readouterr().err.endswith(said)
+    assert {law for _, law, _, _ in points_in(tmp_path / "o")} == {"optimal"}
 
 
 def test_weather_that_nobody_measured_is_marked(monkeypatch, weather, tmp_path, capsys):
