@@ -6,7 +6,7 @@ structure
     A tracker that knows what the four faces show of the same minute, and moves at once, against the bound: what four
     faces cannot tell of the sky.
 delay
-    The law without a price on its moves, at once: the light has changed by the time it is known.
+    The law at its least thrift, without a budget, moving at once: the light has changed by the time it is known.
 price
     The law as it is set: moves that are not worth their wear.
 motion
