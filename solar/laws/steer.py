@@ -21,6 +21,17 @@ def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Arr
     return np.where(known, a_deg, a_now), np.where(known, b_deg, b_now)
 
 
+def towards(weather: DaylightWeather, directions: Array, limits: Limits, late_steps: int = 0) -> Steer:
+    """Point along the direction of each instant, shape (n, 3), at once or so many steps late."""
+    a_deg, b_deg = (weather.gridded(angle, np.nan) for angle in angles_within(directions, limits))
+
+    def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
+        shown = step - late_steps
+        return or_stay(a_deg[shown], b_deg[shown], a, b) if shown >= 0 else (a, b)
+
+    return steer
+
+
 def by_the_mean(
     weather: DaylightWeather,
     faces: Array,

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes, steer_of
+from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes, steer_of, under_sky
 from daemon.studies.inputs import parse_site
-from solar.energy import Drive, best_possible, build_sky, faces_under, harvest, lay_out
+from solar.energy import Drive, lay_out
 from solar.ephemeris import Site
-from solar.frames import FACE_NORMALS, Limits, angles_within, normal_from_angles
+from solar.frames import FACE_NORMALS, Limits, normal_from_angles
 from solar.laws.light import Light, aim_vector, light_from_faces
-from solar.laws.steer import or_stay
+from solar.laws.steer import towards
 
 ALBEDO = 0.2
 LIMITS = Limits()
@@ -32,31 +32,16 @@ LATERAL_ON_TILTS = 1.5
 HALF_LIVES_MIN = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 
 
-class Days:
-    """The weather of one file, or of all, under a sky."""
-
-    def __init__(self, files, site, sky):
-        minutes = measured_minutes(files, site)
-        self.weather = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
-        self.light = build_sky(self.weather, sky)
-        self.faces = faces_under(self.light, ALBEDO)
-        self.bound = self.weather.by_day(best_possible(self.weather, self.light, LIMITS, ALBEDO))
-        self.clock = self.run(steer_of("chronometric", self.weather, self.faces, TERMS), IDEAL).energy_kwh_m2
-
-    def run(self, steer, drive):
-        """Drive all days."""
-        return harvest(self.weather, self.light, ALBEDO, drive, steer)
-
-    def towards(self, vector, late=0):
-        """Point along a vector of each instant, some steps late."""
-        poses = angles_within(vector, LIMITS)
-        a_deg, b_deg = (self.weather.gridded(angle, np.nan) for angle in poses)
-        return lambda step, a, b: or_stay(a_deg[step - late], b_deg[step - late], a, b) if step >= late else (a, b)
+def days_of(files, site, sky):
+    """Return the weather of one file, or of all, under a sky."""
+    minutes = measured_minutes(files, site)
+    return under_sky(lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site), sky, TERMS)
 
 
 def share_pct(days, energy, chosen):
     """Return the share of the bound's gain."""
-    return 100.0 * float((energy - days.clock)[chosen].sum() / (days.bound - days.clock)[chosen].sum())
+    clock = days.chronometric_kwh_m2
+    return 100.0 * float((energy - clock)[chosen].sum() / (days.bound_kwh_m2 - clock)[chosen].sum())
 
 
 def say(name, days, done, chosen=None):
@@ -157,31 +142,33 @@ def main():
     parser.add_argument("--without-trees", action="store_true")
     arguments = parser.parse_args()
     site = Site(*parse_site(arguments.site))
-    days = Days(arguments.weather, site, arguments.sky)
+    days = days_of(arguments.weather, site, arguments.sky)
     print(f"{days.weather.shape[1]} days, sky {arguments.sky}")
     for law in ("mu-prime", "optimal"):
         say(law, days, days.run(steer_of(law, days.weather, days.faces, TERMS), TERMS.drive))
     now = aim_vector(light_from_faces(days.faces, days.weather.sun, ALBEDO), days.weather.sun, ALBEDO)
     lateral = with_lateral(days)
-    say("the same minute's light, moves at once", days, days.run(days.towards(now), IDEAL))
-    say("the same with a lateral term", days, days.run(days.towards(lateral), IDEAL))
-    say("the same minute's light, 0.9 deg/s", days, days.run(days.towards(now), Drive()))
-    say("the light of the minute before, moves at once", days, days.run(days.towards(now, 1), IDEAL))
-    say("the same with a lateral term", days, days.run(days.towards(lateral, 1), IDEAL))
+    say("the same minute's light, moves at once", days, days.run(towards(days.weather, now, LIMITS), IDEAL))
+    say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS), IDEAL))
+    say("the same minute's light, 0.9 deg/s", days, days.run(towards(days.weather, now, LIMITS), Drive()))
+    say("the light of the minute before, moves at once", days, days.run(towards(days.weather, now, LIMITS, 1), IDEAL))
+    say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS, 1), IDEAL))
     if not arguments.without_trees:
         expected, unseen = by_trees(days)
         say(
             "trees on the history, moves at once, days not fitted on",
             days,
-            days.run(days.towards(expected), IDEAL),
+            days.run(towards(days.weather, expected, LIMITS), IDEAL),
             unseen,
         )
     # A plan needs all poses of all minutes: file by file, a month of them takes 200 MB.
-    months = [Days([path], site, arguments.sky) for path in arguments.weather]
+    months = [days_of([path], site, arguments.sky) for path in arguments.weather]
     for price in map(float, arguments.prices.split(",")):
         done = [each.run(foreseen(each, price), Drive()) for each in months]
-        gain = sum(float((one.energy_kwh_m2 - each.clock).sum()) for one, each in zip(done, months, strict=True))
-        room = sum(float((each.bound - each.clock).sum()) for each in months)
+        gain = sum(
+            float((one.energy_kwh_m2 - each.chronometric_kwh_m2).sum()) for one, each in zip(done, months, strict=True)
+        )
+        room = sum(float((each.bound_kwh_m2 - each.chronometric_kwh_m2).sum()) for each in months)
         lit = np.concatenate([each.weather.day_types() >= 0 for each in months])
         travel, moves = (
             np.concatenate([getattr(one, of) for one in done])[lit].mean() for of in ("travel_deg", "moves")

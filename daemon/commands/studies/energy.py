@@ -131,10 +131,12 @@ def energy(
             raise UserError("--losses tells no money: leave out --peak-kw and the prices")
         check_laws_of_losses(names)
         check_outputs([out / f"energy-losses.{ending}" for ending in _ENDINGS], "--out", force=force)
-        _tell_losses(weather, place, out, skies, names, albedo, speed_deg_per_s, seed, as_json=as_json)
+        laid = _laid_out(weather, place, albedo, speed_deg_per_s)
+        _tell_losses(laid, out, skies, names, seed, as_json=as_json)
         return
     check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
-    _compare(weather, place, out, skies, names, albedo, speed_deg_per_s, prices, as_json=as_json)
+    laid = _laid_out(weather, place, albedo, speed_deg_per_s)
+    _compare(laid, out, skies, names, prices, as_json=as_json)
 
 
 def _prices(
@@ -150,13 +152,10 @@ def _prices(
 
 
 def _compare(
-    weather: list[Path],
-    place: tuple[float, float, float],
+    laid: "tuple[Minutes, DaylightWeather, Terms]",
     out: Path,
     skies: list[str],
     names: list[str],
-    albedo: float,
-    speed_deg_per_s: float | None,
     prices: "Prices | None",
     *,
     as_json: bool,
@@ -165,7 +164,7 @@ def _compare(
     from daemon.studies.energy.benchmark import as_page, as_text, run_benchmark, write_csv
     from daemon.studies.energy.plot import plot
 
-    minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
+    minutes, days, terms = laid
     done = "all"
     rows: list[EnergyRow] = []
     with progress_bar(Console(stderr=True), "comparing") as progress:
@@ -196,13 +195,10 @@ def _compare(
 
 
 def _tell_losses(
-    weather: list[Path],
-    place: tuple[float, float, float],
+    laid: "tuple[Minutes, DaylightWeather, Terms]",
     out: Path,
     skies: list[str],
     names: list[str],
-    albedo: float,
-    speed_deg_per_s: float | None,
     seed: int,
     *,
     as_json: bool,
@@ -210,7 +206,7 @@ def _tell_losses(
     from daemon.studies.energy.losses import as_page, as_text, run_losses, write_csv
     from daemon.studies.energy.losses_plot import plot
 
-    minutes, days, terms = _laid_out(weather, place, albedo, speed_deg_per_s)
+    minutes, days, terms = laid
     found: list[Losses] = []
     done = "all"
     with progress_bar(Console(stderr=True), "comparing") as progress:

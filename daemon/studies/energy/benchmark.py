@@ -20,6 +20,7 @@ from solar.energy import (
     DaylightWeather,
     Drive,
     Harvest,
+    Shining,
     Steer,
     best_possible,
     build_sky,
@@ -82,6 +83,42 @@ class Terms:
     drive: Drive
 
 
+@dataclass(frozen=True, slots=True)
+class DaysUnderSky:
+    """The days under one sky, and what the laws are held against there.
+
+    Attributes
+    ----------
+    weather, terms
+        Days, and what is assumed of ground and tracker.
+    light, faces
+        The sky, and what the cube's faces read under it [W/m2], shape (n, 4).
+    bound_kwh_m2, chronometric_kwh_m2
+        Of each day, shape (days,): at the best pose of every instant, and following the sun with ideal moves.
+    """
+
+    weather: DaylightWeather
+    terms: Terms
+    light: Shining
+    faces: Array
+    bound_kwh_m2: Array
+    chronometric_kwh_m2: Array
+
+    def run(self, steer: Steer, drive: Drive) -> Harvest:
+        """Drive a tracker through all days."""
+        return harvest(self.weather, self.light, self.terms.albedo, drive, steer)
+
+
+def under_sky(weather: DaylightWeather, sky: str, terms: Terms) -> DaysUnderSky:
+    """Return the days under one of SKIES."""
+    light = build_sky(weather, sky)
+    faces = faces_under(light, terms.albedo)
+    bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
+    by_the_clock = steer_of(FALLBACK_LAW, weather, faces, terms)
+    chronometric = harvest(weather, light, terms.albedo, IDEAL, by_the_clock).energy_kwh_m2
+    return DaysUnderSky(weather, terms, light, faces, bound, chronometric)
+
+
 def run_benchmark(
     weather: DaylightWeather,
     skies: Sequence[str],
@@ -94,12 +131,9 @@ def run_benchmark(
     total = len(skies) * (len(law_names) + 1)
     types = weather.day_types()
     for sky_name in skies:
-        light = build_sky(weather, sky_name)
-        faces = faces_under(light, terms.albedo)
-        bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
-        run = partial(harvest, weather, light, terms.albedo)
-        reference = run(IDEAL, steer_of(FALLBACK_LAW, weather, faces, terms)).energy_kwh_m2
-        summarise = partial(_row, sky_name, types=types, reference=reference, bound=bound)
+        days = under_sky(weather, sky_name, terms)
+        bound = days.bound_kwh_m2
+        summarise = partial(_row, sky_name, types=types, reference=days.chronometric_kwh_m2, bound=bound)
         for name in law_names:
             progress((done + 1) / total)
             done += 1
@@ -108,7 +142,7 @@ def run_benchmark(
                 yield summarise(name, Harvest(bound, nothing, nothing, nothing))
             else:
                 drive = IDEAL if name.startswith(FIXED) else terms.drive
-                yield summarise(name, run(drive, steer_of(name, weather, faces, terms)))
+                yield summarise(name, days.run(steer_of(name, weather, days.faces, terms), drive))
     progress(1.0)
 
 

@@ -29,27 +29,16 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from daemon.config.plugged import FALLBACK_LAW
-from daemon.studies.energy.benchmark import IDEAL, Terms, conditions, steer_of
+from daemon.studies.energy.benchmark import IDEAL, DaysUnderSky, Terms, conditions, under_sky
 from daemon.studies.energy.names import choice
 from daemon.studies.text_table import WIDTH, table
-from solar.energy import (
-    DAY_TYPES,
-    DaylightWeather,
-    Drive,
-    Shining,
-    Steer,
-    best_possible,
-    build_sky,
-    faces_under,
-    harvest,
-)
-from solar.frames import Array, angles_within
+from solar.energy import DAY_TYPES, DaylightWeather, Drive
+from solar.frames import Array
 from solar.laws import optimal_live
 from solar.laws.light import aim_vector, light_from_faces
 from solar.laws.memory import THRIFT_RANGE
 from solar.laws.optimal_live import LiveOptimalSettings
-from solar.laws.steer import or_stay
+from solar.laws.steer import towards
 
 Cause = Literal["structure", "delay", "price", "motion", "noise", "gaps"]
 CAUSES: tuple[Cause, ...] = get_args(Cause)
@@ -113,17 +102,14 @@ def run_losses(
     members = np.stack([types == number for number in range(len(DAY_TYPES))]).astype(np.float64)
     done = 0
     for sky in skies:
-        light = build_sky(weather, sky)
-        faces = faces_under(light, terms.albedo)
-        bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
-        under = _Under(weather, light, faces, terms)
-        room = bound - under.energy(steer_of(FALLBACK_LAW, weather, faces, terms), IDEAL)
+        days = under_sky(weather, sky, terms)
+        room = members @ (days.bound_kwh_m2 - days.chronometric_kwh_m2)
         for name in law_names:
             progress((done + 0.5) / (len(skies) * len(law_names)))
             done += 1
             settings = cast("LiveOptimalSettings", choice(name).settings)
-            harvests = np.stack([bound, *_burdened(under, settings, np.random.default_rng(seed))])
-            yield Losses(sky, name, members @ room, -np.diff(harvests, axis=0) @ members.T)
+            harvests = np.stack([days.bound_kwh_m2, *_burdened(days, settings, np.random.default_rng(seed))])
+            yield Losses(sky, name, room, -np.diff(harvests, axis=0) @ members.T)
     progress(1.0)
 
 
@@ -173,46 +159,27 @@ def as_page(found: Sequence[Losses], *, simulated: bool) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class _Under:
-    """The days under one sky."""
-
-    weather: DaylightWeather
-    light: Shining
-    faces: Array
-    terms: Terms
-
-    def energy(self, steer: Steer, drive: Drive) -> Array:
-        return harvest(self.weather, self.light, self.terms.albedo, drive, steer).energy_kwh_m2
-
-    def steer(self, settings: LiveOptimalSettings, faces: Array) -> Steer:
-        return optimal_live.steer(settings, self.weather, faces, self.terms.limits)
-
-
-def _burdened(under: _Under, settings: LiveOptimalSettings, random: np.random.Generator) -> Iterator[Array]:
+def _burdened(days: DaysUnderSky, settings: LiveOptimalSettings, random: np.random.Generator) -> Iterator[Array]:
     """Yield the energy of each day [kWh/m2], shape (days,), after each cause."""
-    faces, drive = under.faces, under.terms.drive
-    yield under.energy(_same_minute(under), IDEAL)
-    yield under.energy(under.steer(settings.model_copy(update=_FREE), faces), IDEAL)
-    yield under.energy(under.steer(settings, faces), IDEAL)
-    yield under.energy(under.steer(settings, faces), drive)
+    weather, faces, terms = days.weather, days.faces, days.terms
+
+    def by_the_law(settings: LiveOptimalSettings, faces: Array, drive: Drive) -> Array:
+        return days.run(optimal_live.steer(settings, weather, faces, terms.limits), drive).energy_kwh_m2
+
+    light = light_from_faces(faces, weather.sun, terms.albedo)
+    best = aim_vector(light, weather.sun, terms.albedo)
+    yield days.run(towards(weather, best, terms.limits), IDEAL).energy_kwh_m2
+    yield by_the_law(settings.model_copy(update=_FREE), faces, IDEAL)
+    yield by_the_law(settings, faces, IDEAL)
+    yield by_the_law(settings, faces, terms.drive)
     noisy = faces * (1.0 + NOISE_SHARE * random.standard_normal(faces.shape))
     noisy += NOISE_W_M2 * random.standard_normal(faces.shape)
-    yield under.energy(under.steer(settings, noisy), drive)
+    yield by_the_law(settings, noisy, terms.drive)
     # Half of the gaps are two minutes long.
     begins = random.random(len(faces)) < MISSING_SHARE / 1.5
     lasts = random.random(len(faces)) < 0.5
     missing = begins | np.roll(begins & lasts, 1)
-    yield under.energy(under.steer(settings, np.where(missing[:, None], np.nan, noisy)), drive)
-
-
-def _same_minute(under: _Under) -> Steer:
-    """Point by the light of the minute that is collected, as the law makes it out from the faces."""
-    weather, albedo = under.weather, under.terms.albedo
-    light = light_from_faces(under.faces, weather.sun, albedo)
-    poses = angles_within(aim_vector(light, weather.sun, albedo), under.terms.limits)
-    a_deg, b_deg = (weather.gridded(angle, np.nan) for angle in poses)
-    return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)
+    yield by_the_law(settings, np.where(missing[:, None], np.nan, noisy), terms.drive)
 
 
 def _cells(by_type: Array) -> list[str]:

@@ -10,7 +10,7 @@ from solar.ephemeris import Site
 from solar.frames import Angles, Limits
 from solar.laws import chronometric, flat, mu_prime, optimal_live, sun_vector
 from solar.laws.law import Aim, Law
-from solar.laws.steer import by_readings, by_the_mean
+from solar.laws.steer import by_readings, by_the_mean, towards
 
 pytestmark = pytest.mark.slow
 
@@ -40,6 +40,18 @@ def test_a_law_run_reading_by_reading_harvests_what_its_fast_way_does(two_days, 
     fast, slow = (harvest(weather, light, 0.2, IDEAL, steer).energy_kwh_m2 for steer in ways)
     # The fast chronometric tracker follows the sun at every step, the slow one every five minutes.
     assert slow == pytest.approx(fast, rel=5e-3 if law is chronometric else 1e-12)
+
+
+def test_towards_the_sun_is_the_chronometric_tracker_and_late_it_points_where_the_sun_was(two_days):
+    weather, _, faces = two_days
+    a, b = np.zeros(2), np.full(2, 90.0)
+    clock = chronometric.steer(chronometric.SETTINGS(), weather, faces, LIMITS)
+    now, late = (towards(weather, weather.sun, LIMITS, steps) for steps in (0, 30))
+    for step in (0, 200, 400):
+        np.testing.assert_allclose(now(step, a, b), clock(step, a, b))
+        np.testing.assert_allclose(late(step + 30, a, b), now(step, a, b))
+    np.testing.assert_array_equal(late(29, a, b), (a, b))
+    assert np.abs(np.subtract(now(430, a, b), late(430, a, b))).max() > 1.0
 
 
 def test_the_optimal_law_reading_by_reading_comes_near_its_fast_way_and_keeps_its_plan(two_days):
