@@ -116,7 +116,14 @@ def under_sky(weather: DaylightWeather, sky: str, terms: Terms) -> DaysUnderSky:
     bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
     by_the_clock = steer_of(FALLBACK_LAW, weather, faces, terms)
     chronometric = harvest(weather, light, terms.albedo, IDEAL, by_the_clock).energy_kwh_m2
-    return DaysUnderSky(weather, terms, light, faces, bound, chronometric)
+    return DaysUnderSky(
+        weather=weather,
+        terms=terms,
+        light=light,
+        faces=faces,
+        bound_kwh_m2=bound,
+        chronometric_kwh_m2=chronometric,
+    )
 
 
 def run_benchmark(
