@@ -8,6 +8,10 @@ _LASTS_S = 2.0
 # What the unit measures with no motor driven is below this; a motor that has been driven needs a moment to be still.
 _AT_REST_A = 0.3
 _RUN_OUT_S = 3.0
+# A motor that has just been switched on shows its current first and then its motion, which is judged elsewhere.
+_STARTS_WITHIN_S = 1.0
+# After a stop that has not ended the current: until the next one, and then twice as long each time.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 2.0, 64.0
 # So long without a high current before the next one is told anew.
 _OVER_AFTER_S = 3600.0
 
@@ -19,18 +23,33 @@ class Currents:
     ----------
     alarm_a
         Current [A] above which a moving axis is hard to move.
+
+    Attributes
+    ----------
+    text
+        What is wrong with them, or None.
+    wants_stop
+        A motor is on although its axis stands. The stop before may not have been heard, and an axis whose impulses are
+        lost stands as well by its count.
     """
 
     def __init__(self, alarm_a: float) -> None:
         self._alarm_a = alarm_a
         self._since_s: float | None = None
         self._last_s = 0.0
+        self._driven_since_s: float | None = None
+        self._pause_s = _FIRST_PAUSE_S
+        self._next_stop_s = float("-inf")
         self.text: str | None = None
+        self.wants_stop = False
 
     def update(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
         """Take in the newest telemetry; `text` says what is wrong, until an hour without it or `forget`."""
         now_s = telemetry.time_monotonic_s
-        text = self._judge(telemetry, stands_since_s)
+        standing = stands_since_s is not None and now_s - stands_since_s > _RUN_OUT_S
+        at_rest = self._driven_at_rest(telemetry) if standing else None
+        self._judge_stop(telemetry, driven=at_rest is not None)
+        text = self._too_high(telemetry) or at_rest
         if text is None:
             self._since_s = None
             if self.text is not None and now_s - self._last_s > _OVER_AFTER_S:
@@ -41,6 +60,13 @@ class Currents:
         if now_s - self._since_s >= _LASTS_S:
             self.text, self._last_s = text, now_s
 
+    def stopped(self, now_s: float) -> None:
+        """Take note that both axes have been stopped at a monotonic time [s]."""
+        if self.wants_stop:
+            self.wants_stop = False
+            self._next_stop_s = now_s + self._pause_s
+            self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)
+
     @property
     def judges(self) -> bool:
         """Whether a current is high, and only has to last."""
@@ -50,17 +76,36 @@ class Currents:
         """Forget what was told: a person has looked."""
         self.text = self._since_s = None
 
-    def _judge(self, telemetry: Telemetry, stands_since_s: float | None) -> str | None:
-        standing = stands_since_s is not None and telemetry.time_monotonic_s - stands_since_s > _RUN_OUT_S
-        for name, current_a in (("A", telemetry.a_motor_current_a), ("B", telemetry.b_motor_current_a)):
+    def _judge_stop(self, telemetry: Telemetry, *, driven: bool) -> None:
+        now_s = telemetry.time_monotonic_s
+        if not driven or telemetry.button_pressed:
+            self._driven_since_s, self._pause_s, self.wants_stop = None, _FIRST_PAUSE_S, False
+            return
+        if self._driven_since_s is None:
+            self._driven_since_s = now_s
+        self.wants_stop = now_s >= max(self._driven_since_s + _STARTS_WITHIN_S, self._next_stop_s)
+
+    def _too_high(self, telemetry: Telemetry) -> str | None:
+        for name, current_a in _by_name(telemetry):
             if current_a > self._alarm_a:
                 return (
                     f"axis {name} draws more than {self._alarm_a:g} A: something is in its way, iced up or worn;"
                     " look at the mechanics"
                 )
-            if standing and current_a > _AT_REST_A:
-                return f"axis {name} draws current although it stands: it is driven against something; look at it"
         return None
+
+    def _driven_at_rest(self, telemetry: Telemetry) -> str | None:
+        for name, current_a in _by_name(telemetry):
+            if current_a > _AT_REST_A:
+                return (
+                    f"axis {name} draws current although it stands, and is stopped again: it is driven against"
+                    " something, or moves without being counted; look at it"
+                )
+        return None
+
+
+def _by_name(telemetry: Telemetry) -> tuple[tuple[str, float], tuple[str, float]]:
+    return ("A", telemetry.a_motor_current_a), ("B", telemetry.b_motor_current_a)
 
 
 def show(

@@ -166,9 +166,13 @@ class Guard:
 
     @property
     def must_halt(self) -> bool:
-        """Whether somebody wants it, or a fault has come up: the other axis may be moving, or about to."""
+        """Whether somebody wants it, a fault has come up, or a motor is on that should be off.
+
+        With a fault on one axis the other may be moving, or about to.
+        """
         faults = self._telemetry.faults if self._telemetry else ()
-        return self.halt_wanted or any(name not in self._halted_for for name in faults)
+        new_fault = any(name not in self._halted_for for name in faults)
+        return self.halt_wanted or new_fault or self._currents.wants_stop
 
     @property
     def stands_since_s(self) -> float | None:
@@ -226,6 +230,7 @@ class Guard:
                 await asyncio.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         self.halt_wanted = False
+        self._currents.stopped(self._clock.monotonic())
         # What this look shows may have been before the stop.
         self._judged_s = self._clock.monotonic()
         telemetry = await self.poll(moving=False)

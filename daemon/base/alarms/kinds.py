@@ -129,8 +129,8 @@ _ALL = (
     _kind(
         "motor-current",
         Severity.WARNING,
-        "for 2 s a motor draws more than `instruments.positioner.current_alarm_a`, or draws current at rest; ends after"
-        " an hour without",
+        "for 2 s a motor draws more than `instruments.positioner.current_alarm_a`, or draws current at rest (it is"
+        " then stopped again); ends after an hour without",
         "the drive wears, and may stall before it reaches its stow position",
         "look for ice, something in the way, a dry joint, a worn spindle",
         latched=True,

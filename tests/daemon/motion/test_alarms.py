@@ -1,6 +1,7 @@
 """When motor currents are wrong."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -46,9 +47,39 @@ def test_a_current_into_a_standing_axis_is_told_once_the_motor_has_run_out(axis,
     currents = Currents(3.0)
     for time_s in (100.0, 102.0):
         currents.update(look(time_s, **{axis: current_a}), time_s - stood_s)
-    expected = f"axis {name} draws current although it stands: it is driven against something; look at it"
+    expected = (
+        f"axis {name} draws current although it stands, and is stopped again: it is driven against something, or moves"
+        " without being counted; look at it"
+    )
     assert currents.text == (expected if told else None)
+    assert currents.wants_stop is told
     moving = Currents(3.0)
     for time_s in (100.0, 102.0):
         moving.update(look(time_s, **{axis: current_a}), None)
     assert moving.text is None
+    assert not moving.wants_stop
+
+
+def test_a_motor_that_stays_on_is_stopped_at_once_and_again_after_ever_longer_pauses():
+    currents, stops_s = Currents(3.0), []
+    for time_s in range(10, 400):
+        currents.update(look(float(time_s), b=0.5), 0.0)
+        if currents.wants_stop:
+            stops_s.append(time_s)
+            currents.stopped(float(time_s))
+    assert stops_s == [11, 13, 17, 25, 41, 73, 137, 201, 265, 329, 393]
+    currents.update(look(500.0), 0.0)
+    for time_s in (501.0, 501.9, 502.0, 503.9, 504.0):
+        currents.update(look(time_s, b=0.5), 0.0)
+        assert currents.wants_stop is (time_s in (502.0, 504.0)), time_s
+        currents.stopped(time_s)
+
+
+def test_nobody_stops_what_a_person_drives_with_the_button():
+    currents = Currents(3.0)
+    for time_s in (10.0, 11.0, 12.0):
+        currents.update(replace(look(time_s, a=0.5), button_pressed=True), 0.0)
+        assert not currents.wants_stop
+    for time_s in (13.0, 14.0):
+        currents.update(look(time_s, a=0.5), 0.0)
+    assert currents.wants_stop

@@ -72,8 +72,12 @@ def test_poses_under_a_button_and_on_a_move_come_with_every_look():
 def test_a_motor_current_is_judged_with_every_look_and_forgotten_with_the_clear():
     async def scenario(rig):
         await asleep(rig)
+        stops = rig.unit.sent.count("halt")
         rig.unit.says["b_motor_current_a"] = 0.5
-        await asyncio.sleep(3.5)
+        await asyncio.sleep(2.5)
+        assert rig.unit.sent.count("halt") == stops + 1, "the stop before may not have been heard"
+        await asyncio.sleep(2.0)
+        assert rig.unit.sent.count("halt") == stops + 2
         assert "although it stands" in rig.raised["motor-current"]
         rig.unit.says.clear()
         await asyncio.sleep(3.0)
