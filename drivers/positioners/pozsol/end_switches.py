@@ -1,5 +1,6 @@
 """What shows only while axes move: where the status has axis B's bits, and whether end switches make sense."""
 
+import math
 from dataclasses import dataclass
 
 from drivers.interfaces import AxisName
@@ -11,6 +12,23 @@ _MOVES = 0.1
 _OF_NOW_S = 0.7
 # So far from a switch an axis cannot be while the status is on its way.
 _FAR_DEG = 4.0
+# Further than that an axis is driven off its switch to see whether the switch opens.
+_OFF_DEG = 5.0
+
+
+def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int | None:
+    """Return the whole position to send for an axis to leave the end switch that it stands on, or seems to stand on.
+
+    None where it need not (`may_stand_at` is None) or is off it already, and where the way might take it beyond its
+    limit: from `here`, its position by the count that began on the switch, or from `may_stand_at`, that by the count
+    before.
+    """
+    if may_stand_at is None:
+        return None
+    way = setup.units(_OFF_DEG)
+    highest = max(setup.geometry.position(end_deg) for end_deg in (setup.minimum_deg, setup.maximum_deg))
+    stays_inside = all(place + way + 1.0 <= highest for place in (here, may_stand_at))
+    return math.ceil(way - setup.zero_offset) if stays_inside and here <= 0.5 * way else None
 
 
 @dataclass

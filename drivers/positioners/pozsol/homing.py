@@ -59,6 +59,8 @@ class HomingRun:
         Once over: why the run did not find the switch; empty if it did.
     mismatch
         Once over without failure: how the switch contradicts the count; empty if it does not.
+    stands
+        Once over, where the count and the switch contradict each other: where the axis stands if the switch is wrong.
     """
 
     axis: AxisName
@@ -71,6 +73,7 @@ class HomingRun:
     over: bool = False
     failure: str = ""
     mismatch: str = ""
+    stands: float | None = None
     travelled: bool = False
     _last: float | None = field(default=None, repr=False)
     _changed_s: float = field(default=0.0, repr=False)
@@ -128,6 +131,7 @@ class HomingRun:
             return f"axis {name} shows both of its end switches closed"
         expected, allowed = self.start - stood, slip if self.trusted else self.setup.units(_LOST_DEG)
         if self.stood is not None and abs(seen.remain - expected) > allowed:
+            self.stands = seen.remain - expected
             return (
                 f"axis {name} met its end switch where its count was {seen.remain:g}, not {expected:g}: home it again"
                 " to see whether count or switch is wrong"

@@ -21,12 +21,14 @@ from dataclasses import replace
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol import wire
+from drivers.positioners.pozsol.end_switches import off_switch
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
+from drivers.positioners.pozsol.refusals import likely_cause, why_not_standing
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
-from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
+from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch, position_of
 from drivers.positioners.pozsol.wire import Field, encode_command
 
 _DEVICE = "positioner"
@@ -46,10 +48,11 @@ _STATUS_SHOWS_S = 7.0
 _UNDER_WAY_S = 0.1
 _STOP_EVERY_S = 0.15
 _STAND_WITHIN_S = 12.0
-_LOWEST_SUPPLY_V = 20.0
 # Targets are whole units, and an axis rests up to 0.2 beyond its own. Told to go back that little, it may be braking
 # when the other target comes, which is lost then; within 0.07 it may stay switched on at rest, and is faulted for that.
 _AT_TARGET = 0.3
+# How near to where an axis is sent off its switch it has left it, and how long that takes at the most.
+_NEAR_DEG, _LEFT_WITHIN_S = 0.5, 30.0
 # A Hall count, and what rounding to four decimals adds.
 _JITTER_COUNTS = 1.2
 
@@ -208,10 +211,12 @@ class PozsolPositioner:
     async def home(self, axis: AxisName) -> None:
         """Halt, start a reference run and wait until it shows, up to 7 s.
 
-        To home one axis while the other moves would leave that one running without control.
+        To home one axis while the other moves would leave that one running without control. Where count and end switch
+        have contradicted each other the axis leaves the switch first: a run without a way would tell nothing.
         """
         stops = self._stops
         await self._stand(stops)
+        await self._leave_switch(axis, stops)
         before = self._read()
         self._watch.begin_run(axis, before, self._now() + _UNDER_WAY_S)
         try:
@@ -292,7 +297,7 @@ class PozsolPositioner:
     def _require_fit(self, what: str) -> Telemetry:
         seen = self._read()
         if seen.faults or seen.homing:
-            raise RefusedError(_DEVICE, f"is not given {what}: {_likely_cause(seen)}")
+            raise RefusedError(_DEVICE, f"is not given {what}: {likely_cause(seen)}")
         shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
         for axis, (angle_deg, position) in shown.items():
             setup = self._axes["a" if axis == "a" else "b"]
@@ -304,6 +309,20 @@ class PozsolPositioner:
                     f" {setup.geometry.position(angle_deg):.1f} of that angle; is the geometry that of this unit?",
                 )
         return seen
+
+    async def _leave_switch(self, axis: AxisName, stops: int) -> None:
+        """Drive an axis off its end switch by a few degrees where its count there is in doubt, and that is safe."""
+        setup, here = self._axes[axis], position_of(axis, self._read())
+        if (whole := off_switch(setup, here, self._watch.reference.may_stand_at(axis))) is None:
+            return
+        await self._send(_TARGET[axis], whole, stops)
+        await self._confirm(
+            lambda seen: abs(position_of(axis, seen) - whole - setup.zero_offset) <= setup.units(_NEAR_DEG),
+            f"to leave the end switch of axis {axis.upper()}",
+            stops,
+            _LEFT_WITHIN_S,
+        )
+        await self._stand(stops)
 
     async def _stand(self, stops: int, *, give_way: bool = True) -> None:
         """Send stop again and again until both axes stand and aim at where they stand."""
@@ -317,7 +336,7 @@ class PozsolPositioner:
             if give_way:
                 self._raise_if_stopped(stops)
             if self._now() - begin_s > _STAND_WITHIN_S:
-                raise StillMovingError(_DEVICE, _why_not_standing(self._read(), standstill))
+                raise StillMovingError(_DEVICE, why_not_standing(self._read(), _STAND_WITHIN_S, still=standstill.still))
             if self._now() >= again_s:
                 await self._transmit(packet)
                 # The very first packet of a connection is lost.
@@ -370,28 +389,12 @@ class PozsolPositioner:
             if done(seen):
                 return seen
             if self._now() >= deadline_s:
-                raise RefusedError(_DEVICE, f"did not take {what}: {_likely_cause(seen)}")
+                raise RefusedError(_DEVICE, f"did not take {what}: {likely_cause(seen)}")
 
 
 def _text(value: Value | None) -> str:
     return "" if value is None else value.text.decode("latin-1").strip()
 
 
-def _why_not_standing(seen: Telemetry, standstill: Standstill) -> str:
-    if standstill.still:
-        aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
-        return f"takes no stop: it stands, but is still to go from {aims}"
-    return f"keeps moving after {_STAND_WITHIN_S:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
-
-
-def _likely_cause(seen: Telemetry) -> str:
-    if seen.faults:
-        return f"it reports {', '.join(seen.faults)}"
-    if seen.homing:
-        return "it is homing"
-    if seen.supply_v < _LOWEST_SUPPLY_V:
-        return f"its motor supply is {seen.supply_v:g} V"
-    if seen.autonomous:
-        return f"its own mode is on ({seen.details['mode']})"
-    shown = f"destinations {seen.destination_a:g} and {seen.destination_b:g}"
-    return f"it shows {shown} and no reason; is the geometry in instruments.positioner that of this unit?"
+def _position(seen: Telemetry, axis: AxisName) -> float:
+    return seen.position_a if axis == "a" else seen.position_b

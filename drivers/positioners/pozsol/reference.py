@@ -12,6 +12,7 @@ class _Doubt:
     text: str
     axes: set[AxisName]
     needs_travel: bool = False
+    stands: float | None = None
 
 
 @dataclass
@@ -34,13 +35,27 @@ class Reference:
         """Tell whether the count of one axis is in doubt."""
         return any(axis in doubt.axes for doubt in self._doubts.values())
 
-    def note(self, kind: str, text: str, axis: AxisName | None = None, *, needs_travel: bool = False) -> None:
+    def note(
+        self,
+        kind: str,
+        text: str,
+        axis: AxisName | None = None,
+        *,
+        needs_travel: bool = False,
+        stands: float | None = None,
+    ) -> None:
         """Note a doubt of one axis or, with None, of both; an event that can happen again needs a kind of its own.
 
-        With `needs_travel` only a reference run on which the axis has moved settles it.
+        With `needs_travel` only a reference run on which the axis has moved settles it; `stands` is where it stands,
+        in the unit's position units, if its end switch lied about that.
         """
-        known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel))
+        known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel, stands))
         known.axes |= _BOTH if axis is None else {axis}
+
+    def may_stand_at(self, axis: AxisName) -> float | None:
+        """Return where an axis may stand although its count says that it is on its end switch; None without doubt."""
+        places = [doubt.stands for doubt in self._doubts.values() if axis in doubt.axes and doubt.stands is not None]
+        return max(places, default=None)
 
     def proven(self, axis: AxisName, *, travelled: bool) -> None:
         """Forget what one axis' good reference run has settled."""

@@ -107,7 +107,7 @@ class PositionerWatch:
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
-        start = before.position_a if axis == "a" else before.position_b
+        start = position_of(axis, before)
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
         self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
         self._last = None
@@ -195,7 +195,10 @@ class PositionerWatch:
         else:
             self._last_known.referenced(run.axis)
         if run.mismatch:
-            self.reference.note(f"{run.axis} mismatch {run.sent_s}", run.mismatch, run.axis, needs_travel=stuck)
+            # On the spot neither count nor switch can be shown to be right.
+            needs_travel = stuck or run.stands is not None
+            kind = f"{run.axis} mismatch {run.sent_s}"
+            self.reference.note(kind, run.mismatch, run.axis, needs_travel=needs_travel, stands=run.stands)
         return False
 
     def _note_doubts(self, state: LinkState, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
@@ -218,6 +221,11 @@ class PositionerWatch:
             trusted = not self.reference.doubts(axis)
             self._last_known.note(axis, seen[axis].position, trusted=trusted, set_anew=self._set_anew)
         self._set_anew = False
+
+
+def position_of(axis: AxisName, seen: Telemetry) -> float:
+    """Return where one axis was seen, in the unit's position units."""
+    return seen.position_a if axis == "a" else seen.position_b
 
 
 @lru_cache(maxsize=64)

@@ -11,6 +11,8 @@ RUN_OUT_S = 3.0
 AT_TARGET = 1.5
 """Units of position within which direction says nothing any more."""
 _SAME_DESTINATION = 0.5
+# So far from its end switch, in units of position, a reference run drives an axis off it first where that is in doubt.
+_LEAVES_SWITCH = 30.0
 
 _TARGETS: dict[int, AxisName] = {
     Field.A_ANGLE: "a", Field.B_ANGLE: "b", Field.A_DESTINATION: "a", Field.B_DESTINATION: "b"
@@ -42,6 +44,7 @@ class Explained:
     def __init__(self) -> None:
         self._destination: dict[AxisName, float | None] = {"a": None, "b": None}
         self._homing: set[AxisName] = set()
+        self._sent_off: set[AxisName] = set()
         self._run_out_s = -math.inf
         self._held = False
         self._released_s = -math.inf
@@ -60,6 +63,7 @@ class Explained:
                 # On a reversal it runs the old way first.
                 self._run_out_s = now_s + RUN_OUT_S
             self._destination[axis] = None
+            self._sent_off.add(axis)
         elif code == Field.ACTION and value in _HOMES:
             self._take_back(now_s)
             self._homing.add(_HOMES[value])
@@ -71,6 +75,7 @@ class Explained:
             self._run_out_s = now_s + RUN_OUT_S
         self._destination = {"a": None, "b": None}
         self._homing.clear()
+        self._sent_off.clear()
 
     def confirmed(self, a: Counted, b: Counted) -> None:
         """Take the unit's destinations for ours from now on: the driver has seen it take a target."""
@@ -103,6 +108,8 @@ class Explained:
             return "hand"
         if axis in self._homing and homing:
             return "home"
+        if homing and axis in self._sent_off and 0.0 < counted.destination <= _LEAVES_SWITCH and turned_deg > 0.0:
+            return "order"
         if heading and self._is_ordered(axis, turned_deg, counted):
             return "order"
         return "run-out" if now_s < self._run_out_s else None

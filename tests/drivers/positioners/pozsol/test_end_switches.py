@@ -1,9 +1,11 @@
 """What counts as a movement of B and as a switch that cannot be closed, look by look and at the bounds."""
 
+import math
+
 import pytest
 
-from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
-from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck, off_switch
+from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
@@ -101,3 +103,20 @@ def test_between_the_two_it_is_suspected():
         check.update(2 * FAR, status, status_s)
         seen.append(check.suspects)
     assert seen == [False, True, True, False]
+
+
+def test_an_axis_leaves_its_switch_by_five_degrees_within_its_limit_wherever_it_stands():
+    slew = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0)
+    assert off_switch(slew, 0.0, None) is None, "nothing is in doubt"
+    assert off_switch(slew, 0.0, 300.0) == 50
+    assert off_switch(slew, 25.0, 300.0) == 50
+    assert off_switch(slew, 25.1, 300.0) is None, "it is off its switch"
+    assert off_switch(slew, 0.0, 849.0) == 50
+    assert off_switch(slew, 0.0, 849.1) is None, "it may stand at its other end"
+    assert off_switch(slew, 0.0, math.nan) is None
+    narrow = AxisSetup(Proportional(10.0, 0.0), 2.0, 5.0)
+    assert off_switch(narrow, 0.0, -20.0) is None
+    offset = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0, zero_offset=7.5)
+    assert off_switch(offset, 0.0, 300.0) == 43
+    downwards = AxisSetup(Proportional(-10.0, 90.0), 0.0, 88.0)
+    assert off_switch(downwards, 0.0, 300.0) == 50

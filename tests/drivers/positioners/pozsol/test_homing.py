@@ -58,6 +58,8 @@ def test_a_trusted_count_may_slip_by_half_a_degree(side):
     assert ended(0.0, remain=side * 0.99 * SLIP).mismatch == ""
     told = ended(0.0, remain=side * 1.01 * SLIP).mismatch
     assert told.startswith(f"axis A met its end switch where its count was {side * 1.01 * SLIP:g}, not 0")
+    assert ended(0.0, remain=side * 1.01 * SLIP).stands == pytest.approx(side * 1.01 * SLIP)
+    assert ended(0.0, remain=side * 0.99 * SLIP).stands is None
 
 
 def test_an_axis_that_stood_within_half_a_degree_need_not_have_moved():

@@ -1,0 +1,27 @@
+"""Why the unit does not do what it is told, in words, as far as its telemetry shows it."""
+
+from drivers.interfaces import Telemetry
+
+_LOWEST_SUPPLY_V = 20.0
+
+
+def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
+    """Return why stops have not brought both axes to a standstill within this time [s]."""
+    if still:
+        aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
+        return f"takes no stop: it stands, but is still to go from {aims}"
+    return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
+
+
+def likely_cause(seen: Telemetry) -> str:
+    """Return why a command shows no effect."""
+    if seen.faults:
+        return f"it reports {', '.join(seen.faults)}"
+    if seen.homing:
+        return "it is homing"
+    if seen.supply_v < _LOWEST_SUPPLY_V:
+        return f"its motor supply is {seen.supply_v:g} V"
+    if seen.autonomous:
+        return f"its own mode is on ({seen.details['mode']})"
+    shown = f"destinations {seen.destination_a:g} and {seen.destination_b:g}"
+    return f"it shows {shown} and no reason; is the geometry in instruments.positioner that of this unit?"

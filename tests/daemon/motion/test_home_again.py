@@ -1,0 +1,90 @@
+"""Count and end switch contradict each other: the next reference run leaves the switch first, and finds out which."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Target
+from tests.support.phases import at_rest, quiet
+
+MET = "met its end switch where its count was"
+
+
+async def ended(rig):
+    await rig.until(lambda: not rig.motion.homing, 400, "the end of the run")
+    await asyncio.sleep(2)
+
+
+async def homed(rig):
+    rig.motion.home()
+    await rig.until(lambda: rig.motion.homing, 10, "the beginning of the run")
+    await ended(rig)
+
+
+async def knows_where_it_stands(rig):
+    await at_rest(rig)
+    await asyncio.sleep(5)
+    told = rig.motion.telemetry
+    assert (told.a_deg, told.b_deg) == pytest.approx(tuple(rig.truth()), abs=0.3)
+
+
+async def stuck_on_its_way(rig):
+    """Let B's end switch close, and stay closed, when B has gone a degree towards it, and return where B stands."""
+    began_deg = rig.truth().b_deg
+    rig.motion.home()
+    await rig.until(lambda: rig.truth().b_deg < began_deg - 1.0, 200, "axis B on its way")
+    rig.unit.inject("b_switch_closed", rig.clock.monotonic())
+    await ended(rig)
+    assert f"axis B {MET}" in rig.motion.doubt
+    return rig.truth().b_deg
+
+
+@pytest.mark.parametrize("axis", ["a", "b"])
+def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
+    async def scenario(rig):
+        await quiet(rig)
+        began = getattr(rig.truth(), f"{axis}_deg")
+        rig.motion.home()
+        await rig.until(lambda: getattr(rig.truth(), f"{axis}_deg") < began - 5.0, 200, "the axis on its way")
+        rig.unit.inject(f"{axis}_slip", rig.clock.monotonic())
+        await ended(rig)
+        assert f"axis {axis.upper()} {MET}" in rig.motion.doubt
+        await homed(rig)
+        assert rig.motion.doubt is None
+        await knows_where_it_stands(rig)
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        stood = await stuck_on_its_way(rig)
+        await homed(rig)
+        assert 4.0 < rig.truth().b_deg - stood < 7.0, "it was driven off the switch"
+        assert "may be stuck" in rig.motion.doubt
+        rig.unit.repair("b_switch_closed", rig.clock.monotonic())
+        for _ in range(2):
+            assert rig.motion.doubt
+            await homed(rig)
+        assert rig.motion.doubt is None
+        await knows_where_it_stands(rig)
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+def test_near_its_upper_limit_an_axis_does_not_leave_a_switch_that_may_be_stuck(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        await rig.control.stop("a test")
+        rig.control.auto()
+        rig.motion.order(Target(0.0, 90.0, "flat"), stow=True)
+        await rig.until(lambda: rig.truth().b_deg > 89.5, 200, "it lies flat")
+        await at_rest(rig)
+        stood = await stuck_on_its_way(rig)
+        assert stood > 86.0
+        await homed(rig)
+        assert rig.truth().b_deg == pytest.approx(stood, abs=0.1)
+        assert rig.motion.doubt, "without a way the run has shown nothing"
+
+    run_rig(scenario, motion={"rehome": "operator"})
