@@ -172,7 +172,7 @@ class CampaignRun:
         fault, plant = FAULTS[event.name], self.plant
         if event.name in PROCESS and not plant.is_served:
             return
-        self._note(event.name, fault)
+        self._note(event.name, event.value, fault)
         self._lasting[event.name] += 1
         await _done(fault.begin(plant, event.value))
         self.watch.lasting += 1
@@ -189,14 +189,14 @@ class CampaignRun:
             await _done(fault.end(plant, event.value))
             self._note_end(event.name, fault)
 
-    def _note(self, name: str, fault: PlantFault) -> None:
+    def _note(self, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
         watch = self.watch
         if fault.moves:
             watch.moves_itself()
         if name == "deaf":
             watch.deaf(is_deaf=True)
         elif name == "clock_step":
-            watch.steps.note(watch.now_s)
+            watch.steps.note(value[0], watch.now_s)
         if fault.uncounts:
             watch.reference.excused = True
         if name.endswith("hall_loss"):
@@ -215,6 +215,8 @@ class CampaignRun:
             watch.sees_again("a" if name[0] == "a" else "b")
         if name == "deaf":
             watch.deaf(is_deaf=False)
+        elif name == "clock_step":
+            watch.steps.note(0.0, watch.now_s)
         watch.disturbs()
 
     async def _set_right(self) -> None:

@@ -22,10 +22,12 @@ class ClockSteps:
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
         self._stepped_s = -math.inf
+        self._off_s = 0.0
 
-    def note(self, now_s: float) -> None:
-        """Take note that the clock is set."""
-        self._stepped_s = now_s
+    def note(self, off_s: float, now_s: float) -> None:
+        """Take note by how much the clock is off; to set it to what it shows anyway changes nothing."""
+        if off_s != self._off_s:
+            self._off_s, self._stepped_s = off_s, now_s
 
     def check(self, plant: Plant, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent by the clock, of a service that began at `begun_s`."""
