@@ -121,8 +121,9 @@ def stop_units() -> list[str]:
         return []
     # One that the newer release cannot even start is the first reason to go back.
     running = [unit for unit in _UNITS if _systemctl("is-active", unit).stdout.strip() in _WANTED]
-    for unit in running:
+    for at, unit in enumerate(running):
         if _systemctl("stop", unit).returncode != 0:
+            start_units(running[:at])
             raise UserError(f"{unit} does not stop: see 'systemctl status {unit}'; nothing has been changed")
     return running
 

@@ -256,3 +256,13 @@ def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, confi
     assert "latitude_deg" in err
     assert (installation.parent / "current").resolve() == installation / "newer"
     assert "start heliocube-tracker" in (tmp_path / "asked").read_text().splitlines()
+
+
+def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, installation, tmp_path):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "stop heliocube-cube" ]\n')
+    code, _, err = heliocube("rollback", "-c", config)
+    assert code == 2
+    assert "heliocube-cube does not stop" in err
+    assert (tmp_path / "asked").read_text().splitlines()[-1] == "start heliocube-tracker"
+    assert (installation.parent / "current").resolve() == installation / "newer"
