@@ -55,7 +55,7 @@ class CubeCalibration(Section):
     calibrated_utc: AwareDatetime
     expires_utc: AwareDatetime
     cube: str = Serial
-    reference: str = Serial
+    reference: str = Field("unknown", max_length=400)
     east: FaceCalibration
     south: FaceCalibration
     west: FaceCalibration

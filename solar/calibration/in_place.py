@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from solar.calibration.anchor import Anchor, clear_sky_anchor
 from solar.calibration.attitude import Attitude
+from solar.calibration.level import Level, ties
 from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
 from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
 from solar.ephemeris import DAY_S, Site, sun_direction
@@ -96,6 +97,7 @@ def calibrate_in_place(
     water_cm: float = CLEAR_WATER_CM,
     cosine_error: float = COSINE_ERROR,
     stability: Stability | None = None,
+    level: Level | None = None,
 ) -> FieldCalibration:
     """Return gains, attitude and albedo from a cube's readings over several days.
 
@@ -108,28 +110,35 @@ def calibrate_in_place(
         shape (n, 4); NaN is no reading.
     model, water_cm, cosine_error
         As :func:`.shape.fit_shape` and :func:`.anchor.clear_sky_anchor` say.
+    level
+        What is known of the level of the gains from elsewhere; None where only the clear-sky model tells it.
 
     Raises
     ------
     UndeterminedError
         Naming everything that is missing.
     """
+    known = Level() if level is None else level
+    ghi = np.full(utc_s.shape, np.nan) if known.ghi_w_m2 is None else known.ghi_w_m2
     whole = np.isfinite(faces_w_m2).all(axis=-1)
-    utc_s, faces_w_m2 = utc_s[whole], faces_w_m2[whole]
+    utc_s, faces_w_m2, ghi = utc_s[whole], faces_w_m2[whole], ghi[whole]
     clear = clear_and_stable(utc_s, faces_w_m2[:, 3], site, stability)
-    utc_s, faces_w_m2 = block_means(utc_s[clear], faces_w_m2[clear], _BLOCK_S)
-    missing = _missing(utc_s, site)
+    utc_s, faces_w_m2, ghi = utc_s[clear], faces_w_m2[clear], ghi[clear]
+    # The ratio, not the GHI itself: means over a quarter of an hour need not be of the same minutes.
+    blocks_s, means = block_means(utc_s, np.column_stack([faces_w_m2, ghi / faces_w_m2[:, 3]]), _BLOCK_S)
+    missing = _missing(blocks_s, site)
     if missing:
         raise UndeterminedError(missing)
+    told = _Told(site=site, model=model, water_cm=water_cm, cosine_error=cosine_error, level=known)
 
     def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
-        return _estimate(utc_s[kept], faces_w_m2[kept], site, model, water_cm, cosine_error, vertical, rounds)
+        return _estimate(blocks_s[kept], means[kept], told, vertical, rounds)
 
-    everything = np.ones(utc_s.size, dtype=np.bool_)
+    everything = np.ones(blocks_s.size, dtype=np.bool_)
     try:
         values, shape, anchor = estimate(everything, 1.0, _ROUNDS)
         vertical = float(np.exp(np.mean(np.log(values[:3] / values[3]))))
-        day = np.floor(utc_s / DAY_S)
+        day = np.floor(blocks_s / DAY_S)
         each = np.array([estimate(day != one, vertical, 2)[0] for one in np.unique(day)])
     except ValueError as error:
         raise UndeterminedError([str(error)]) from None
@@ -137,8 +146,8 @@ def calibrate_in_place(
     unsure = _unsure(spread, shape.residual, max(anchor.zenith_error, anchor.vertical_error))
     if unsure:
         raise UndeterminedError(unsure)
-    level = np.array([*[anchor.vertical_error] * 3, anchor.zenith_error])
-    response_error = np.hypot(spread[:4], values[:4] * level)
+    of_level = np.array([*[anchor.vertical_error] * 3, anchor.zenith_error])
+    response_error = np.hypot(spread[:4], values[:4] * of_level)
     yaw, equator, east = np.hypot(spread[4:7], _ANGLE_SIGMA).tolist()
     albedo = float(np.hypot(spread[7], (1.0 + shape.albedo) * anchor.ratio_error))
     return FieldCalibration(
@@ -163,19 +172,26 @@ def jackknife_error(each: Array) -> Array:
     return np.asarray(np.sqrt((groups - 1) / groups * np.sum((each - each.mean(axis=0)) ** 2, axis=0)), np.float64)
 
 
-def _estimate(
-    utc_s: Array,
-    faces_w_m2: Array,
-    site: Site,
-    model: SkyModel,
-    water_cm: float,
-    cosine_error: float,
-    vertical: float,
-    rounds: int,
-) -> tuple[Array, Shape, Anchor]:
-    """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles."""
+class _Told(NamedTuple):
+    """What the person has told, beside the readings."""
+
+    site: Site
+    model: SkyModel
+    water_cm: float
+    cosine_error: float
+    level: Level
+
+
+def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
+    """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles.
+
+    `means` are the four faces' and of the GHI nearby over the zenith face's reading, shape (n, 5).
+    """
+    faces_w_m2, ghi_w_m2 = means[:, :4], means[:, 3] * means[:, 4]
     for _ in range(rounds):
-        shape = fit_shape(utc_s, faces_w_m2, site, vertical=vertical, model=model, cosine_error=cosine_error)
+        shape = fit_shape(
+            utc_s, faces_w_m2, told.site, vertical=vertical, model=told.model, cosine_error=told.cosine_error
+        )
         count = shape.utc_s.size
         if count < _LEAST_WITHOUT_HAZE:
             raise ValueError(
@@ -183,8 +199,19 @@ def _estimate(
                 f"{count * _BLOCK_S / 60:.0f} min, where {_LEAST_WITHOUT_HAZE * _BLOCK_S / 60:.0f} min are needed, "
                 "also without any one of the days"
             )
-        ghi = shape.beam_w_m2 * sun_direction(shape.utc_s, *site)[:, 2] + shape.uniform_w_m2
-        anchor = clear_sky_anchor(shape.utc_s, ghi, vertical * shape.beam_w_m2, site, model=model, water_cm=water_cm)
+        horizontal = shape.beam_w_m2 * sun_direction(shape.utc_s, *told.site)[:, 2] + shape.uniform_w_m2
+        nearby = horizontal / ghi_w_m2[np.searchsorted(utc_s, shape.utc_s)]
+        of_zenith, of_vertical = ties(told.level, shape, vertical, None if told.level.ghi_w_m2 is None else nearby)
+        anchor = clear_sky_anchor(
+            shape.utc_s,
+            horizontal,
+            vertical * shape.beam_w_m2,
+            told.site,
+            model=told.model,
+            water_cm=told.water_cm,
+            zenith=of_zenith,
+            vertical=of_vertical,
+        )
         before, vertical = vertical, anchor.vertical / anchor.zenith
         if abs(vertical - before) < _SETTLED:
             break
@@ -231,7 +258,7 @@ def _unsure(spread: Array, residual: float, level: float) -> list[str]:
     worst = (float(spread[:4].max()), float(spread[4:7].max()), float(spread[7]))
     units = ("", " deg", "")
     return [
-        f"days that agree on {name}: leaving out one day after the other gives a standard error of {error:.2g}{unit}, "
+        f"days that agree on {name}: leaving out one day after the other gives a standard error of {error:.3g}{unit}, "
         f"where {limit:g}{unit} is the most"
         for name, error, limit, unit in zip(names, worst, _TOO_UNSURE, units, strict=True)
         if not error <= limit

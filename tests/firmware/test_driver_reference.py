@@ -75,6 +75,32 @@ def test_a_switch_that_is_stuck_closed_does_not_make_a_reference(start_firmware)
     asyncio.run(scene())
 
 
+def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_switch(start_firmware):
+    firmware = start_firmware(-48.0, 90.0)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await opened(positioner)
+        began = firmware.positions_mm()[0]
+        await positioner.home("a")
+
+        async def on_its_way():
+            return firmware.positions_mm()[0] < began - 4.0
+
+        await until(on_its_way)
+        firmware.control("stucklow 0 1")
+        assert "met its end switch where its count was" in (await over(positioner)).reference_doubt
+        stood = firmware.positions_mm()[0]
+        firmware.control("stucklow 0 0")
+        await positioner.home("a")
+        assert firmware.positions_mm()[0] > stood + 10.0, "it was driven off the switch, and is on its way back"
+        assert (await over(positioner)).reference_doubt == ""
+        assert firmware.positions_mm()[0] == pytest.approx(-0.37, abs=0.3)
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
 def test_homing_stops_the_other_axis_first(start_firmware):
     firmware = start_firmware(0.0, 16.0)
 

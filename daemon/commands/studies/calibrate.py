@@ -136,6 +136,20 @@ def field(
             min=0, max=0.2, metavar="SHARE", help="Share of the beam that the sensors miss at 80 deg of incidence."
         ),
     ] = 0.008,
+    referenced: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FACE=PERCENT",
+            help="Face whose gain in the configuration is from a reference, and its uncertainty, k = 2; repeat it.",
+        ),
+    ] = None,
+    ghi: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV of a calibrated pyranometer nearby, level: time, ghi [W/m2]."),
+    ] = None,
+    ghi_uncertainty: Annotated[
+        float, typer.Option(min=0.1, max=20, metavar="PERCENT", help="Of that pyranometer's calibration, k = 2.")
+    ] = 1.5,
     serial: SerialOption = None,
     valid_days: Annotated[
         float, typer.Option(min=1, max=3660, metavar="N", help="Days until the calibration expires.")
@@ -144,18 +158,21 @@ def field(
     as_json: JsonOption = False,
 ) -> None:
     """Find gains, misalignment and albedo of the cube where it stands, from its readings under clear sky."""
-    _check_there(sensors)
+    _check_there(sensors, ghi)
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
-    from daemon.studies.calibrate.in_field import calibrate_field
+    from daemon.studies.calibrate.in_field import LevelSources, calibrate_field
+    from daemon.studies.calibrate.readings import read_reference
 
     request.check_before(out, None, force=False)
     serials = request.serials(serial or [])
+    known_faces = request.referenced(referenced or [])
     made_on = request.rig(config, site)
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     readings = request.readings(sensors, store, first, last, made_on)
-    found = calibrate_field(readings, made_on, model=sky.value, water_cm=water, cosine_error=cosine_error)
+    level = LevelSources(known_faces, None if ghi is None else read_reference(ghi), ghi_uncertainty)
+    found = calibrate_field(readings, made_on, level, model=sky.value, water_cm=water, cosine_error=cosine_error)
     lines = report.field_lines(found, made_on, sky.value)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days)
     write_calibration(calibration, out, lines)

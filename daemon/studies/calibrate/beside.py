@@ -112,8 +112,7 @@ def compare(
         found = lag_s(reference.utc_s, reference.ghi_w_m2, utc_s, voltage.mean(axis=-1))
         known = found if np.isfinite(found) else None
     utc_s = utc_s - (known or 0.0)
-    zero, _, _ = night_offset(reference.utc_s, reference.ghi_w_m2[:, None], site)
-    reference_zero = float(zero[0]) if np.isfinite(zero[0]) else 0.0
+    reference_zero = zero_of(reference, site)
     dark, dark_error, nights = night_offset(utc_s, voltage, site)
     minute, ghi, mv = _common(reference, utc_s, voltage)
     if not minute.size:
@@ -160,14 +159,28 @@ def _common(reference: ReferenceReadings, utc_s: Array, voltage: Array) -> tuple
     """
     minute, ghi = block_means(reference.utc_s, reference.ghi_w_m2, MEAN_S)
     times, mv = block_means(utc_s, voltage, MEAN_S)
-    if times.size < 2:
-        return minute[:0], ghi[:0], mv[:0]
-    steps = np.diff(times)
-    place = np.clip(np.searchsorted(times, minute) - 1, 0, steps.size - 1)
-    common = (times[0] <= minute) & (minute <= times[-1])
+    at_reference = values_at(minute, times, mv)
+    common = np.isfinite(at_reference).all(axis=-1)
+    return minute[common], ghi[common], at_reference[common]
+
+
+def zero_of(reference: ReferenceReadings, site: Site) -> float:
+    """Return what a reference reads at night [W/m2]; 0 without nights."""
+    zero, _, _ = night_offset(reference.utc_s, reference.ghi_w_m2[:, None], site)
+    return float(zero[0]) if np.isfinite(zero[0]) else 0.0
+
+
+def values_at(utc_s: Array, times_s: Array, values: Array) -> Array:
+    """Return `values`, shape (n, m) at `times_s`, by straight lines at other instants; NaN outside and in gaps."""
+    found = np.full((utc_s.size, values.shape[1]), np.nan)
+    if times_s.size < 2:
+        return found
+    steps = np.diff(times_s)
+    place = np.clip(np.searchsorted(times_s, utc_s) - 1, 0, steps.size - 1)
+    common = (times_s[0] <= utc_s) & (utc_s <= times_s[-1])
     common &= steps[place] <= _WIDEST_GAP * max(MEAN_S, float(np.median(steps)))
-    at_reference = np.stack([np.interp(minute[common], times, face) for face in mv.T], axis=-1)
-    return minute[common], ghi[common], at_reference
+    found[common] = np.stack([np.interp(utc_s[common], times_s, column) for column in values.T], axis=-1)
+    return found
 
 
 def _face(

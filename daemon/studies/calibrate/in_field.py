@@ -1,20 +1,54 @@
 """Evaluation of `heliocube calibrate field`: the cube where it stands."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.studies.calibrate.beside import MEAN_S
-from daemon.studies.calibrate.readings import FaceReadings
+from daemon.studies.calibrate.beside import MEAN_S, values_at, zero_of
+from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
 from daemon.studies.calibrate.request import CubeSetup
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
+from solar.calibration.level import Level, Tie
 from solar.calibration.selection import block_means, night_offset
+from solar.ephemeris import Site
 from solar.frames import Array
 from solar.skies.sky import SkyModel
 
 _LEAST_READINGS = 60
+_LONGEST_NAME = 100
+
+
+@dataclass(frozen=True, slots=True)
+class LevelSources:
+    """What tells the level of the gains beside the clear-sky model.
+
+    Attributes
+    ----------
+    referenced
+        Faces whose gains in the settings are from a reference, each with its expanded uncertainty (k = 2) [%].
+    ghi
+        A pyranometer nearby, or None.
+    ghi_uncertainty_percent
+        Of its calibration, expanded (k = 2).
+    """
+
+    referenced: dict[str, float]
+    ghi: ReferenceReadings | None
+    ghi_uncertainty_percent: float
+
+    @property
+    def names(self) -> list[str]:
+        """What they are, for people."""
+        faces = [f"the gain of {face} (U {percent:g} %)" for face, percent in self.referenced.items()]
+        if self.ghi is None:
+            return faces
+        return [
+            *faces,
+            f"the GHI of {Path(self.ghi.source).name[:_LONGEST_NAME]} (U {self.ghi_uncertainty_percent:g} %)",
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +63,8 @@ class FieldResult:
         New ones, shape (4,) each; the uncertainty is expanded (k = 2).
     night_readings
         How many readings the offsets are from; 0 where the old ones stay.
+    level
+        What told the level of the gains beside the clear-sky model.
     """
 
     fit: FieldCalibration
@@ -36,10 +72,17 @@ class FieldResult:
     offsets_mv: Array
     offset_uncertainty_mv: Array
     night_readings: int
+    level: LevelSources
 
 
 def calibrate_field(
-    readings: FaceReadings, made_on: CubeSetup, *, model: SkyModel, water_cm: float, cosine_error: float
+    readings: FaceReadings,
+    made_on: CubeSetup,
+    level: LevelSources,
+    *,
+    model: SkyModel,
+    water_cm: float,
+    cosine_error: float,
 ) -> FieldResult:
     """Return gains, attitude and albedo; raises `UserError` that says what the readings lack."""
     old = [getattr(made_on.cube, name) for name in FACES]
@@ -58,7 +101,13 @@ def calibrate_field(
     minutes, means = block_means(utc_s, faces - zero, MEAN_S)
     try:
         fit = calibrate_in_place(
-            minutes, means, made_on.site, model=model, water_cm=water_cm, cosine_error=cosine_error
+            minutes,
+            means,
+            made_on.site,
+            model=model,
+            water_cm=water_cm,
+            cosine_error=cosine_error,
+            level=_level(level, minutes, made_on.site),
         )
     except UndeterminedError as error:
         raise UserError(f"{readings.source} cannot support a calibration in place; missing: {error}") from None
@@ -68,4 +117,22 @@ def calibrate_field(
         offsets_mv=offsets + zero / gains,
         offset_uncertainty_mv=2.0 * zero_error / gains,
         night_readings=nights,
+        level=level,
     )
+
+
+def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
+    """Return it for the readings at these instants; raises `UserError` where the GHI has none of them."""
+    east, south, west, zenith = (
+        Tie(1.0, sources.referenced[face] / 200.0) if face in sources.referenced else None for face in FACES
+    )
+    ghi = None
+    if sources.ghi is not None:
+        times, values = block_means(sources.ghi.utc_s, sources.ghi.ghi_w_m2 - zero_of(sources.ghi, site), MEAN_S)
+        ghi = values_at(utc_s, times, values[:, None])[:, 0]
+        if not np.isfinite(ghi).any():
+            raise UserError(
+                f"--ghi: {sources.ghi.source} has {span_text(sources.ghi.utc_s)}, and the cube's readings "
+                f"{span_text(utc_s)}; check the file and that its times are UTC"
+            )
+    return Level((east, south, west, zenith), ghi, sources.ghi_uncertainty_percent / 200.0)

@@ -84,6 +84,7 @@ def field_page(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
     return {
         "days": found.fit.days,
         "standing": _standing(found, made_on.site.latitude_deg),
+        "level_by": found.level.names,
         "unexplained_share": found.fit.shape.residual,
         "doubtful": not found.fit.shape.residual <= _DOUBTFUL,
     }
@@ -119,10 +120,7 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         ),
         f"albedo  {fit.albedo:.3f} +- {standing['albedo_uncertainty']:.3f} (law.albedo)",
         f"left unexplained: {100.0 * fit.shape.residual:.2f} % of the zenith face",
-        (
-            "Uncertainties (U, +-) are expanded, k = 2. Those of the gains and of the albedo come mostly from the "
-            "clear-sky model, which sets the level of all gains; to know them to 1 % use a reference."
-        ),
+        f"Uncertainties (U, +-) are expanded, k = 2. {_level_line(found)}",
     ]
     if not fit.shape.residual <= _DOUBTFUL:
         lines.append(
@@ -135,6 +133,21 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
             "try --sky haydavies, and trust vertical gains and albedo only if both agree."
         )
     return lines
+
+
+def _level_line(found: FieldResult) -> str:
+    known = found.level
+    if not known.names:
+        return (
+            "Those of the gains and of the albedo come mostly from the clear-sky model, which sets the level of all "
+            "gains; to know them to 1 % give what is known of a face (--referenced) or a pyranometer nearby (--ghi)."
+        )
+    told = f"The level of the gains is held by {' and '.join(known.names)}, and by the clear-sky model."
+    vertical = [face for face in known.referenced if face != "zenith"]
+    zenith = "zenith" in known.referenced or known.ghi is not None
+    if vertical and zenith:
+        return told
+    return f"{told} The model alone tells {'the zenith face' if vertical else 'the vertical faces'} from that."
 
 
 def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str], valid_days: float) -> CubeCalibration:
@@ -173,7 +186,11 @@ def field_calibration(
     }
     return new_calibration(
         _dates(float(fit.shape.utc_s[-1]), valid_days)
-        | {"method": "in place", "cube": made_on.cube.name, "reference": f"clear sky, {sky}"}
+        | {
+            "method": "in place",
+            "cube": made_on.cube.name,
+            "reference": ", ".join([f"clear sky, {sky}", *found.level.names]),
+        }
         | faces
         | {"standing": _standing(found, made_on.site.latitude_deg)}
     )

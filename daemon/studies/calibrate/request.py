@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from datetime import datetime
+from math import nan
 from pathlib import Path
 
 from daemon.base.errors import UserError
@@ -17,6 +18,8 @@ from solar.ephemeris import Site
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 _REFERENCE = "reference"
+# Of a gain by a reference [%]: no laboratory is surer, and the maker's own promise is less than the most.
+_LEAST_PERCENT, _MOST_PERCENT = 0.1, 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +95,24 @@ def serials(given: list[str]) -> dict[str, str]:
         if not equals or name not in known or not 0 < len(number) <= 64:
             raise UserError(f"--serial: '{text}' is not NAME=NUMBER, with one of {', '.join(known)} as the name")
         found[name] = number
+    return found
+
+
+def referenced(given: list[str]) -> dict[str, float]:
+    """Read FACE=PERCENT of faces with a reference; raises `UserError`."""
+    found = {}
+    for text in given:
+        name, _, percent = text.partition("=")
+        try:
+            value = float(percent)
+        except ValueError:
+            value = nan
+        if name not in FACES or not _LEAST_PERCENT <= value <= _MOST_PERCENT:
+            raise UserError(
+                f"--referenced: '{text}' is not FACE=PERCENT, with one of {', '.join(FACES)} as the face and an "
+                f"uncertainty (k = 2) of {_LEAST_PERCENT:g} to {_MOST_PERCENT:g} %"
+            )
+        found[name] = value
     return found
 
 

@@ -148,10 +148,36 @@ def test_the_field_calibration_reads_a_store_and_corrects_the_gains(heliocube, t
     assert "albedo" in told
     csv_out = tmp_path / "again.toml"
     heliocube("export", "--store", tmp_path, "--out", tmp_path / "tables", "--kind", "scans")
-    _, told, _ = heliocube("calibrate", "field", tmp_path / "tables" / "scans.csv", *SITE, "--out", csv_out, "--json")
-    assert json.loads(told)["standing"]["yaw_deg"] == pytest.approx(2.0, abs=0.3)
+    ghi = ClearSky(SIRTA).at(utc_s).ghi_w_m2
+    nearby = write(tmp_path / "roof.csv", ["time", "ghi"], [(iso(t), g - 3.0) for t, g in zip(utc_s, ghi, strict=True)])
+    _, told, _ = heliocube(
+        "calibrate", "field", tmp_path / "tables" / "scans.csv", *SITE, "--out", csv_out, "--json",
+        "--ghi", nearby, "--ghi-uncertainty", "0.5",
+    )  # fmt: skip
+    page = json.loads(told)
+    assert page["standing"]["yaw_deg"] == pytest.approx(2.0, abs=0.3)
+    assert page["level_by"] == ["the GHI of roof.csv (U 0.5 %)"]
     again = read_calibration(csv_out)
-    assert again.standing.yaw_deg == pytest.approx(made.standing.yaw_deg, abs=1e-3)
+    assert again.standing.yaw_deg == pytest.approx(made.standing.yaw_deg, abs=0.01)
+    assert again.zenith.gain_w_m2_per_mv == pytest.approx(10.0 / GAINS[3], rel=0.002)
+    assert 0.45 < again.zenith.gain_uncertainty_percent < 0.7
+    assert again.reference == "clear sky, perez1990, the GHI of roof.csv (U 0.5 %)"
+
+
+def test_a_face_with_a_reference_holds_the_level_of_the_others(heliocube, tmp_path):
+    utc_s, faces = in_place()
+    fill_store(tmp_path, utc_s, faces / [1.0, 1.0, 1.0, GAINS[3]])
+    out = tmp_path / "field.toml"
+    code, told, _ = heliocube(
+        "calibrate", "field", "--store", tmp_path, *SITE, "--out", out, "--referenced", "zenith=0.5"
+    )
+    assert code == 0
+    made = read_calibration(out)
+    assert made.zenith.gain_w_m2_per_mv == pytest.approx(10.0, rel=0.002)
+    assert made.zenith.gain_uncertainty_percent < 0.7 < 2.0 < made.east.gain_uncertainty_percent
+    words = " ".join(told.split())
+    assert "The level of the gains is held by the gain of zenith (U 0.5 %), and by the clear-sky model." in words
+    assert "The model alone tells the vertical faces from that." in words
 
 
 def test_readings_of_another_calibration_are_refused(heliocube, tmp_path):
@@ -205,6 +231,31 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(heliocube, tmp_path, change, 
     site = change.get("site", SITE[1])
     options = [*([] if site is None else ["--site", site]), "--out", tmp_path / "o.toml", *change.get("more", [])]
     code, out, err = heliocube("calibrate", "cube", reference, sensors, *options)
+    assert (code, out) == (2, "")
+    assert message in " ".join(err.split())
+    assert not (tmp_path / "o.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            ("--referenced", "zenith"),
+            "--referenced: 'zenith' is not FACE=PERCENT, with one of east, south, west, zenith",
+        ),
+        (("--referenced", "roof=1"), "--referenced: 'roof=1' is not FACE=PERCENT"),
+        (("--referenced", "zenith=nan"), "an uncertainty (k = 2) of 0.1 to 20 %"),
+        (("--referenced", "zenith=0.01"), "an uncertainty (k = 2) of 0.1 to 20 %"),
+        (("--ghi", "nowhere.csv"), "there is no file at nowhere.csv"),
+        (("--ghi", "REFERENCE"), "and the cube's readings 2016-05-01T"),
+    ],
+)
+def test_a_mistaken_tie_for_the_level_is_one_sentence_and_exit_code_2(heliocube, tmp_path, more, message):
+    utc_s = MAY + np.arange(0.0, 86400.0, 600.0)
+    fill_store(tmp_path, utc_s, np.ones((utc_s.size, 4)))
+    reference = write(tmp_path / "reference.csv", ["time", "ghi"], [(iso(BEGIN), 300.0), (iso(BEGIN + 60.0), 301.0)])
+    given = [str(reference) if word == "REFERENCE" else word for word in more]
+    code, out, err = heliocube("calibrate", "field", "--store", tmp_path, *SITE, "--out", tmp_path / "o.toml", *given)
     assert (code, out) == (2, "")
     assert message in " ".join(err.split())
     assert not (tmp_path / "o.toml").exists()

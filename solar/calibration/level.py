@@ -1,0 +1,105 @@
+"""The level of the gains where something other than the clear-sky model tells it: a referenced face, or a GHI nearby.
+
+A face with a calibration of its own has a known response. A pyranometer nearby reads the G of the same clear sky, and
+what the zenith face reads, turned to the horizontal, over that is e_z. Either is one more measurement beside those of
+:mod:`.anchor`, with the weight that its uncertainty gives it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from solar.calibration.shape import Shape
+from solar.frames import FACE_NORMALS, Array
+
+_ZENITH = len(FACE_NORMALS) - 1
+_LEAST_COMMON = 8
+# Beyond these the other instrument does not see this sky, or its clock, place or unit is another one.
+_LARGEST_SPREAD, _LARGEST_RATIO = 0.02, 1.3
+
+
+class Tie(NamedTuple):
+    """A response (reading over truth) known from elsewhere, and its relative standard error (one sigma)."""
+
+    response: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """What is known from elsewhere of how much the faces respond.
+
+    Attributes
+    ----------
+    faces
+        Of east, south, west and zenith; None for what is not known.
+    ghi_w_m2
+        Global horizontal irradiance by a pyranometer nearby at the instants of the readings, shape (n,), NaN where it
+        has none; None without such an instrument.
+    ghi_error
+        Relative standard error of that instrument's own calibration (one sigma).
+    """
+
+    faces: tuple[Tie | None, Tie | None, Tie | None, Tie | None] = (None, None, None, None)
+    ghi_w_m2: Array | None = None
+    ghi_error: float = 0.0075
+
+
+def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array | None) -> tuple[Tie | None, Tie | None]:
+    """Return what is known of the responses e_z of the zenith face and e_v of the vertical faces' geometric mean.
+
+    Parameters
+    ----------
+    shape, vertical
+        The fit, and the ratio v that it was made with: its responses are over the zenith face's.
+    zenith_over_ghi
+        Z / G at the instants of the fit, shape (m,), by the pyranometer nearby; None without one.
+
+    Raises
+    ------
+    ValueError
+        That instrument does not go together with the zenith face; the sentence says how.
+    """
+    of_zenith = [level.faces[_ZENITH]]
+    if zenith_over_ghi is not None:
+        of_zenith.append(Tie(_ratio(zenith_over_ghi), level.ghi_error))
+    of_vertical = [
+        None if tie is None else Tie(tie.response * vertical / float(shape.response[face]), tie.error)
+        for face, tie in enumerate(level.faces[:_ZENITH])
+    ]
+    return _together(of_zenith), _together(of_vertical)
+
+
+def _ratio(zenith_over_ghi: Array) -> float:
+    logs = np.log(zenith_over_ghi[np.isfinite(zenith_over_ghi) & (zenith_over_ghi > 0.0)])
+    if logs.size < _LEAST_COMMON:
+        raise ValueError(
+            f"clear sky that the GHI nearby has as well: {logs.size} quarters of an hour, where {_LEAST_COMMON} are "
+            "needed (its times in UTC?)"
+        )
+    middle = float(np.median(logs))
+    spread = 1.4826 * float(np.median(np.abs(logs - middle)))
+    if not spread <= _LARGEST_SPREAD:
+        raise ValueError(
+            f"a GHI nearby that goes with the zenith face: their ratio varies by {spread:.1%} from one quarter of an "
+            f"hour to the next, where {_LARGEST_SPREAD:.0%} is the most (its times in UTC? a clock that is minutes "
+            "off, or another sky?)"
+        )
+    if not abs(middle) <= np.log(_LARGEST_RATIO):
+        raise ValueError(
+            f"a GHI nearby that goes with the zenith face: that reads {np.exp(middle):.2f} times as much (in W/m2? the "
+            "right gains?)"
+        )
+    return float(np.exp(middle))
+
+
+def _together(known: Sequence[Tie | None]) -> Tie | None:
+    """Return the mean of logarithms, each weighted by 1 / error^2."""
+    there = [tie for tie in known if tie is not None]
+    if not there:
+        return None
+    weights = np.array([tie.error**-2.0 for tie in there])
+    logs = np.log([tie.response for tie in there])
+    return Tie(float(np.exp(weights @ logs / weights.sum())), float(weights.sum() ** -0.5))
