@@ -8,6 +8,7 @@ import pytest
 
 from solar.calibration.anchor import clear_sky_anchor
 from solar.calibration.attitude import Attitude, face_normals
+from solar.calibration.level import Tie
 from solar.calibration.selection import clear_sky_ghi
 from solar.calibration.shape import fit_shape
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
@@ -92,7 +93,9 @@ def test_the_anchor():
     zenith = 0.98 * ghi * rng.normal(1.0, 0.005, ghi.size)
     beam = 1.02 * (overhead.dni_w_m2 + overhead.circumsolar_w_m2) * rng.normal(1.0, 0.01, ghi.size)
     found = clear_sky_anchor(UTC_S, zenith, beam, SITE)
-    assert list(found) == pytest.approx([0.96727, 1.00392, 0.0178409, 0.0223055, 0.021531], rel=2e-4)
+    assert list(found) == pytest.approx([0.967865, 1.00425, 0.0196703, 0.0227566, 0.0218973], rel=2e-4)
+    tied = clear_sky_anchor(UTC_S, zenith, beam, SITE, zenith=Tie(0.98, 0.004), vertical=Tie(1.01, 0.008))
+    assert list(tied) == pytest.approx([0.979509, 1.01013, 0.00394998, 0.0074689, 0.00831133], rel=2e-4)
 
 
 @pytest.mark.parametrize(
