@@ -275,7 +275,7 @@ def test_a_move_on_old_readings_is_seen(plant):
 
 def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     plant.clock.step_s = 43200.0
-    plant.watch.steps.note(plant.now_s)
+    plant.watch.steps.note(43200.0, plant.now_s)
     plant.wait(60)
     plant.control.mode = Mode.NIGHT
     plant.order(1, 60)
@@ -285,6 +285,22 @@ def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     plant.sun_deg = -5.0
     plant.order(0, 60)
     assert promises(plant) == [], "it is night in truth"
+
+
+def test_a_clock_that_is_set_to_the_wrong_time_it_shows_already_is_no_news(plant):
+    plant.clock.step_s = 40.0
+    plant.watch.steps.note(40.0, plant.now_s)
+    plant.wait(800)
+    plant.watch.steps.note(40.0, plant.now_s)
+    plant.wait(200)
+    plant.control.mode = Mode.FALLBACK
+    plant.order(1, 60)
+    assert promises(plant) == []
+    plant.watch.steps.note(0.0, plant.now_s)
+    plant.watch.steps.note(40.0, plant.now_s)
+    plant.wait(60)
+    plant.order(2, 60)
+    assert promises(plant) == ["clock"]
 
 
 @pytest.mark.parametrize("reported", [False, True])
