@@ -11,10 +11,11 @@ or take the sensors' tolerance, and the water vapour what it is said to be give 
 2 % with each. The model's GHI and DNI are fitted each for itself, and its DHI closes with them to 3 % only; over a
 measured year GHI and DNI as they are gave the smaller errors.
 
-A response that is known from elsewhere (:mod:`.level`) is one equation more.
+The model's own level may be off too, by as much for G as for B: on the right of both equations stands one more unknown,
+a priori 0 give or take 1.2 %. A response that is known from elsewhere (:mod:`.level`) is one equation more.
 
 How surely the level is known is told by the fit itself, with what it is given beforehand in it (Bayes' rule, linear
-about the solution): the inverse of J' J. Over a measured year that spread was what the errors were.
+about the solution): the inverse of J' J.
 """
 
 from typing import NamedTuple
@@ -31,10 +32,10 @@ from solar.skies.sky import SkyModel, sky
 # One sigma: of the model for one clear instant, whose aerosol drifts through the day, and of a sensor's sensitivity
 # before it has been calibrated (5 % is the maker's limit).
 _GLOBAL_SIGMA, _BEAM_SIGMA = 0.015, 0.05
+_TOLERANCE = 0.05
 # What no number of days averages out: how far the model's own level is off. Chosen by 2015 at Lyngby, a year that has
 # chosen nothing else and whose errors were larger than the fit alone told.
 _MODEL_SIGMA = 0.012
-_TOLERANCE = 0.05
 # What clear days are like before anything is known of this one: 0.08 at 550 nm, and the spread of its logarithm.
 _USUAL_AOD, _LN_AOD_SIGMA = 0.06, 0.6
 # One sigma of the water vapour that the user gives [cm].

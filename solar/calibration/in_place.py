@@ -201,7 +201,7 @@ def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: 
             )
         horizontal = shape.beam_w_m2 * sun_direction(shape.utc_s, *told.site)[:, 2] + shape.uniform_w_m2
         nearby = horizontal / ghi_w_m2[np.searchsorted(utc_s, shape.utc_s)]
-        of_zenith, of_vertical = ties(told.level, shape, vertical, None if told.level.ghi_w_m2 is None else nearby)
+        of_zenith, of_vertical = ties(told.level, shape, vertical, nearby)
         anchor = clear_sky_anchor(
             shape.utc_s,
             horizontal,

@@ -47,7 +47,7 @@ class Level:
     ghi_error: float = 0.0075
 
 
-def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array | None) -> tuple[Tie | None, Tie | None]:
+def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) -> tuple[Tie | None, Tie | None]:
     """Return what is known of the responses e_z of the zenith face and e_v of the vertical faces' geometric mean.
 
     Parameters
@@ -55,7 +55,7 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array | N
     shape, vertical
         The fit, and the ratio v that it was made with: its responses are over the zenith face's.
     zenith_over_ghi
-        Z / G at the instants of the fit, shape (m,), by the pyranometer nearby; None without one.
+        Z / G at the instants of the fit, shape (m,), by the pyranometer nearby; NaN where it has no reading.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array | N
         That instrument does not go together with the zenith face; the sentence says how.
     """
     of_zenith = [level.faces[_ZENITH]]
-    if zenith_over_ghi is not None:
+    if level.ghi_w_m2 is not None:
         of_zenith.append(Tie(_ratio(zenith_over_ghi), level.ghi_error))
     of_vertical = [
         None if tie is None else Tie(tie.response * vertical / float(shape.response[face]), tie.error)

@@ -1,6 +1,6 @@
 """What calibration in place finds of the level of the gains in thirty days: docs/calibration.md, A tie for the level.
 
-    python tests/measurements/calibration_level.py FOLDER [PROCESSES]
+    python -m tests.measurements.calibration_level FOLDER [PROCESSES]
 
 FOLDER holds the measured weather of a year (2016-03.csv.gz to 2016-09.csv.gz, or another year's). A cube of known flaws
 reads what a sky makes of it, which is the one that is assumed (perez1990) or a foreign one: the radiance of the

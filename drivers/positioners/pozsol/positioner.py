@@ -394,7 +394,3 @@ class PozsolPositioner:
 
 def _text(value: Value | None) -> str:
     return "" if value is None else value.text.decode("latin-1").strip()
-
-
-def _position(seen: Telemetry, axis: AxisName) -> float:
-    return seen.position_a if axis == "a" else seen.position_b

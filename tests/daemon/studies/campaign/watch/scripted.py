@@ -1,0 +1,78 @@
+"""A scripted plant for the watch, and what it finds broken there."""
+
+import contextlib
+from types import SimpleNamespace
+
+from daemon.base.records import Mode
+from daemon.config.settings import Settings
+from solar.frames import Angles
+
+
+class Scripted:
+    """A plant whose truth, telemetry and service say what a test lets them say."""
+
+    def __init__(self, watch):
+        self.now_s = 1000.0
+        self.clock = SimpleNamespace(monotonic=lambda: self.now_s, utc=lambda: self.now_s, step_s=0.0)
+        self.at = {"a": 0.0, "b": 60.0}
+        self.count_off = 0.0
+        self.destination = {"a": 100.0, "b": 100.0}
+        self.plugged = {"positioner": True}
+        self.is_served = True
+        self.wind_m_s = 3.0
+        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
+        self.motion.last_move_started_s = 0.0
+        self.records = []
+        self.close_looks = 0
+        self.control = SimpleNamespace(mode=Mode.TRACKING, why="", state=SimpleNamespace(scan_age_s=1.0))
+        self.sun_deg = 30.0
+        self.is_silent = False
+        self.service = SimpleNamespace(
+            settings=Settings.model_validate({}), sun_elevation_deg=lambda utc_s: self.sun_deg
+        )
+        self.unit = self
+        self.watch = watch
+        watch.attach(self)
+        watch.service_begins()
+        self.wait(20)
+
+    def truth(self):
+        return Angles(self.at["a"], self.at["b"])
+
+    def course(self, axis, now_s):
+        self.close_looks += 1
+        return self.at[axis] * 5, self.destination[axis]
+
+    def changes(self, now_s):
+        return hash((self.destination["a"], self.destination["b"]))
+
+    def shown_deg(self, axis, now_s):
+        return self.at[axis] + (self.count_off if axis == "a" else 0.0)
+
+    def wait(self, duration_s, a=0.0, b=0.0):
+        """Let time pass in samples, the axes turning by so many degrees in all."""
+        steps = max(round(duration_s / 0.1), 1)
+        for _ in range(steps):
+            self.now_s += duration_s / steps
+            self.at["a"] += a / steps
+            self.at["b"] += b / steps
+            self.watch.sample()
+
+    def order(self, a, b, *, taken=True):
+        """Let the service order a move and the unit take it, or the driver say that it did not."""
+        self.motion.target, self.motion.last_move_started_s = (a, b), self.now_s
+        with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
+            self.watch.packet(b"$\x2c%g" % a, self.now_s)
+            self.watch.packet(b"$\x30%g" % b, self.now_s)
+            self.destination = {"a": a * 5, "b": b * 5}
+            if not taken:
+                raise ConnectionError
+
+    def sends_stop(self):
+        self.motion.target = None
+        self.watch.packet(b"$9s\r", self.now_s)
+
+
+def promises(plant):
+    """The broken promises about motion itself."""
+    return [found.promise for found in plant.watch.violations if found.promise not in ("unreported", "false-alarm")]
