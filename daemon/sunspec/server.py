@@ -26,6 +26,8 @@ log = logging.getLogger("heliocube.sunspec")
 _AGAIN_S = 10.0
 _IDLE_S = 300.0
 _MOST_CLIENTS = 16
+# A control room asks every few seconds; who has asked nothing for so long makes room when all places are taken.
+_MAKES_ROOM_S = 10.0
 # A client waits about a second; what takes longer than this goes on, and shows in the registers.
 _ANSWER_WITHIN_S = 0.5
 # A control room asks once a second; a program in a loop waits for the rest of the service.
@@ -72,7 +74,7 @@ class SunSpecServer:
         self._speed = speed
         self._outage = Outage(log, "the SunSpec device")
         self._refused = LogBudget("writes over SunSpec that were refused")
-        self._clients: set[asyncio.StreamWriter] = set()
+        self._asked_s: dict[asyncio.StreamWriter, float] = {}
         self._running: set[asyncio.Task[object]] = set()
         serial = settings.mqtt.name or settings.cube.name
         tolerance_deg = {name: own.motion.tolerance_deg for name, own in settings.trackers}
@@ -105,7 +107,7 @@ class SunSpecServer:
         self.port = 0
         if server is not None:
             server.close()
-        for writer in tuple(self._clients):
+        for writer in tuple(self._asked_s):
             writer.transport.abort()
         running = tuple(self._running)
         for task in running:
@@ -119,10 +121,10 @@ class SunSpecServer:
             self._publish(Event(self._clock.utc(), now_s, "sunspec", reason))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._clients) >= _MOST_CLIENTS:
+        if not self._has_room():
             writer.transport.abort()
             return
-        self._clients.add(writer)
+        self._asked_s[writer] = self._clock.monotonic()
         task = asyncio.current_task()
         if task is not None:
             self._running.add(task)
@@ -132,15 +134,27 @@ class SunSpecServer:
             with contextlib.suppress(OSError, TimeoutError, BrokenStreamError):
                 while data := await self._more(reader):
                     for asked in framing.feed(data, 0.0):
+                        self._asked_s[writer] = self._clock.monotonic()
                         if not pace.admit(self._clock.monotonic()):
                             await asyncio.sleep(_PAUSE_S * self._speed)
                         writer.write(framing.reply(asked, await self._answer(asked, host)))
                         await asyncio.wait_for(writer.drain(), _IDLE_S * self._speed)
         finally:
-            self._clients.discard(writer)
+            self._asked_s.pop(writer, None)
             if task is not None:
                 self._running.discard(task)
             writer.transport.abort()
+
+    def _has_room(self) -> bool:
+        """Return whether there is a place; where all are taken, whoever has asked nothing for the longest gives its up."""
+        if len(self._asked_s) < _MOST_CLIENTS:
+            return True
+        quietest = min(self._asked_s, key=self._asked_s.__getitem__)
+        if self._clock.monotonic() - self._asked_s[quietest] < _MAKES_ROOM_S * self._speed:
+            return False
+        quietest.transport.abort()
+        del self._asked_s[quietest]
+        return True
 
     async def _more(self, reader: asyncio.StreamReader) -> bytes:
         return await asyncio.wait_for(reader.read(_CHUNK), _IDLE_S * self._speed)

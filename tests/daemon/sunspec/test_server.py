@@ -85,19 +85,27 @@ def test_garbage_ends_its_own_connection_alone(serve):
     serve(scenario)
 
 
-def test_beyond_sixteen_clients_the_next_is_put_off_and_the_others_go_on(serve):
+def test_beyond_sixteen_clients_the_next_is_put_off_until_one_has_asked_nothing_for_ten_seconds(serve):
     async def scenario(rig, server, port):
         task = await running(rig, server)
         others = [await asyncio.open_connection("127.0.0.1", port) for _ in range(16)]
-        await rig.until(lambda: len(server._clients) == 16, 10, "sixteen clients")
+        await rig.until(lambda: len(server._asked_s) == 16, 9, "sixteen clients")
         assert await asked(port, TcpClient().begin(QUESTION)) == b""
         framing = TcpClient()
-        others[0][1].write(framing.begin(QUESTION))
-        assert framing.feed(await others[0][0].read(300)) is not None
-        for _, writer in others:
+        reader, writer = others[0]
+        for _ in range(2):
+            await asyncio.sleep(6)
+            writer.write(framing.begin(QUESTION))
+            assert framing.feed(await reader.read(300)) is not None
+        # Each newcomer takes the place of one that is silent, and none that of the one that asks.
+        newcomers = [await asyncio.open_connection("127.0.0.1", port) for _ in range(15)]
+        for silent, _ in others[1:]:
+            assert await silent.read() == b""
+        assert await asked(port, TcpClient().begin(QUESTION)) == b""
+        writer.write(framing.begin(QUESTION))
+        assert framing.feed(await reader.read(300)) is not None
+        for _, writer in (*others, *newcomers):
             writer.close()
-        await rig.until(lambda: not server._clients, 10, "nobody")
-        assert await asked(port, TcpClient().begin(QUESTION)) != b""
         await ended(task)
 
     serve(scenario)
