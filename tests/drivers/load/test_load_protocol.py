@@ -280,7 +280,7 @@ def test_the_input_is_off_after_a_sweep_was_cancelled(load_host):
 def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault):
     async def scene():
         async with load_host() as host:
-            load = load_on(host.port.link, deadline_s=0.3)
+            load = load_on(host.port.link, deadline_s=1.0)
             await load.open()
             calls = []
 
@@ -288,7 +288,7 @@ def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault)
                 calls.append(None)
                 if len(calls) == 2:
                     if fault == "delay":
-                        host.delay_s = 1.5
+                        host.delay_s = 3.0
                     elif fault == "drop":
                         host.core.drop_next()
                     else:
@@ -310,9 +310,9 @@ def test_a_doubtful_answer_ends_the_session_with_the_input_off(load_host, fault)
 def test_a_late_reply_is_never_taken_for_the_next_one(load_host):
     async def scene():
         async with load_host() as host:
-            load = load_on(host.port.link, deadline_s=0.3)
+            load = load_on(host.port.link, deadline_s=1.0)
             await load.open()
-            host.delay_s = 0.6
+            host.delay_s = 2.0
             with pytest.raises(DeadlineError):
                 await load.sweep(steps(*LEVELS), never)
             host.delay_s = 0.0

@@ -35,7 +35,7 @@ def visa(settings):
 
 def meter_on(link, *, terminator="LF", **options):
     settings = VisaSettings(f"ASRL{link}::INSTR", terminator=terminator)
-    return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 0.5), **options)
+    return Keithley2000(visa(settings), deadline_s=options.pop("deadline_s", 2.0), **options)
 
 
 def test_the_driver_sends_these_bytes_and_reads_these_replies(transcript, play, tmp_path):
@@ -86,11 +86,11 @@ def test_a_reply_that_comes_after_its_deadline_is_never_taken_for_the_next_one(v
         volts = [0.010]
         async with voltmeter_host() as host:
             host.core._converter._input_voltage = lambda _now: volts[0]
-            meter = meter_on(host.port.link, deadline_s=0.3)
+            meter = meter_on(host.port.link, deadline_s=1.0)
             await meter.open()
             for _ in range(3):
                 volts[0] = 0.010
-                host.delay_s = 0.9
+                host.delay_s = 1.8
                 with pytest.raises(DeadlineError, match="READ"):
                     await meter.read_voltage()
                 host.delay_s = 0.0
@@ -210,7 +210,7 @@ def test_a_garbled_reply_is_no_reading_and_the_next_one_is_right(voltmeter_host)
 def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(voltmeter_host):
     async def scene():
         async with voltmeter_host() as host:
-            meter = meter_on(host.port.link, deadline_s=0.3)
+            meter = meter_on(host.port.link, deadline_s=1.5)
             for upset in (host.power_cycle, lambda: host.core.change(host._now(), elements=("READ", "CHAN"))):
                 await meter.open()
                 upset()

@@ -104,7 +104,7 @@ def test_a_device_that_is_gone_is_a_lost_link_and_is_built_anew():
 def test_a_server_that_ends_or_hangs_is_a_lost_link_within_the_deadline():
     async def scene():
         async with ni_server() as server:
-            multiplexer = multiplexer_at(server, deadline_s=0.5)
+            multiplexer = multiplexer_at(server, deadline_s=1.5)
             await multiplexer.open()
             server.freeze()
             with pytest.raises(LinkLostError, match="did not return"):
