@@ -75,7 +75,7 @@ class LiveFirmware:
 
 async def move(positioner, a_deg, b_deg, **options):
     """Give a target, and again while it is not taken, as the service does: of two packets read late one is lost."""
-    for _ in range(2):
+    for _ in range(9):
         with contextlib.suppress(RefusedError):
             await positioner.move_to(a_deg, b_deg, **options)
             return
@@ -85,7 +85,7 @@ async def move(positioner, a_deg, b_deg, **options):
 def driver_on(firmware, a=A, b=B, **options):
     """Return the real driver on the firmware's port; what a busy machine holds up for seconds is no lost link."""
     line = SerialLine(lambda: open_port(str(firmware.link)), time.monotonic, write_s=10.0)
-    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 10.0} | options)
+    return PozsolPositioner(line, time.monotonic, a, b, **{"stale_s": 30.0} | options)
 
 
 async def opened(positioner, within_s=120.0):
@@ -99,7 +99,7 @@ async def opened(positioner, within_s=120.0):
                 raise
 
 
-async def until(condition, within_s=30.0):
+async def until(condition, within_s=60.0):
     """Wait for what must come; the limit is for a broken program, not for a slow machine."""
     async with asyncio.timeout(within_s):
         done = await condition()
