@@ -1,4 +1,5 @@
 import asyncio
+import ipaddress
 import os
 import re
 import shutil
@@ -98,6 +99,16 @@ def test_the_units_may_do_little(tmp_path, role):
     assert done.returncode == 0, done.stdout
     exposure = float(re.search(r"exposure level.*: ([\d.]+)", done.stdout)[1])
     assert exposure <= 1.5
+
+
+@pytest.mark.parametrize("role", [name for name in UNITS if name != "notify"])
+def test_a_unit_reaches_private_networks_and_nothing_beyond_them(role):
+    unit = (DEPLOY / f"heliocube-{role}.service").read_text()
+    allowed = " ".join(re.findall(r"^IPAddressAllow=(.*)$", unit, re.MULTILINE)).split()
+    named = {"localhost", "link-local", "multicast"}
+    assert "\nIPAddressDeny=any\n" in unit
+    assert all(entry in named or ipaddress.ip_network(entry).is_private for entry in allowed)
+    assert bool(allowed) != ("\nPrivateNetwork=yes\n" in unit)
 
 
 @pytest.mark.parametrize("role", ROLES)
