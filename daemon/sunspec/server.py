@@ -146,7 +146,7 @@ class SunSpecServer:
             writer.transport.abort()
 
     def _has_room(self) -> bool:
-        """Return whether there is a place; where all are taken, whoever has asked nothing for the longest gives its up."""
+        """Return whether there is a place; where all are taken, the client that is silent longest gives way."""
         if len(self._asked_s) < _MOST_CLIENTS:
             return True
         quietest = min(self._asked_s, key=self._asked_s.__getitem__)

@@ -57,8 +57,8 @@ def test_stored_curves_say_what_the_module_truly_gives(tmp_path, start_bench, st
     assert not state["input_on"]
     assert not state["in_use"]
     curves = stored(rig, tmp_path)
-    # On a busy machine a voltage may be read before the simulated load has it, or no scan be fresh: one curve in a few is
-    # off, or tells no irradiance.
+    # On a busy machine a voltage may be read before the simulated load has it, or no scan be fresh: of a few curves one
+    # is off, or tells no irradiance.
     good = [curve for curve in curves[-5:] if curve["quality"] == "ok"]
     assert len(good) >= 3
 
