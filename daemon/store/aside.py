@@ -12,6 +12,7 @@ KINDS = {
     "newer": "was written by a newer heliocube",
     "foreign": "is no store of heliocube",
     "folder": "is a folder",
+    "device": "is a pipe or a device",
     "locked": "may not be written by this user",
 }
 
@@ -27,7 +28,7 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
     Parameters
     ----------
     path
-        The file, or the folder in its place.
+        The file, or what is in its place.
     kind
         Of `KINDS`.
     utc_s
@@ -64,7 +65,7 @@ def aside_text(path: Path) -> str | None:
     newest = found[-1]
     more = f", and {len(found) - 1} before it" if len(found) > 1 else ""
     kind = newest.name.split(".")[-2]
-    remedy = "" if kind == "folder" else f"'heliocube store salvage {newest}' gets what can be read from it; "
+    remedy = "" if kind in ("folder", "device") else f"'heliocube store salvage {newest}' gets what can be read from it; "
     return (
         f"a store that {KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
         "this alarm ends when it is moved to another folder"

@@ -99,8 +99,10 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     """
     if path.is_dir():
         raise UnusableStoreError(f"{path} is a folder: move it away", "folder")
+    if path.exists() and not path.is_file():
+        raise UnusableStoreError(f"{path} is a pipe or a device: move it away", "device")
     # SQLite would remove the log that lies beside a file that it does not know.
-    if path.is_file() and _beginning(path) not in (b"", _MAGIC):
+    if path.exists() and _beginning(path) not in (b"", _MAGIC):
         raise UnusableStoreError(f"{path} is no store of heliocube, or its beginning is damaged", "foreign")
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
     try:

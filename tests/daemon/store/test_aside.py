@@ -90,7 +90,14 @@ def folder_in_its_place(path):
     (path / "mine").write_text("notes")
 
 
+def pipe_in_its_place(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
 def content(path):
+    if path.is_fifo():
+        return "a pipe"
     return {one.name: one.read_bytes() for one in path.iterdir()} if path.is_dir() else path.read_bytes()
 
 
@@ -106,6 +113,7 @@ def content(path):
         (notes, "foreign", "is no store of heliocube"),
         (of_another_program, "foreign", "is no store of heliocube"),
         (folder_in_its_place, "folder", "is a folder"),
+        (pipe_in_its_place, "device", "is a pipe or a device"),
     ],
 )
 def test_what_cannot_be_used_is_moved_aside_as_it_is_and_said_once(keep, tmp_path, caplog, spoil, kind, says):
