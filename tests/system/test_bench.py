@@ -114,7 +114,7 @@ def test_a_port_left_in_its_default_mode_harms_the_positioner_and_raw_mode_does_
         assert termios.tcgetattr(naive)[3] & termios.ECHO
         # It is told to go where it stands, to forget its status, to store its settings anew.
         harm = {"44", "48", "70", "96", "136"}
-        wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), 20, "the echo of all screens")
+        wait_until(lambda: harm <= set(bench.state()["positioner"]["received"]), 60, "the echo of all screens")
         assert bench.state()["positioner"]["destination"] != before["destination"]
     finally:
         os.close(naive)
