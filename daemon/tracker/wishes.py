@@ -86,6 +86,11 @@ class Wishes(BaseModel):
         return self.describe("maintenance") or self.describe("stop") or self.describe("buttons")
 
     @property
+    def allow_rehoming(self) -> bool:
+        """Whether a reference run, which tilts the module, may be made unasked: not where a person has left it so."""
+        return not any(getattr(self, name) for name in type(self).model_fields)
+
+    @property
     def held_by_program(self) -> str | None:
         """Return why the service itself holds the tracker until a person has looked, in words, or None."""
         return self.describe("hold") if self.hold is not None and self.hold.by == PROGRAM else None

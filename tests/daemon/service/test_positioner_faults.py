@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Decision, Event, Mode, Move, MoveOutcome, Pose
 from tests.support.motion import commands_sent
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
 def test_settings_of_the_unit_that_may_move_it_are_told_once(run_rig, caplog):
@@ -78,6 +78,25 @@ def test_with_rehome_automatic_the_tracker_homes_by_itself(run_rig):
         rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
         await rig.until(lambda: rig.motion.homing, 30, "homing")
         await rig.until_mode(Mode.TRACKING, 900)
+
+    run_rig(scenario, motion={"rehome": "automatic"})
+
+
+@pytest.mark.parametrize("wish", ["hold", "snow"])
+def test_the_tracker_does_not_home_by_itself_while_a_person_holds_it(run_rig, wish):
+    async def scenario(rig):
+        await quiet(rig)
+        getattr(rig.control, wish)("somebody on the roof")
+        await asyncio.sleep(1)
+        await at_rest(rig)
+        before = rig.truth()
+        rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
+        await rig.until_mode(Mode.FAULT, 15)
+        await asyncio.sleep(1200)
+        assert not rig.motion.homing
+        assert rig.truth() == before
+        rig.control.auto()
+        await rig.until(lambda: rig.motion.homing, 30, "homing")
 
     run_rig(scenario, motion={"rehome": "automatic"})
 
