@@ -54,6 +54,22 @@ def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = No
         with contextlib.suppress(OSError):
             part.unlink()
         raise
+    sync_names(path.parent)
+
+
+def sync_names(folder: Path) -> None:
+    """Have the names in a folder on the disk when this returns: a file that was renamed may lose its new one till then.
+
+    Windows, and file systems that cannot, leave it as it is.
+    """
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def toml_text(path: Path) -> str:

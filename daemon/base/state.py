@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from daemon.base.files import sync_names
+
 if TYPE_CHECKING:
     # A stop reads its token by `daemon.base.files`, and waits for no large library.
     from pydantic import BaseModel
@@ -57,6 +59,7 @@ def replace_kept(path: Path, text: str) -> None:
             before.unlink(missing_ok=True)
             os.link(path, before)
     spare.replace(path)
+    sync_names(path.parent)
     with contextlib.suppress(OSError):
         if before.exists():
             before.replace(spare)

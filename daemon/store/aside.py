@@ -65,7 +65,8 @@ def aside_text(path: Path) -> str | None:
     newest = found[-1]
     more = f", and {len(found) - 1} before it" if len(found) > 1 else ""
     kind = newest.name.split(".")[-2]
-    remedy = "" if kind in ("folder", "device") else f"'heliocube store salvage {newest}' gets what can be read from it; "
+    salvage = f"'heliocube store salvage {newest}' gets what can be read from it; "
+    remedy = "" if kind in ("folder", "device") else salvage
     return (
         f"a store that {KINDS[kind]} was moved aside as {newest}{more}, and a new one begun: {remedy}"
         "this alarm ends when it is moved to another folder"

@@ -2,11 +2,13 @@
 
 import os
 import stat
+import sys
 
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.files import rewrite_file, write_secret
+from daemon.base.files import replace_file, rewrite_file, write_secret
+from daemon.base.state import replace_kept
 from tests.daemon.store.test_store import fill, small_disk
 
 __all__ = ["small_disk"]
@@ -25,6 +27,23 @@ def test_owner_and_rights_stay_and_a_link_stays_a_link(tmp_path):
     assert (file.read_text(), link.is_symlink()) == ("b = 2\n", True)
     assert (after.st_uid, after.st_gid, stat.S_IMODE(after.st_mode)) == (before.st_uid, before.st_gid, 0o640)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link.toml", "real.toml"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
+@pytest.mark.parametrize("write", [replace_file, rewrite_file, replace_kept])
+def test_the_new_name_is_on_the_disk_when_it_returns(tmp_path, monkeypatch, write):
+    file, synced, fsync = tmp_path / "kept.json", [], os.fsync
+    file.write_text("before")
+
+    def noted(descriptor):
+        fsync(descriptor)
+        if os.path.samestat(os.fstat(descriptor), tmp_path.stat()):
+            synced.append(file.read_text())
+
+    monkeypatch.setattr(os, "fsync", noted)
+    write(file, "after")
+    # A power cut after a rename that only memory knows brings the file from before it back.
+    assert synced == ["after"]
 
 
 def test_on_a_full_disk_it_is_what_it_was(small_disk):
