@@ -22,7 +22,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
         How long to wait for the standstill.
     """
     start_s = clock.monotonic()
-    motion.freeze("the service ends")
+    motion.end("the service ends")
     try:
         async with asyncio.timeout(within_s):
             await motion.stop()

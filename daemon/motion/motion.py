@@ -112,6 +112,7 @@ class Motion(MotionState):
         self._clear_wanted: tuple[str, ...] | None = None
         self._was_connected = False
         self._was_ready = (False, False)
+        self._ended = False
         self.may_rehome = False
 
     @property
@@ -208,11 +209,21 @@ class Motion(MotionState):
         self._wake.set()
 
     def freeze(self, why: str | None) -> None:
-        """Let nothing move while there is a reason, and stop what moves until it stands; None lets go."""
+        """Let nothing move while there is a reason, and stop what moves until it stands; None lets go.
+
+        After `end` it changes nothing.
+        """
+        if self._ended:
+            return
         if why is not None and self._guard.frozen is None:
             self.rest()
             self._guard.halt_wanted = True
         self._guard.frozen = why
+
+    def end(self, why: str) -> None:
+        """Let nothing move any more, whatever anybody asks for later."""
+        self.freeze(why)
+        self._ended = True
 
     async def stop(self) -> None:
         """Send stop at once, whatever is going on, and forget every target; it is repeated until both axes stand.

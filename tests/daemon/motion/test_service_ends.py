@@ -8,7 +8,7 @@ import pytest
 from daemon.base.records import Target
 from drivers.errors import RefusedError
 from tests.support.motion import drive_b
-from tests.support.phases import now, quiet
+from tests.support.phases import at_rest, now, quiet
 
 
 def ended(run_rig, caplog, act):
@@ -39,6 +39,20 @@ def test_at_the_end_a_move_of_ours_is_stopped_and_shown(run_rig, caplog):
     async def act(rig):
         rig.motion.order(Target(40, 15, "far"))
         await asyncio.sleep(3)
+
+    said, moves = ended(run_rig, caplog, act)
+    assert said == "motion stopped: telemetry shows both axes standing"
+    assert not moves
+
+
+def test_at_the_end_control_does_not_order_a_long_stow_again(run_rig, caplog):
+    async def act(rig):
+        rig.motion.order(Target(-50, 15, "far from stow"))
+        await at_rest(rig)
+        rig.control.stow("storm")
+        # The order is more than a minute old: with the next look, control would give it again.
+        await asyncio.sleep(70)
+        assert rig.motion.moving
 
     said, moves = ended(run_rig, caplog, act)
     assert said == "motion stopped: telemetry shows both axes standing"
