@@ -259,7 +259,7 @@ class Tracker:
         """Yield what has to run, each with its name."""
         yield "motion", self._named(self._move())
         yield "control", self._named(self.control.run())
-        if self._rig.wind_speed_m_s is not None:
+        if self.stow_watch.watched:
             yield "stow", self._named(self.stow_watch.run())
         if self.curves is not None:
             yield "load", self._named(self.curves.run())

@@ -20,7 +20,7 @@ from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.transports import InMemoryStream
 
 
-def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.TRACKER, **safety):
+def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.TRACKER, for_s=1.0, **safety):
     settings = Settings.model_validate(
         {"bridge": {"listen": "127.0.0.1:0"}, "safety": safety, "instruments": {"bench": bench}}
     )
@@ -44,7 +44,7 @@ def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.
 
         async def briefly():
             stop = asyncio.Event()
-            loop.call_later(1.0, stop.set)
+            loop.call_later(for_s, stop.set)
             await service.run(stop)
 
         runner.run(briefly())
@@ -85,3 +85,14 @@ def test_measured_weather_without_wind_is_a_rig_without_a_sensor(tmp_path, colum
     clock = LoopClock(lambda: 0.0, start_utc_s)
     rig = build_simulated_rig(settings, Role.TRACKER, clock, weather)
     assert (rig.wind_speed_m_s is not None) is sensor
+
+
+def test_a_source_beside_real_instruments_is_asked_every_second():
+    asked = []
+
+    def wind_m_s():
+        asked.append(None)
+        return 3.0
+
+    alarms_of(sources=(WindStow(Settings().safety, wind_m_s),), for_s=60.0)
+    assert len(asked) >= 60
