@@ -106,7 +106,7 @@ class Readings:
         seen = mean if data is Data.FRESH else None
         night_why = self._judge_night(seen) if sun_known else self._night_as_it_was(seen)
         if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
-            return Data.BAD, f"the zenith face reads {seen.zenith_w_m2:.1f} W/m2 in daylight", None
+            return Data.BAD, _why_too_dark(seen.zenith_w_m2), None
         return data, why, night_why
 
     def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
@@ -130,12 +130,17 @@ class Readings:
         return f" ({', '.join(bad)})"
 
     def _too_dark(self, mean: Irradiances, *, sun_known: bool) -> bool:
-        dark = not (mean.zenith_w_m2 >= self._safety.night_below_w_m2)
+        if math.isnan(mean.zenith_w_m2):
+            # Nothing tells day from night then.
+            return not sun_known
+        dark = mean.zenith_w_m2 < self._safety.night_below_w_m2
         return dark and (not sun_known or self._law_believes_zenith(mean))
 
     def _sees_zenith(self, mean: Irradiances) -> bool:
         """Whether the zenith face tells day from night."""
         zenith = mean.zenith_w_m2
+        if math.isnan(zenith):
+            return False
         if zenith >= self._safety.night_above_w_m2:
             return True
         sun_deg = self._sun_elevation_deg(self._clock.utc())
@@ -168,6 +173,12 @@ class Readings:
         if seen is not None and seen.zenith_w_m2 >= self._safety.night_above_w_m2:
             self._night = False
         return "it was night before the clock was set" if self._night else None
+
+
+def _why_too_dark(zenith_w_m2: float) -> str:
+    if math.isnan(zenith_w_m2):
+        return "neither the zenith face nor the clock tells day from night"
+    return f"the zenith face reads {zenith_w_m2:.1f} W/m2 in daylight"
 
 
 class Window:

@@ -146,6 +146,22 @@ def test_a_law_that_needs_the_zenith_face_alone_has_its_night():
     assert "zenith face reads 4.0" in rig.minutes(4.0, bad=("east", "south", "west"))[2]
 
 
+@pytest.mark.parametrize("believes", [False, True])
+def test_without_the_zenith_face_the_sun_alone_makes_the_night_of_a_law_that_needs_three(believes):
+    rig = Rig(Believing(believes))
+    rig.sun_deg = 2.0
+    assert rig.minutes(9.0, bad=("zenith",))[::2] == (Data.FRESH, None)
+    rig.sun_deg = -1.0
+    assert "the sun stands at -1.0 deg" in rig.minutes(9.0, bad=("zenith",))[2]
+
+
+def test_without_the_zenith_face_and_with_the_clock_in_doubt_nothing_tells_day_from_night():
+    rig = Rig(Believing(believes=False))
+    rig.minutes(9.0, bad=("zenith",))
+    data, why, _ = rig.judge(sun_known=False)
+    assert (data, why) == (Data.BAD, "neither the zenith face nor the clock tells day from night")
+
+
 def test_a_zenith_face_that_is_not_believed_makes_no_night_while_the_sun_is_up():
     rig = Rig(Believing(believes=False))
     rig.sun_deg = 0.5
