@@ -12,6 +12,8 @@ _MOVES = 0.1
 _OF_NOW_S = 0.7
 # So far from a switch an axis cannot be while the status is on its way.
 _FAR_DEG = 4.0
+# What it may run on beyond where it is sent.
+_RUN_OUT_UNITS = 1.0
 # Further than that an axis is driven off its switch to see whether the switch opens.
 _OFF_DEG = 5.0
 
@@ -26,9 +28,12 @@ def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int
     if may_stand_at is None:
         return None
     way = setup.units(_OFF_DEG)
+    # The unit adds its offset to what is sent, which is 0 at the least.
+    whole = max(math.ceil(way - setup.zero_offset), 0)
+    goes_to = whole + setup.zero_offset
     highest = max(setup.geometry.position(end_deg) for end_deg in (setup.minimum_deg, setup.maximum_deg))
-    stays_inside = all(place + way + 1.0 <= highest for place in (here, may_stand_at))
-    return math.ceil(way - setup.zero_offset) if stays_inside and here <= 0.5 * way else None
+    stays_inside = all(place + goes_to + _RUN_OUT_UNITS <= highest for place in (here, may_stand_at))
+    return whole if stays_inside and here <= 0.5 * way else None
 
 
 @dataclass

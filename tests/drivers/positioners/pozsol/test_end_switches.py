@@ -118,5 +118,8 @@ def test_an_axis_leaves_its_switch_by_five_degrees_within_its_limit_wherever_it_
     assert off_switch(narrow, 0.0, -20.0) is None
     offset = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0, zero_offset=7.5)
     assert off_switch(offset, 0.0, 300.0) == 43
+    far = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0, zero_offset=400.0)
+    assert off_switch(far, 0.0, 300.0) == 0, "its offset alone takes it off"
+    assert off_switch(far, 0.0, 500.0) is None, "and so far that it may pass its other end"
     downwards = AxisSetup(Proportional(-10.0, 90.0), 0.0, 88.0)
     assert off_switch(downwards, 0.0, 300.0) == 50
