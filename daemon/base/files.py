@@ -57,6 +57,20 @@ def _swap_in(part: Path, path: Path, text: str, like: os.stat_result | None = No
     sync_names(path.parent)
 
 
+def write_new(path: Path, text: str) -> None:
+    """Write a file that must not be there yet; raises `OSError`, and leaves nothing that is not whole."""
+    file = path.open("x", encoding="utf-8")
+    try:
+        with file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    sync_names(path.parent)
+
+
 def sync_names(folder: Path) -> None:
     """Have the names in a folder on the disk when this returns: a file that was renamed may lose its new one till then.
 

@@ -12,7 +12,7 @@ import tomli_w
 from pydantic import AwareDatetime, Field, ValidationError
 
 from daemon.base.errors import UserError
-from daemon.base.files import parse_toml, toml_text
+from daemon.base.files import parse_toml, toml_text, write_new
 from daemon.base.records import FACES, Event
 from daemon.config.section import NotNegative, Section
 from daemon.config.sections import CubeSettings, FaceSettings
@@ -81,8 +81,7 @@ def write_calibration(calibration: CubeCalibration, path: Path, notes: list[str]
     comments = "".join(f"# {line}".rstrip() + "\n" for note in notes for line in note.split("\n"))
     contents = tomli_w.dumps(calibration.model_dump(exclude_none=True))
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(f"{comments}\n{contents}")
+        write_new(path, f"{comments}\n{contents}")
     except FileExistsError:
         raise UserError(f"{path} is there already; a calibration is not overwritten, name another file") from None
     except OSError as error:

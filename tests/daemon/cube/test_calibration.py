@@ -22,6 +22,9 @@ from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibratio
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, Rows, open_for_writing
 from daemon.studies.calibrate.readings import read_store
+from tests.daemon.store.test_store import fill, small_disk
+
+__all__ = ["small_disk"]
 
 MADE = datetime(2022, 3, 20, 15, 0, tzinfo=UTC)
 EXPIRES = datetime(2024, 3, 20, 15, 0, tzinfo=UTC)
@@ -120,6 +123,17 @@ def test_a_serial_number_has_64_letters_at_the_most():
     assert calibration(cube="c" * 64).cube == "c" * 64
     with pytest.raises(ValidationError):
         calibration(cube="c" * 65)
+
+
+def test_a_full_disk_leaves_no_calibration_that_is_in_the_way_of_the_next(small_disk):
+    filler = small_disk / "filler"
+    fill(filler)
+    path = small_disk / "calibration.toml"
+    with pytest.raises(UserError, match="cannot be written: No space left"):
+        write_calibration(calibration(), path, ["note"] * 1000)
+    filler.unlink()
+    write_calibration(calibration(), path, [])
+    assert read_calibration(path) == calibration()
 
 
 def test_a_calibration_is_not_overwritten(tmp_path):
