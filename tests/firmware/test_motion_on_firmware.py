@@ -12,7 +12,7 @@ from daemon.base.records import Event, Move, MoveOutcome, Target
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
-from tests.firmware.live import driver_on
+from tests.firmware.live import driver_on, until
 
 MOVES = (Target(-3.0, 88.0, "first"), Target(1.0, 86.0, "at once"), Target(-2.0, 88.5, "at once again"))
 
@@ -41,8 +41,11 @@ def test_a_target_that_falls_into_the_braking_of_the_move_before_is_reached_with
         )
         running = asyncio.create_task(motion.run())
         try:
-            while not motion.connected:
-                await asyncio.sleep(0.005)
+
+            async def connected():
+                return motion.connected
+
+            await until(connected)
             # On a busy machine the emulator prints its first screens too slowly, and it is looked for again.
             caplog.clear()
             records.clear()
