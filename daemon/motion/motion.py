@@ -110,6 +110,7 @@ class Motion(MotionState):
         self._wanted: tuple[Target, bool] | None = None
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
+        self._before_loss: Pose | None = None
         self._was_connected = False
         self._was_ready = (False, False)
         self._ended = False
@@ -264,7 +265,8 @@ class Motion(MotionState):
     async def _connect(self) -> None:
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
-        before = guard.rested
+        # A loss in the middle of what follows leaves it to be compared by the next connection.
+        self._before_loss = guard.rested or self._before_loss
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
         pose = guard.pose
@@ -272,6 +274,7 @@ class Motion(MotionState):
         serial = f", serial {identity.serial}" if identity.serial else ""
         name = f"{identity.board}, firmware {identity.firmware}{serial}"
         told = self._note_link(name)
+        before, self._before_loss = self._before_loss, None
         if before is not None and self._jumped(before, pose):
             text = (
                 f"positioner stands at A {pose.a_deg:z.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "

@@ -91,6 +91,32 @@ def test_where_it_stands_after_a_loss_is_compared_with_where_it_stood(place, jum
     run_motion(scenario, make=at_ten)
 
 
+def test_a_loss_in_the_middle_of_the_first_halt_leaves_the_place_before_to_be_compared():
+    class LostAgain(HandPositioner):
+        breaks_off = False
+
+        async def halt(self):
+            if self.breaks_off:
+                # Long enough for the guard to look at it meanwhile.
+                await asyncio.sleep(0.8)
+                self.breaks_off = False
+                raise LinkLostError("hand", "does not answer again")
+            await super().halt()
+
+    async def scenario(rig):
+        await asyncio.sleep(10.0)
+        rig.unit.is_lost = True
+        await rig.until(lambda: not rig.motion.connected, 3.0)
+        rig.unit.put(25.0, 40.0)
+        rig.unit.breaks_off = True
+        rig.unit.is_lost = False
+        await asyncio.sleep(30.0)
+        assert not rig.unit.breaks_off
+        assert "before the loss it stood at A 0.0, B 60.0" in rig.motion.doubt
+
+    run_motion(scenario, make=LostAgain)
+
+
 def test_what_was_on_its_way_when_the_link_was_lost_may_stand_elsewhere():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "far"))
