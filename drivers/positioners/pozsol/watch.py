@@ -14,7 +14,7 @@ from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.reference import LastKnown, Reference
 from drivers.positioners.pozsol.table import Value
-from drivers.positioners.pozsol.wire import OWN_MOVES, Field, own_moves, parse_status
+from drivers.positioners.pozsol.wire import OWN_MOVES, Field, StatusWord, own_moves, parse_status
 
 _DEVICE = "positioner"
 AXES: tuple[AxisName, AxisName] = ("a", "b")
@@ -168,7 +168,7 @@ class PositionerWatch:
             supply_v=known[Field.SUPPLY].number,
             a_motor_current_a=a_amps,
             b_motor_current_a=b_amps,
-            details=_details(known[Field.MODE], status.end_switches, a_left, b_left),
+            details=_details(known[Field.MODE], status, a_left, b_left),
         )
 
     def _require_fresh(self, fast_s: float, slow_s: float) -> None:
@@ -235,11 +235,13 @@ def _own_moves(texts: tuple[bytes | None, ...]) -> tuple[str, ...]:
     return own_moves({code: text.decode("latin-1").strip() for code, text in shown if text is not None})
 
 
-def _details(mode: Value, end_switches: tuple[str, ...], a_left: float, b_left: float) -> dict[str, str | float]:
-    """Return what people are shown: the mode, closed end switches, and the counts at which they were met last."""
+def _details(mode: Value, status: StatusWord, a_left: float, b_left: float) -> dict[str, str | float]:
+    """Return what people are shown: the mode, closed end switches, the counts at which they were met, a bad memory."""
     found: dict[str, str | float] = {"mode": mode.text.decode("latin-1").strip()}
-    if end_switches:
-        found["end_switches"] = ", ".join(end_switches)
+    if status.end_switches:
+        found["end_switches"] = ", ".join(status.end_switches)
+    if status.memory_fault:
+        found["memory"] = "cannot be read or written"
     for axis, left in (("a", a_left), ("b", b_left)):
         if not math.isnan(left):
             found[f"{axis}_count_at_switch"] = left

@@ -214,15 +214,13 @@ class StatusWord:
         The 32 bits, unsigned.
     faults
         Latched faults by name, such as ``a_overcurrent``; `FAULT_BITS` has them all.
-    was_reset, bus_timeout
-        Marks that stay until the status is cleared.
+    was_reset
+        A mark that stays until the status is cleared.
     button_pressed
         A button on the box is being pressed.
-    a_moving, a_homing
-        Axis A moves; axis A is on a reference run. The unit tells of a run some screens late, and no longer while no
-        Hall pulses come.
-    b_moving, b_homing
-        None where the place of B's bits is not known.
+    a_homing, b_homing
+        The axis is on a reference run. The unit tells of one some screens late, and no longer while no Hall pulses
+        come. `b_homing` is None where the place of B's bits is not known.
     memory_fault
         The parameter memory could not be read or written.
     end_switches
@@ -235,10 +233,7 @@ class StatusWord:
     faults: tuple[str, ...]
     was_reset: bool
     button_pressed: bool
-    bus_timeout: bool
-    a_moving: bool
     a_homing: bool
-    b_moving: bool | None
     b_homing: bool | None
     memory_fault: bool
     end_switches: tuple[str, ...]
@@ -271,7 +266,7 @@ FAULT_BITS = {
     "a_destination_error": 28,
     "b_destination_error": 31,
 }
-RESET_BIT, BUTTON_BIT, BUS_TIMEOUT_BIT = 8, 9, 10
+RESET_BIT, BUTTON_BIT = 8, 9
 A_OUT_BIT, A_IN_BIT, A_HOMING_BIT = 11, 12, 13
 TRACKING_BIT, SNOW_BIT, WIND_BIT = 25, 26, 27
 SWITCH_BITS = {"a_low": 19, "a_high": 20, "b_low": 21}
@@ -291,8 +286,8 @@ def parse_status(text: str, b_out_bit: int | None = None) -> StatusWord:
         As the unit prints it.
     b_out_bit
         `B_OUT_BIT_STM` or `B_OUT_BIT_LPC` where the firmware's generation is known. The generations disagree, so
-        nothing is said of B's motion and high end switch without it. In the LPC layout the bit of B's homing may also
-        be that of its high end switch, so homing is then reported for both.
+        nothing is said of B's reference run and high end switch without it. In the LPC layout the bit of B's homing
+        may also be that of its high end switch, so homing is then reported for both.
 
     Raises
     ------
@@ -303,9 +298,8 @@ def parse_status(text: str, b_out_bit: int | None = None) -> StatusWord:
         raise ValueError(f"positioner status should be a whole number of 32 bits, not {text!r}")
     word = int(text) & 0xFFFF_FFFF
     switches = [name for name, bit in SWITCH_BITS.items() if word >> bit & 1]
-    b_moving = b_homing = None
+    b_homing = None
     if b_out_bit is not None:
-        b_moving = bool(word >> b_out_bit & 0b11)
         b_homing = bool(word >> b_out_bit + 2 & 1)
         if word >> B_HIGH_BIT_STM & 1:
             switches.append("b_high")
@@ -314,10 +308,7 @@ def parse_status(text: str, b_out_bit: int | None = None) -> StatusWord:
         faults=tuple(name for name, bit in FAULT_BITS.items() if word >> bit & 1),
         was_reset=bool(word >> RESET_BIT & 1),
         button_pressed=bool(word >> BUTTON_BIT & 1),
-        bus_timeout=bool(word >> BUS_TIMEOUT_BIT & 1),
-        a_moving=bool(word >> A_OUT_BIT & 0b11),
         a_homing=bool(word >> A_HOMING_BIT & 1),
-        b_moving=b_moving,
         b_homing=b_homing,
         memory_fault=any(word >> bit & 1 for bit in _MEMORY_BITS),
         end_switches=tuple(switches),

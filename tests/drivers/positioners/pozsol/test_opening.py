@@ -318,13 +318,16 @@ def test_fields_are_told_in_their_order_as_they_are_printed():
     on_unit(scenario, comes_s={40: 0.1})
 
 
-def test_details_are_mode_closed_switches_and_the_counts_at_which_they_were_met():
+def test_details_are_mode_closed_switches_their_counts_and_a_memory_that_fails():
     async def scenario(positioner, unit, _):
         await positioner.open()
         unit.says |= {Field.STATUS: str(1 << 19).encode(), Field.MODE: b" auto ", Field.A_REMAIN: b"1.5000"}
         unit.says[Field.B_REMAIN] = b"none"
         details = (await positioner.read_telemetry()).details
         assert details == {"mode": "auto", "end_switches": "a_low", "a_count_at_switch": 1.5}
+        unit.says |= {Field.STATUS: str(1 << 30).encode(), Field.MODE: b"auto", Field.A_REMAIN: b"none"}
+        details = (await positioner.read_telemetry()).details
+        assert details == {"mode": "auto", "memory": "cannot be read or written"}
 
     on_unit(scenario)
 
