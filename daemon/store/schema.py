@@ -3,7 +3,7 @@
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ VERSION = 8
 
 # "helc": tells a store from any other SQLite file.
 _APPLICATION = 0x68656C63
-_MAGIC = b"SQLite format 3\0"
 _BUSY_S = 10.0
 _TYPES = {"time": "REAL", "float": "REAL", "int": "INTEGER", "bool": "INTEGER", "text": "TEXT"}
 
@@ -102,7 +101,7 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     if path.exists() and not path.is_file():
         raise UnusableStoreError(f"{path} is a pipe or a device: move it away", "device")
     # SQLite would remove the log that lies beside a file that it does not know.
-    if path.exists() and _beginning(path) not in (b"", _MAGIC):
+    if path.exists() and not _is_database(path):
         raise UnusableStoreError(f"{path} is no store of heliocube, or its beginning is damaged", "foreign")
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None)
     try:
@@ -132,9 +131,17 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _beginning(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(len(_MAGIC))
+def _is_database(path: Path) -> bool:
+    """Whether a file begins as SQLite's do; an empty one may become one.
+
+    SQLite looks itself: a file that we open and close takes the locks with it that this process has on it.
+    """
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as connection:
+        try:
+            connection.execute("PRAGMA schema_version")
+        except sqlite3.DatabaseError as error:
+            return error.sqlite_errorcode != sqlite3.SQLITE_NOTADB
+    return True
 
 
 def require_store(path: Path) -> None:

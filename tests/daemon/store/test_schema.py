@@ -1,6 +1,9 @@
-"""The store's file to whoever may not read it."""
+"""The store's file to whoever may not read it, and to two connections of one process."""
 
 import os
+import subprocess
+import sys
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -8,7 +11,7 @@ import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.store.schema import FILE_NAME, open_for_reading
+from daemon.store.schema import FILE_NAME, open_for_reading, open_for_writing
 from daemon.store.store import Origin, Store
 
 ORIGIN = Origin(0.0, "both", "0.1.0", True, "SIRTA", 48.7, 2.2, 156.0)
@@ -30,3 +33,17 @@ def test_a_store_of_another_user_is_one_sentence_with_the_remedy(closed):
         finally:
             os.seteuid(user)
             path.parent.chmod(0o755)
+
+
+def test_a_store_that_is_opened_beside_a_reader_keeps_its_log_from_other_processes(tmp_path):
+    path = tmp_path / FILE_NAME
+    open_for_writing(path).close()
+    with closing(open_for_reading(path)) as reader:
+        reader.execute("SELECT count(*) FROM runs").fetchone()
+        store = open_for_writing(path)
+    with closing(store):
+        store.execute("INSERT INTO days (day) VALUES (1)")
+        # The last to close a store removes its log; another process takes itself for the last where no lock is held.
+        code = f"import sqlite3; c = sqlite3.connect({str(path)!r}); c.execute('SELECT * FROM days').fetchall(); c.close()"
+        subprocess.run([sys.executable, "-c", code], check=True)
+        assert path.with_name(f"{FILE_NAME}-wal").exists()
