@@ -48,4 +48,5 @@ class Parking:
         pose = self._motion.pose
         if self._motion.target is not None or self._motion.homing or pose is None:
             return False
-        return max(abs(pose.a_deg - target.a_deg), abs(pose.b_deg - target.b_deg)) <= self._tolerance_deg
+        off_deg = abs(pose.a_deg - target.a_deg), abs(pose.b_deg - target.b_deg)
+        return all(each_deg <= self._tolerance_deg for each_deg in off_deg)

@@ -1,5 +1,6 @@
 """A fixed position is gone to at once, and again every minute that the tracker is not there."""
 
+from math import nan
 from types import SimpleNamespace
 
 import pytest
@@ -36,6 +37,7 @@ def test_the_first_order_goes_out_at_once_and_the_next_after_a_minute():
 
 @pytest.mark.parametrize(("a_deg", "b_deg", "there"), [
     (0.0, 90.0, True), (0.8, 89.2, True), (-0.8, 90.0, True), (0.9, 90.0, False), (0.0, 89.1, False),
+    (nan, 90.0, False), (0.1, nan, False),
 ])  # fmt: skip
 def test_what_stands_there_within_the_tolerance_is_left_alone(a_deg, b_deg, there):
     assert ordered([0.0], pose=at(a_deg, b_deg)) == ([] if there else [0.0])
