@@ -9,9 +9,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
@@ -23,7 +23,7 @@ from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
-from daemon.store.batches import Batch, encoded, identified, next_batch
+from daemon.store.batches import MOST_NUMBER, Batch, encoded, identified, next_batch
 from daemon.store.runs import StoredRun, runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading
 
@@ -45,7 +45,7 @@ class Archived(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    through: dict[str, int] = {}
+    through: dict[str, Annotated[int, Field(ge=-1, lt=MOST_NUMBER)]] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +103,8 @@ class ArchiveFeed:
         self._file = StateFile(folder, name, Archived, log, "how far the archive has the records")
         self._through: dict[str, int] = {}
         self._finished: set[int] = set()
-        self._asked = ""
-        self._answer: _Answer | None = None
+        self._asked: Batch | None = None
+        self._is_kept = False
         self._answered = asyncio.Event()
         self._saved_s = clock.monotonic()
         self._confirmed_s = clock.monotonic()
@@ -161,30 +161,19 @@ class ArchiveFeed:
     async def _deliver(self, batch: Batch) -> None:
         """Send one page until it is confirmed."""
         message = Message(self._topic, encoded(batch), 1)
-        self._asked, self._answer = batch.origin.id, None
+        self._asked, self._is_kept = batch, False
+        self._answered.clear()
         self._backoff.reset()
         while True:
-            self._answered.clear()
             self._link.send_now(message)
             await wait_at_most(self._answered, self._backoff.next_s() * self._speed)
-            if self._is_confirmed(batch):
+            if self._is_kept:
+                self._confirmed(batch)
                 return
             self._complain()
 
-    def _is_confirmed(self, batch: Batch) -> bool:
-        answer, self._answer = self._answer, None
-        if answer is None:
-            return False
-        if answer.refused:
-            self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
-            return False
-        if answer.through < batch.through:
-            return False
-        self._confirmed(batch.origin.id, answer.through)
-        return True
-
-    def _confirmed(self, run: str, through: int) -> None:
-        self._through[run] = through
+    def _confirmed(self, batch: Batch) -> None:
+        self._through[batch.origin.id] = batch.through
         self._confirmed_s = now_s = self._clock.monotonic()
         self._link.trouble("archive", None)
         self._alarm("archive-behind", None)
@@ -213,15 +202,25 @@ class ArchiveFeed:
             return
         try:
             answer = _read(json.loads(message.payload))
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, RecursionError):
             self._link.trouble("archive answer", f"what comes on {message.topic} is no answer of an archive")
             return
         self._link.trouble("archive answer", None)
-        if answer.run == self._asked:
-            self._answer = answer
+        if self._asked is None or answer.run != self._asked.origin.id:
+            return
+        if answer.refused:
+            self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
+        elif answer.through == self._asked.through:
+            # Of another end is what was confirmed before, or was never sent.
+            self._is_kept = True
             self._answered.set()
 
 
-def _read(found: dict[str, Any]) -> _Answer:
-    refused = str(found.get("refused", ""))[:300]
-    return _Answer(str(found["run"]), -1 if refused else int(found["through"]), refused)
+def _read(found: Any) -> _Answer:
+    match found:
+        case {"run": str(run), "refused": str(refused)}:
+            # It is logged, shown and stored, whatever letters somebody has put there.
+            return _Answer(run, -1, ascii(refused)[1:-1][:300])
+        case {"run": str(run), "through": int(through)}:
+            return _Answer(run, through, "")
+    raise ValueError("it says neither how far a run is kept nor why it is not")

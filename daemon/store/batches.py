@@ -19,8 +19,9 @@ FORMAT = 1
 """Of the message; a reader refuses another."""
 MOST_ROWS = 500
 """Of one page: some 100 kB."""
+MOST_NUMBER = 1 << 53
+"""No record has this number or a later one."""
 _MOST_ROWS_TAKEN = 5000
-_MOST_NUMBER = 1 << 53
 # 1970 to 2200: each day has tables of its own, and a clock that was never set begins in 1970.
 _FIRST_S, _END_S = 0.0, 7_258_118_400.0
 _COLUMNS = dict(COLUMNS.values())
@@ -181,7 +182,7 @@ def _rows(name: str, columns: list[str], rows: list[list[Any]]) -> list[tuple[An
 
 
 def _whole(value: Any) -> int:
-    if type(value) is not int or not 0 <= value < _MOST_NUMBER:
+    if type(value) is not int or not 0 <= value < MOST_NUMBER:
         raise BatchError(f"{ascii(value)[:40]} is no number of a record")
     return value
 
@@ -202,7 +203,7 @@ def _int(value: Any) -> int | None:
     if type(value) not in (int, bool):
         _check_nothing(value, "whole number")
         return None
-    return int(value) if -_MOST_NUMBER < value < _MOST_NUMBER else None
+    return int(value) if -MOST_NUMBER < value < MOST_NUMBER else None
 
 
 def _bool(value: Any) -> bool | None:

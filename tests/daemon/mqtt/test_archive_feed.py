@@ -1,10 +1,151 @@
-"""What a service says while no archive takes its records, in virtual time."""
+"""What a service sends to an archive, and what it says while none takes its records, in virtual time."""
 
 import asyncio
+import contextlib
+import json
+from random import Random
+
+import pytest
 
 from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
-from tests.support.archive import T0, Sender, pose
+from daemon.mqtt.archive_feed import STATE_NAME, ArchiveFeed
+from daemon.mqtt.connection import Incoming
+from daemon.mqtt.topics import Topics
+from daemon.service.rig import Role
+from daemon.store.store import Store
+from tests.support.archive import T0, Sender, origin, pose
+
+KEPT = "lab/roof/records/kept"
+
+
+class HandLink:
+    """A link to an archive that answers each page as the test says; `kept` has what it has confirmed."""
+
+    connected = True
+
+    def __init__(self):
+        self.answers = []
+        self.pages = []
+        self.kept = set()
+        self.troubles = {}
+
+    def listen(self, topic, handler):
+        assert topic == KEPT
+        self._handler = handler
+
+    def trouble(self, subject, sentence):
+        self.troubles[subject] = sentence
+
+    def send_now(self, message):
+        """Answer as said, and once nothing more is said confirm the page."""
+        page = json.loads(message.payload)
+        self.pages.append(page)
+        run, through = page["run"]["id"], page["through"]
+        if self.answers:
+            payload = self.answers.pop(0)
+        else:
+            payload = json.dumps({"run": run, "through": through}).encode()
+            self.kept |= {(run, row[0]) for table in page["records"].values() for row in table["rows"]}
+        asyncio.get_running_loop().call_soon(self._handler, Incoming(KEPT, payload, retained=False))
+
+
+class Service:
+    """A store and its feed; records are kept by one run after the other."""
+
+    def __init__(self, folder, link):
+        self.folder = folder
+        self.clock = LoopClock(asyncio.get_running_loop().time, T0)
+        self.alarms = {}
+        self.feed = ArchiveFeed(link, Topics("lab", "roof"), folder, Role.BOTH, 10.0, 400, self.clock, Random(1), 1.0)
+        self.feed.alarm_by(self.alarms.__setitem__)
+
+    def keep(self, *records, run=None):
+        """Have records kept by one run of the service, from its beginning to its end."""
+        store = Store(self.folder, 60.0, 400, run or origin(), self.clock, print)
+        for record in records:
+            store.keep(record)
+        store.close()
+
+    async def send_for(self, time_s):
+        sending = asyncio.create_task(self.feed.run())
+        done, _ = await asyncio.wait([sending], timeout=time_s)
+        assert not done, sending
+        sending.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await sending
+
+
+def virtual(scenario):
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+DEEP = b"[" * 100_000
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"[]", b"1", b'"x"', b"null", b"{}", DEEP, b'{"run":' + DEEP, b'{"run":"RUN","through":1e400}',
+        b'{"run":"RUN","through":NaN}', b'{"run":"RUN","through":"1"}', b'{"run":1,"through":1}',
+        b'{"run":"RUN","refused":1}', b"\xff",
+    ],
+)  # fmt: skip
+def test_what_is_no_answer_of_an_archive_is_a_trouble_until_one_comes(tmp_path, payload):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0), run=run)
+        link.answers = [payload.replace(b"RUN", run.id.encode())]
+        await service.send_for(5.0)
+        assert link.troubles["archive answer"] == f"what comes on {KEPT} is no answer of an archive"
+        await service.send_for(60.0)
+        assert link.troubles["archive answer"] is None
+        assert link.kept == {(run.id, 0)}
+
+    virtual(scenario)
+
+
+@pytest.mark.parametrize("through", [-1, 1, 2**63 - 1, 2**63])
+def test_an_archive_cannot_confirm_what_it_was_not_sent(tmp_path, through):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0), run=run)
+        link.answers = [json.dumps({"run": run.id, "through": through}).encode()]
+        await service.send_for(100.0)
+        assert link.kept == {(run.id, 0)}
+        assert [page["through"] for page in link.pages] == [0, 0]
+
+    virtual(scenario)
+
+
+@pytest.mark.parametrize("through", [-2, 2**53, 2**63])
+def test_a_kept_number_that_no_record_has_is_not_believed(tmp_path, through, caplog):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0), run=run)
+        (tmp_path / STATE_NAME).write_text(json.dumps({"through": {run.id: through}}))
+        await service.send_for(100.0)
+        assert link.kept == {(run.id, 0)}
+        assert "the archive gets all records of the store again" in caplog.text
+
+    virtual(scenario)
+
+
+def test_a_refusal_in_letters_that_no_file_can_hold_is_shown(tmp_path):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(pose(0), run=run)
+        link.answers = [json.dumps({"run": run.id, "refused": "no \ud800\n"}).encode()] * 3
+        await service.send_for(5.0)
+        refused = "the archive refuses records of lab/roof/records: no \\ud800\\n"
+        assert link.troubles == {"archive answer": None, "archive": refused}
+
+    virtual(scenario)
 
 
 def test_an_hour_without_an_archive_is_an_alarm_and_the_records_wait_where_they_are(tmp_path, free_udp_port):
@@ -23,5 +164,4 @@ def test_an_hour_without_an_archive_is_an_alarm_and_the_records_wait_where_they_
             assert sender.alarms == {"archive-behind": text}
         assert len(sender.rows()) == 3
 
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        runner.run(scenario())
+    virtual(scenario)
