@@ -106,7 +106,7 @@ class Link:
         )
 
     def listen(self, topic: str, handler: Handler, *, as_published: bool = False) -> None:
-        """Give each message on `topic` to `handler`, beside others; it must neither block nor raise.
+        """Give each message on `topic` to `handler`, beside others; it must not block.
 
         With `as_published` a message counts as retained also when that is how it was published just now, where the
         broker speaks MQTT 5; one that speaks 3.1.1 alone does not tell.
@@ -162,6 +162,8 @@ class Link:
                 continue
             except (ConnectionLostError, UserError) as error:
                 self._lost(str(error))
+            except Exception as error:  # noqa: BLE001 - nothing about a broker may end the service; it is logged
+                self._lost(f"{self.status.broker} cannot be used: {ascii(error)[:200]}")
             await asyncio.sleep(self._backoff.next_s() * self._speed)
 
     async def _connect_and_serve(self) -> None:
@@ -227,8 +229,16 @@ class Link:
     async def _receive_all(self, connection: Connection) -> None:
         async for message in connection.incoming():
             self._received += 1
-            for handler in self._handlers.get(message.topic, ()):
+            self._hand_over(message)
+
+    def _hand_over(self, message: Incoming) -> None:
+        subject, wrong = f"what comes on {message.topic}", None
+        for handler in self._handlers.get(message.topic, ()):
+            try:
                 handler(message)
+            except Exception as error:  # noqa: BLE001 - no message may end the service; this is logged and shown
+                wrong = f"{subject} cannot be used: {ascii(error)[:200]}"
+        self.trouble(subject, wrong)
 
     def _receive_status(self, message: Incoming) -> None:
         if message.retained:

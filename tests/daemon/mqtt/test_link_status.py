@@ -88,3 +88,29 @@ def test_wind_and_safety_may_come_on_one_topic(broker, scaled):
             await rig.until_mode(Mode.TRACKING, 400)
 
     scaled(scenario)
+
+
+def test_a_message_that_a_handler_cannot_take_is_told_once_and_costs_the_others_nothing(broker, scaled, log_lines):
+    async def scenario():
+        rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
+        heard = []
+
+        def take(message):
+            if message.payload != b"good":
+                raise RecursionError(message.payload.decode())
+
+        for handler in (take, lambda message: heard.append(message.payload)):
+            rig.mqtt.link.listen("lab/topic", handler)
+        async with observer(broker.port) as lab, serving(rig):
+            await until(lambda: rig.mqtt.status.connected, "the link")
+            for payload in (b"bad", b"good", b"bad"):
+                await lab.say("lab/topic", payload)
+            await until(lambda: len(heard) == 3, "all messages")
+            sentence = "what comes on lab/topic cannot be used: RecursionError('bad')"
+            assert rig.mqtt.status.troubles == (sentence,)
+            assert [line.getMessage() for line in log_lines()].count(sentence) == 1
+            await lab.say("lab/topic", b"good")
+            await until(lambda: not rig.mqtt.status.troubles, "the end of the trouble")
+            assert rig.mqtt.status.connections == 1
+
+    scaled(scenario)

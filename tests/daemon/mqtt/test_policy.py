@@ -168,6 +168,27 @@ def test_a_day_without_a_broker_costs_no_memory_and_few_lines(caplog):
     assert f"nothing listens at 127.0.0.1:{port}" in lines[0]
 
 
+def test_a_failure_that_nobody_has_foreseen_is_a_lost_link_and_told_once(caplog):
+    caplog.set_level(logging.INFO, "heliocube")
+
+    async def scenario():
+        # Of such a name the resolver raises a UnicodeError; the configuration refuses it.
+        settings = settings_for(1).mqtt.model_copy(update={"host": "broker..lan"})
+        clock = LoopClock(asyncio.get_running_loop().time, 1.6e9)
+        link = Link(settings, Topics("heliocube", "tracker"), clock, Random(1), Bus().publish, 1.0)
+        running = asyncio.create_task(link.run())
+        await asyncio.sleep(300)
+        assert not running.done()
+        assert link.status.down_why.startswith("broker..lan:1 cannot be used: Unicode")
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+    (line,) = [record.getMessage() for record in caplog.records if record.levelno >= logging.INFO]
+    assert line.startswith("the MQTT broker is down: broker..lan:1 cannot be used: Unicode")
+
+
 def test_control_decides_in_the_same_rhythm_for_hours_with_and_without_a_broker(caplog):
     caplog.set_level(logging.INFO, "heliocube.mqtt")
     bound = bound_socket()
