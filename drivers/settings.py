@@ -69,9 +69,17 @@ def stable_visa(text: str) -> str:
     return text
 
 
+def check_host(name: str) -> None:
+    """Raise a `ValueError` for the name of a host that has an empty part, or one that is too long."""
+    # The resolver would raise the same UnicodeError, which nobody expects of it.
+    name.encode("idna")
+
+
 def _server(text: str) -> str:
-    if not (_SERVER.fullmatch(text) and 0 < int(text.rpartition(":")[2]) <= 65535):
+    host, _, port = text.rpartition(":")
+    if not (_SERVER.fullmatch(text) and 0 < int(port) <= 65535):
         raise ValueError("not a host and port")
+    check_host(host)
     return text
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
 from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
-from drivers.settings import text_of
+from drivers.settings import check_host, text_of
 
 _CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
 _WEB = re.compile(r"https?://[^\s/]\S*")
@@ -74,6 +74,7 @@ def _topics(text: str) -> str:
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
         raise ValueError("not a host")
+    check_host(text)
     return text
 
 

@@ -18,7 +18,7 @@ from drivers.lines.serial_port import SerialForm, SerialPort
 from drivers.lines.threads import DeviceThread
 from drivers.modbus.framing import BrokenStreamError, ClientFraming, RtuClient, TcpClient
 from drivers.modbus.pdu import ModbusRequest
-from drivers.settings import stable_port, text_of
+from drivers.settings import check_host, stable_port, text_of
 from drivers.transcript import Tap, no_tap
 
 _NETWORK = re.compile(r"(?P<kind>tcp|rtu-over-tcp):(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\]):(?P<port>\d{1,5})")
@@ -47,8 +47,7 @@ def endpoint(line: str) -> Endpoint | None:
     port = int(found["port"])
     if not 0 < port <= 65535:
         raise ValueError("not a port")
-    # Of a name with an empty or an overlong part the resolver raises a UnicodeError.
-    found["host"].encode("idna")
+    check_host(found["host"])
     return Endpoint("tcp" if found["kind"] == "tcp" else "rtu-over-tcp", found["host"].strip("[]"), port)
 
 

@@ -36,7 +36,8 @@ def test_gpib_needs_an_address():
 
 @pytest.mark.parametrize(("text", "right"), [
     ("127.0.0.1:4533", True), ("[::1]:1", True), ("rig-2.lan:65535", True), ("rig:0", False), ("rig:65536", False),
-    ("rig", False), ("a b:1", False), (":1", False),
+    ("rig", False), ("a b:1", False), (":1", False), ("10.0.0..5:4533", False), (f"{'x' * 64}.lan:1", False),
+    (f"{'x' * 63}.lan.:1", True),
 ])  # fmt: skip
 def test_a_server_is_a_host_and_a_port(text, right):
     server = TypeAdapter(HostAndPort)
@@ -45,6 +46,16 @@ def test_a_server_is_a_host_and_a_port(text, right):
     else:
         with pytest.raises(ValidationError):
             server.validate_python(text)
+
+
+@pytest.mark.parametrize(("host", "right"), [("10.0.0.5", True), ("10.0.0..5", False), ("x" * 64, False)])
+def test_a_meters_socket_has_a_host_that_can_be_looked_up(host, right):
+    resource = f"TCPIP::{host}::5025::SOCKET"
+    if right:
+        assert ScanningMeterSettings(resource=resource).resource == resource
+    else:
+        with pytest.raises(ValidationError):
+            ScanningMeterSettings(resource=resource)
 
 
 def test_a_meters_range_is_one_of_its_ranges():

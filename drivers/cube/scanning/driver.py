@@ -17,6 +17,7 @@ from drivers.settings import (
     MeterRange,
     SettingsConflict,
     SettingsError,
+    check_host,
     stable_visa,
     text_of,
 )
@@ -25,7 +26,11 @@ _SECTION = "instruments.cube"
 
 
 def _resource(text: str) -> str:
-    return text if SOCKET_RESOURCE.fullmatch(text) else stable_visa(text)
+    found = SOCKET_RESOURCE.fullmatch(text)
+    if found is None:
+        return stable_visa(text)
+    check_host(found["host"])
+    return text
 
 
 VisaOrSocket = Annotated[str, AfterValidator(_resource), text_of("visa-or-socket")]

@@ -204,6 +204,10 @@ def test_the_check_lists_wrong_topics_together_with_everything_else(tmp_path):
         "mqtt.prefix",
         "law.name",
     ]
+    for host in ("broker..lan", f"{'x' * 64}.lan", ""):
+        path.write_text(f"[mqtt]\nhost = '{host}'\n")
+        with pytest.raises(ConfigError, match="must be a name or an address in quotes"):
+            check_file(path)
     path.write_text("[mqtt]\nprefix = 'a/#'\n")
     assert load_settings(path).mqtt.prefix == "a/#"
     path.write_text("[mqtt]\nprefix = 5\n")
