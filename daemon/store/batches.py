@@ -141,8 +141,8 @@ def decoded(payload: bytes) -> Batch:
         through = _whole(page["through"])
     except BatchError:
         raise
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise BatchError(f"it is no page of records ({type(error).__name__}: {error})") from None
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
+        raise BatchError(f"it is no page of records ({ascii(error)[:200]})") from None
     batch = Batch(origin, through, rows)
     if batch.count > _MOST_ROWS_TAKEN:
         raise BatchError(f"it has {batch.count} records, and {_MOST_ROWS_TAKEN} are the most")
@@ -161,9 +161,8 @@ def _origin(found: dict[str, Any]) -> Origin:
     origin = Origin(**values)
     if not 16 <= len(origin.id) <= 64 or not origin.id.isalnum():
         raise BatchError("its run has no identifier")
-    if not all(
-        map(math.isfinite, (origin.started_utc_s, origin.latitude_deg, origin.longitude_deg, origin.altitude_m))
-    ):
+    has_place = all(map(math.isfinite, (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)))
+    if not (has_place and _FIRST_S <= origin.started_utc_s < _END_S):
         raise BatchError("its run has no place or no start")
     return origin
 
@@ -217,6 +216,8 @@ def _text(value: Any) -> str | None:
     if not isinstance(value, str):
         _check_nothing(value, "text")
         return None
+    # JSON can spell halves of letters, which nothing can write; encoding raises a UnicodeEncodeError for them.
+    value.encode()
     # PostgreSQL has no place for the letter 0.
     return value.replace("\0", "")
 

@@ -108,6 +108,13 @@ def test_a_run_of_before_there_were_identifiers_has_the_same_one_each_time_and_n
         ({"records": {"poses": {"columns": ["number"], "rows": [[0]]}}}, "no time from 1970 to 2200"),
         ({"records": {"poses": {"rows": []}}}, "it is no page of records"),
         ({"records": []}, "it is no page of records"),
+        ({"records": {"poses": {"columns": ["number", "time"], "rows": [[0]]}}}, "it is no page of records"),
+        ({"records": {"poses": {"columns": ["number", "time"], "rows": [[0, 10**400]]}}}, "it is no page of records"),
+        ({"records": {"poses": {"columns": ["number", "time"], "rows": [], "\ud800": 0}}}, "it is no page of records"),
+        ({"run": {**GOOD["run"], "altitude_m": 10**400}}, "it is no page of records"),
+        ({"run": {**GOOD["run"], "started_utc_s": 1e18}}, "its run has no place or no start"),
+        ({"run": {**GOOD["run"], "started_utc_s": -1}}, "its run has no place or no start"),
+        ({"run": {**GOOD["run"], "site": "\ud800"}}, "it is no page of records"),
         ({"records": {"poses": {"columns": ["number", "time"], "rows": [[0, T0]] * 5001}}}, "5000 are the most"),
     ],
 )
@@ -115,6 +122,7 @@ def test_what_is_no_page_is_refused(change, part):
     with pytest.raises(BatchError) as error:
         decoded(json.dumps(GOOD | change).encode())
     assert part in str(error.value)
+    assert str(error.value).isascii()
 
 
 def test_columns_may_come_in_any_order_and_those_of_another_version_are_left_out():
