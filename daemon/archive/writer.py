@@ -15,7 +15,7 @@ from daemon.store.batches import KINDS, Batch
 from daemon.store.schema import RUN_COLUMNS
 from daemon.store.store import Origin
 
-_DAY_S = 86400.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 # Two services that send in turns are seen within this.
 _BOTH_ALIVE = "10 min"
 
@@ -110,7 +110,8 @@ class ArchiveWriter:
 
     def _make_days(self, pages: Sequence[SentPage]) -> None:
         wanted = {
-            (name, int(row[1] // _DAY_S))
+            # Of the instant that is written: it is rounded, and what is just before midnight is of the next day then.
+            (name, (_instant(row[1]) - _EPOCH).days)
             for page in pages
             for name, rows in page.batch.rows.items()
             if name in self._divided
@@ -202,5 +203,5 @@ def _with_instants(row: tuple[Any, ...], times: Sequence[int]) -> list[Any]:
     values = list(row)
     for place in times:
         if values[place] is not None:
-            values[place] = datetime.fromtimestamp(values[place], UTC)
+            values[place] = _instant(values[place])
     return values

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import signal
 import threading
 
@@ -10,7 +11,7 @@ import pytest
 from daemon.archive.address import ArchiveAwayError, parse_archive
 from daemon.archive.writer import ArchiveWriter, SentPage
 from tests.support import forks
-from tests.support.archive import Sender, archived, batch_of, event, origin, pose, pose_row, scan
+from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 
 pytestmark = needs_mosquitto
@@ -153,6 +154,18 @@ def test_what_comes_for_a_day_that_has_been_dropped_is_taken_by_who_wrote_that_d
         postgres.sql("DROP TABLE heliocube.poses_20221014", name)
         assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(1)]}))]).added == 1
         assert postgres.sql("SELECT number FROM heliocube.poses", name) == [(1,)]
+    finally:
+        writer.close()
+
+
+def test_a_record_of_just_before_midnight_has_a_day_to_be_in(postgres, database):
+    writer, run = ArchiveWriter(parse_archive(database)), origin()
+    writer.prepare()
+    try:
+        # Nearer to midnight than the microsecond that the database has.
+        just_before_s = math.nextafter(T0 + 86400.0, 0.0)
+        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0, just_before_s)]}))]).added == 1
+        assert postgres.sql("SELECT number FROM heliocube.poses_20221015", database.rpartition("/")[2]) == [(0,)]
     finally:
         writer.close()
 
