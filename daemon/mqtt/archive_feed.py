@@ -102,7 +102,7 @@ class ArchiveFeed:
         folder = StateFolder(directory, behind=True)
         self._file = StateFile(folder, name, Archived, log, "how far the archive has the records")
         self._through: dict[str, int] = {}
-        self._finished: set[int] = set()
+        self._finished: set[str] = set()
         self._asked: Batch | None = None
         self._is_kept = False
         self._answered = asyncio.Event()
@@ -123,7 +123,13 @@ class ArchiveFeed:
             log.warning("%s: the archive gets all records of the store again, and keeps each once", error)
         try:
             while True:
-                batch = await asyncio.to_thread(self._next)
+                try:
+                    batch = await asyncio.to_thread(self._next)
+                except (UserError, sqlite3.Error) as error:
+                    # The store's own outage is told by the store.
+                    log.debug("nothing is sent to the archive: %s", error)
+                    await asyncio.sleep(self._every_s)
+                    continue
                 if batch is None:
                     self._confirmed_s = self._clock.monotonic()
                     await asyncio.sleep(self._every_s)
@@ -133,29 +139,23 @@ class ArchiveFeed:
             self._save()
 
     def _next(self) -> Batch | None:
-        """Return the next page, of the oldest run first; a store that cannot be read has none now."""
-        if not self._path.is_file():
-            return None
-        try:
-            runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
-            with closing(open_for_reading(self._path)) as connection:
-                return self._page_of(connection, sorted(runs, key=lambda each: each.run))
-        except (UserError, sqlite3.Error) as error:
-            # The store's own outage is told by the store.
-            log.debug("nothing is sent to the archive: %s", error)
-            return None
+        """Return the next page, of the oldest run first, None if all is confirmed; raises if the store is not read."""
+        runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
+        with closing(open_for_reading(self._path)) as connection:
+            return self._page_of(connection, sorted(runs, key=lambda each: each.run))
 
     def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun]) -> Batch | None:
         origins = {run: identified(run, stored) for run, stored in runs}
         self._through = {origin.id: self._through.get(origin.id, -1) for origin in origins.values()}
         for place, (run, origin) in enumerate(origins.items()):
-            if run in self._finished:
+            if origin.id in self._finished:
                 continue
             batch = next_batch(connection, run, origin, self._through[origin.id])
             if batch is not None:
                 return batch
             if place < len(runs) - _ALIVE:
-                self._finished.add(run)
+                # By what no other run has: a store that begins anew counts its runs from one again.
+                self._finished.add(origin.id)
         return None
 
     async def _deliver(self, batch: Batch) -> None:

@@ -13,6 +13,7 @@ from daemon.mqtt.archive_feed import STATE_NAME, ArchiveFeed
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
+from daemon.store.schema import FILE_NAME
 from daemon.store.store import Store
 from tests.support.archive import T0, Sender, origin, pose
 
@@ -38,7 +39,7 @@ class HandLink:
         self.troubles[subject] = sentence
 
     def send_now(self, message):
-        """Answer as said, and once nothing more is said confirm the page."""
+        """Answer as said, None for not at all, and once nothing more is said confirm the page."""
         page = json.loads(message.payload)
         self.pages.append(page)
         run, through = page["run"]["id"], page["through"]
@@ -47,7 +48,8 @@ class HandLink:
         else:
             payload = json.dumps({"run": run, "through": through}).encode()
             self.kept |= {(run, row[0]) for table in page["records"].values() for row in table["rows"]}
-        asyncio.get_running_loop().call_soon(self._handler, Incoming(KEPT, payload, retained=False))
+        if payload is not None:
+            asyncio.get_running_loop().call_soon(self._handler, Incoming(KEPT, payload, retained=False))
 
 
 class Service:
@@ -144,6 +146,39 @@ def test_a_refusal_in_letters_that_no_file_can_hold_is_shown(tmp_path):
         await service.send_for(5.0)
         refused = "the archive refuses records of lab/roof/records: no \\ud800\\n"
         assert link.troubles == {"archive answer": None, "archive": refused}
+
+    virtual(scenario)
+
+
+def test_the_records_of_a_store_that_has_begun_anew_are_sent_too(tmp_path):
+    async def scenario():
+        link, late = HandLink(), origin()
+        service = Service(tmp_path, link)
+        for number in range(11):
+            service.keep(pose(number))
+        await service.send_for(100.0)
+        assert len(link.kept) == 11
+        (tmp_path / FILE_NAME).unlink()
+        service.keep(pose(11), run=late)
+        await service.send_for(100.0)
+        assert (late.id, 0) in link.kept
+
+    virtual(scenario)
+
+
+def test_a_store_that_cannot_be_read_has_not_been_confirmed(tmp_path):
+    async def scenario():
+        link = HandLink()
+        service = Service(tmp_path, link)
+        link.answers = [None] * 1000
+        (tmp_path / FILE_NAME).write_bytes(b"no store")
+        await service.send_for(3500.0)
+        (tmp_path / FILE_NAME).unlink()
+        service.keep(pose(0))
+        await service.send_for(50.0)
+        assert service.alarms == {}
+        await service.send_for(200.0)
+        assert service.alarms["archive-behind"].startswith("no archive has confirmed records of lab/roof/records for 1")
 
     virtual(scenario)
 
