@@ -81,7 +81,7 @@ class ApiServer:
         self._clock = clock
         self._publish = publish
         self._speed = speed
-        self._connections = Connections(api.refusals, speed)
+        self._connections = Connections(api.token, api.refusals, speed)
         self._outage = Outage(log, "the local interface")
         self._bound: socket.socket | None = None
         self._try_to_bind()

@@ -1,8 +1,8 @@
 """The connections of the local interface: how many there may be, and how long one may say or read nothing.
 
 The server has a limit of connections, and answers those above it with 503, a command as well; and it waits for ever for
-the end of a request. So each connection is known here: one too many costs the one that has been idle for longest, and
-what does not get on is closed.
+the end of a request. So each connection is known here: one too many costs the one that has been idle for longest, or
+else the oldest whose request bears no token; and what does not get on is closed.
 """
 
 import asyncio
@@ -12,8 +12,10 @@ from functools import partial
 from typing import Any, cast
 
 import h11
+from starlette.datastructures import Headers
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from daemon.api.gate import Token
 from daemon.api.refusals import ApiRefusals
 
 _MOST = 384
@@ -35,13 +37,16 @@ class Connections:
 
     Parameters
     ----------
+    token
+        A request that bears it is not given up for another.
     refusals
         Takes note of those that are closed.
     speed
         How many times as fast as the machine's the event loop's clock runs.
     """
 
-    def __init__(self, refusals: ApiRefusals, speed: float) -> None:
+    def __init__(self, token: Token, refusals: ApiRefusals, speed: float) -> None:
+        self.token = token
         self.refusals = refusals
         self.speed = speed
         self._open: dict[HttpConnection, None] = {}
@@ -56,18 +61,19 @@ class Connections:
         return cast("type[asyncio.Protocol]", partial(HttpConnection, self))
 
     def admit(self, new: "HttpConnection") -> bool:
-        """Take a new connection in, at the cost of an idle one if need be; return whether there was room."""
+        """Take a new connection in, at the cost of one without the token if need be; return whether there was room."""
         own = [one for one in self._open if one.address == new.address]
         # All that comes through a tunnel or a proxy on this machine comes from one address: it has no limit of its own.
         crowd = own if len(own) >= MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
         if len(crowd) >= (MOST_OF_AN_ADDRESS if crowd is own else _MOST):
-            idle = next((one for one in crowd if one.is_idle), None)
+            idle = (one for one in crowd if one.is_idle)
+            given_up = next(idle, None) or next((one for one in crowd if not one.bears_the_token), None)
             whose = f"from {new.address}" if crowd is own else "in all"
-            self.refusals.note("crowded", f"more than {len(crowd)} connections {whose}: the longest idle one is closed")
-            if idle is None:
+            self.refusals.note("crowded", f"more than {len(crowd)} connections {whose}: one of them is closed")
+            if given_up is None:
                 return False
-            self.drop(idle)
-            idle.abort()
+            self.drop(given_up)
+            given_up.abort()
         self._open[new] = None
         return True
 
@@ -112,8 +118,14 @@ class HttpConnection(H11Protocol):
 
     @property
     def is_idle(self) -> bool:
-        """Whether it has not sent a whole request, or does not read its answer."""
-        return self._waits_for_a_head or self._unread > 0
+        """Whether it has sent no whole request and bears no token, or does not read its answer."""
+        waits_for_a_body = self.conn.their_state is h11.SEND_BODY
+        return self._waits_for_a_head or self._unread > 0 or (waits_for_a_body and not self.bears_the_token)
+
+    @property
+    def bears_the_token(self) -> bool:
+        """Whether the request that it has sent is one with the token."""
+        return self.headers is not None and self._all.token.refusal(Headers(raw=self.headers)) is None
 
     @property
     def _waits_for_a_head(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from daemon.api.gate import Token
 from daemon.api.port.connections import Connections
 from daemon.api.refusals import ApiRefusals
 from daemon.api.turns import CrowdedError, ReadTurns
@@ -44,16 +45,26 @@ async def metric(call, name):
     return next(float(line.split()[-1]) for line in lines if line.startswith(f"heliocube_{name} "))
 
 
-def test_idle_and_half_sent_connections_keep_no_command_out(serve, monkeypatch, caplog):
+@pytest.mark.parametrize("contents", [(b"", HALF_A_HEAD, HALF_A_BODY), (HALF_A_BODY,)], ids=["all kinds", "bodies"])
+def test_idle_and_half_sent_connections_keep_out_no_command_and_no_reader(serve, monkeypatch, caplog, contents):
     async def scenario(rig, call):
         await under_way(rig)
-        held = [await connect(call, (b"", HALF_A_HEAD, HALF_A_BODY)[turn % 3]) for turn in range(450)]
+        reader, writer = await connect(call, b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await reader.readuntil(b"event: state")
+        reading = asyncio.create_task(closed(reader))
+        held = []
+        for turn in range(450):
+            held.append(await connect(call, contents[turn % len(contents)]))
+            # No faster than they are let in.
+            await asyncio.sleep(0.005)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         assert (await call.post("stop")).status == 200
         assert next(at_s for at_s, data in sent if data.startswith(b"$9s")) - asked_s < 0.2
         assert (await call.get("/healthz")).status == 200
-        for _, writer in held:
-            writer.close()
+        assert not reading.done()
+        for _, one in [*held, (reader, writer)]:
+            one.close()
+        await reading
 
     serve(scenario)
     assert 0 < len(lines_of(caplog)) <= 18
@@ -235,6 +246,7 @@ class Held:
     address: str
     from_loopback: bool = False
     is_idle: bool = True
+    bears_the_token: bool = False
     aborted: bool = False
 
     def abort(self):
@@ -243,7 +255,7 @@ class Held:
 
 def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
     refusals = ApiRefusals(lambda: 0.0)
-    connections = Connections(refusals, 1.0)
+    connections = Connections(Token("any"), refusals, 1.0)
     far = [Held("192.0.2.7") for _ in range(40)]
     near = [Held("127.0.0.1", from_loopback=True) for _ in range(150)]
     assert all(connections.admit(one) for one in [*far, *near])
@@ -252,10 +264,16 @@ def test_one_address_has_thirty_two_connections_and_loopback_all_of_them():
     assert refusals.counts["crowded"] == 8
 
 
-def test_a_connection_that_is_being_served_is_not_given_up_for_another():
-    connections = Connections(ApiRefusals(lambda: 0.0), 1.0)
-    served = [Held("127.0.0.1", from_loopback=True, is_idle=False) for _ in range(384)]
+def test_where_none_is_idle_the_oldest_without_the_token_gives_way_and_one_with_it_never():
+    connections = Connections(Token("any"), ApiRefusals(lambda: 0.0), 1.0)
+    served = [
+        Held("127.0.0.1", from_loopback=True, is_idle=False, bears_the_token=number not in (5, 6))
+        for number in range(384)
+    ]
     assert all(connections.admit(one) for one in served)
+    for number in (5, 6):
+        assert connections.admit(Held("127.0.0.1", from_loopback=True, is_idle=False, bears_the_token=True))
+        assert [one for one in served if one.aborted] == served[5 : number + 1]
     assert not connections.admit(Held("192.0.2.7"))
     connections.drop(served[0])
     assert connections.admit(Held("192.0.2.7"))
