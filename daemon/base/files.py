@@ -207,9 +207,9 @@ def read_secret(
     error
         What is raised, with one sentence.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise error(f"{called} is no ordinary file, but a device or a pipe")
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise error(f"{called} is no ordinary file, but a device or a pipe")
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             content = file.read(most_bytes)

@@ -3,11 +3,13 @@
 import os
 import stat
 import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.files import replace_file, rewrite_file, write_secret
+from daemon.base.files import read_secret, replace_file, rewrite_file, write_secret
 from daemon.base.state import replace_kept
 from tests.daemon.store.test_store import fill, small_disk
 
@@ -68,3 +70,19 @@ def test_a_secret_that_a_full_disk_cannot_take_leaves_no_file_that_looks_like_on
     with pytest.raises(UserError, match="exists and is not overwritten"):
         write_secret(file, b"other", "the key", UserError)
     assert file.read_bytes() == b"whole"
+
+
+def test_a_secret_in_a_folder_that_may_not_be_entered_is_one_sentence():
+    user = os.geteuid()
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_secret(folder / "bridge.key", b"k", "the key", UserError)
+        folder.chmod(0)
+        try:
+            if user == 0:
+                os.seteuid(65534)
+            with pytest.raises(UserError, match=r"^the key cannot be read: Permission denied$"):
+                read_secret(folder / "bridge.key", 100, "the key", "missing", UserError, group_may_read=False)
+        finally:
+            os.seteuid(user)
+            folder.chmod(0o700)
