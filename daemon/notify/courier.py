@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from datetime import datetime, time
+from functools import partial
+from typing import Any
 
 import httpx
 
@@ -21,6 +23,7 @@ from daemon.notify.recipients import Recipient
 log = logging.getLogger("heliocube.notify")
 
 _ANSWER_WITHIN_S = 10.0
+_Way = Callable[[], Coroutine[Any, Any, None]]
 
 
 async def test(settings: NotifySettings, recipients: Sequence[Recipient], report: Callable[[str], None]) -> bool:
@@ -105,22 +108,35 @@ class Courier:
         self._outages = {recipient.name: Outage(log, f"the way to {recipient.name}") for recipient in people}
         self._heart = Outage(log, "the heartbeat")
         self._beat_s = -settings.heartbeat_every_s
+        self._ways: list[_Way] = [self._beat, *(partial(self._tell, *one) for one in self._backlogs)]
+        self._under_way: dict[_Way, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
         """Ask and tell until cancelled."""
-        while True:
-            await self.step()
-            self._alive()
-            await asyncio.sleep(self._settings.poll_every_s)
+        try:
+            while True:
+                await self.step()
+                self._alive()
+                await asyncio.sleep(self._settings.poll_every_s)
+        finally:
+            for telling in self._under_way.values():
+                telling.cancel()
 
-    async def step(self) -> None:
-        """Ask every service once, and tell what there is to tell."""
+    async def step(self) -> Collection[asyncio.Task[None]]:
+        """Ask every service once, and begin to tell what there is to tell; return what is under way.
+
+        A way that is still busy with what it was given before gets no more, and keeps neither the others waiting nor
+        the next round.
+        """
         found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
         for notice in (notice for notices in found for notice in notices):
             log.info("%s", notice.title)
             for _, backlog in self._backlogs:
                 backlog.put(notice)
-        await asyncio.gather(*(self._tell(recipient, backlog) for recipient, backlog in self._backlogs), self._beat())
+        for way in self._ways:
+            if way not in self._under_way or self._under_way[way].done():
+                self._under_way[way] = asyncio.create_task(way())
+        return self._under_way.values()
 
     async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
         try:
@@ -129,7 +145,7 @@ class Courier:
             return watch.answered(reply.json(), self._clock.monotonic())
         except httpx.HTTPError as error:
             return watch.failed(_reason(error), self._clock.monotonic())
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return watch.failed("what answers there is not heliocube", self._clock.monotonic())
 
     async def _tell(self, recipient: Recipient, backlog: Backlog) -> None:

@@ -64,15 +64,12 @@ class ServiceWatch:
         self._known: dict[tuple[str, str], dict[str, Any]] = {}
 
     def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
-        """Take in the JSON of /api/state."""
-        self._heard_s = now_s
-        site = state["site"]["name"]
-        self._name = f"{site}{' SIMULATED' if state['simulated'] else ''}"
-        notices = [self._back()] if self._silent else []
-        self._silent = False
+        """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
+        self._name = f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
-        notices += self._changes(shown)
-        self._known = shown
+        changes = list(self._changes(shown))
+        notices = [self._back(), *changes] if self._silent else changes
+        self._heard_s, self._silent, self._known = now_s, False, shown
         return notices
 
     def failed(self, why: str, now_s: float) -> list[Notice]:

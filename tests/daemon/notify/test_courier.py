@@ -43,6 +43,7 @@ class Lab:
     def __init__(self):
         self.alarms, self.up, self.taking = [], True, True
         self.told, self.beats = [], 0
+        self.instead = None
         lab = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -50,7 +51,7 @@ class Lab:
                 if self.path == "/beat":
                     lab.beats += 1
                 state = {"site": {"name": "roof"}, "simulated": True, "alarms": lab.alarms}
-                self.answer(200 if lab.up else 503, json.dumps(state).encode())
+                self.answer(200 if lab.up else 503, lab.instead or json.dumps(state).encode())
 
             def do_POST(self):
                 body = self.rfile.read(int(self.headers["Content-Length"]))
@@ -128,7 +129,7 @@ def told(lab, tmp_path):
 
                 async def step(after_s=10.0):
                     clock.now += after_s
-                    await courier.step()
+                    await asyncio.gather(*await courier.step())
 
                 await scenario(step)
 
@@ -268,6 +269,64 @@ def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
         assert lab.titles[1].endswith(": answers again")
 
     told(scenario)
+
+
+ROOF = '{"site": {"name": "roof"}, "simulated": true'
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        "<html>",
+        "{}",
+        "[]",
+        '{"error": "x"}',
+        ROOF + "}",
+        ROOF + ', "alarms": [{"name": "x", "tracker": null, "severity": "fatal"}]}',
+        ROOF
+        + ', "alarms": [{"name": "x", "tracker": null, "severity": "critical", "state": "raised", "raised_at": []}]}',
+        "[" * 100_000,
+    ],
+    ids=range(8),
+)
+def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told, page):
+    async def scenario(step):
+        lab.instead = page.encode()
+        for _ in range(15):
+            await step()
+        assert "for 120 s: what answers there is not heliocube." in json.loads(lab.told[0][2])["message"]
+        lab.instead = None
+        await step()
+        assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
+
+    told(scenario)
+
+
+def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
+    class Way:
+        def __init__(self, name):
+            self.name, self.told, self.free = name, [], asyncio.Event()
+
+        async def tell(self, notice):
+            await self.free.wait()
+            self.told.append(notice.title.rpartition(" ")[2])
+            return True
+
+    async def scenario():
+        slow, quick = Way("slow"), Way("quick")
+        quick.free.set()
+        async with httpx.AsyncClient(trust_env=False) as client:
+            courier = Courier(NotifySettings(), [parse_address(lab.address)], [slow, quick], HandClock(), client)
+            for name in ("stow-wanted", "clock"):
+                lab.alarms.append(lab.alarm(name))
+                under_way = await asyncio.wait_for(courier.step(), 60)
+            slow.free.set()
+            await asyncio.gather(*under_way)
+            assert (slow.told, quick.told) == (["stow-wanted"], ["stow-wanted", "clock"])
+            await asyncio.gather(*await courier.step())
+            assert slow.told == ["stow-wanted", "clock"]
+
+    asyncio.run(scenario())
 
 
 def test_the_heart_beats_while_it_works(lab, told):
