@@ -62,7 +62,7 @@ class PageGuard:
         if not self._is_ours(host):
             return f"{ascii(host)[:60]} is no name of this dashboard: add it to dashboard.hosts"
         origin = headers.get("origin")
-        if method not in ("GET", "HEAD") and (origin is None or urlsplit(origin).netloc != host):
+        if method not in ("GET", "HEAD") and (origin is None or _host_of(origin) != host):
             return "an order must come from the dashboard's own page"
         return None
 
@@ -76,3 +76,11 @@ class PageGuard:
         except ValueError:
             return name in self._hosts
         return True
+
+
+def _host_of(origin: str) -> str | None:
+    """Return the name and the port in an origin, or None for what is none."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return None

@@ -9,8 +9,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from threading import Thread
 
+import h11
 import httpx
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.base.addresses import Address, parse_address
 from daemon.base.clock import Clock
@@ -22,6 +24,8 @@ from daemon.dashboard.upstream import Fleet
 
 _GRACE_S = 1
 _CONNECTIONS = 256
+# More than the five seconds that the server keeps one for the next request.
+_REQUEST_WITHIN_S = 10.0
 
 
 class _Server(uvicorn.Server):
@@ -30,6 +34,36 @@ class _Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
+
+
+class _Connection(H11Protocol):
+    """A connection that is closed where no whole request comes: those that say nothing would keep everybody out."""
+
+    _limit: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._end_wait()
+        super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._wait()
+
+    def _wait(self) -> None:
+        self._end_wait()
+        self._limit = self.loop.call_later(_REQUEST_WITHIN_S, self._look)
+
+    def _end_wait(self) -> None:
+        if self._limit is not None:
+            self._limit.cancel()
+
+    def _look(self) -> None:
+        if self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY:
+            self.transport.abort()
 
 
 def settings_of_file(path: Path | None) -> DashboardSettings:
@@ -130,7 +164,7 @@ def _server(dashboard: Dashboard) -> _Server:
     return _Server(
         uvicorn.Config(
             dashboard.app,
-            http="h11",
+            http=_Connection,
             ws="none",
             lifespan="off",
             log_config=None,

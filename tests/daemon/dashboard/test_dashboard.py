@@ -144,7 +144,7 @@ def test_a_foreign_name_is_refused(host, taken):
     in_house(scenario)
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://dash.lab", "http://dash.lab:1"])
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://dash.lab", "http://dash.lab:1", "http://["])
 def test_another_page_can_give_no_order(origin):
     async def scenario(house):
         await house.login()
