@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from solar.frames import Array, normal_from_angles
 
 DEGREE = 2
+_GAP_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,17 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
     )
 
 
-def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = 60.0) -> float:
+def longest_gap_s(utc_s: ArrayLike) -> float:
+    """Return how far apart [s] two of these rising instants may be with the power between them known.
+
+    One and a half of their median step, and never less than a minute: a wattmeter that stores every five minutes has no
+    gaps for that.
+    """
+    step_s = np.diff(np.asarray(utc_s, dtype=np.float64))
+    return max(_GAP_S, 1.5 * float(np.median(step_s))) if step_s.size else _GAP_S
+
+
+def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = _GAP_S) -> float:
     """Return the time integral of the power [Wh] by the trapezoidal rule, as equation (16) asks for.
 
     Parameters

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.agreement import agreement
-from solar.compare import ChainBias, energy_wh, fit_chain_bias, gain_pct, lies_flat
+from solar.compare import ChainBias, energy_wh, fit_chain_bias, gain_pct, lies_flat, longest_gap_s
 
 
 def test_three_points_fix_the_polynomial():
@@ -60,6 +60,14 @@ def test_energy_is_the_trapezoid():
 
 def test_a_gap_has_no_energy():
     assert energy_wh([0, 5, 10, 3600, 3605], [360, 360, 360, 360, 360]) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("utc_s", "gap_s"),
+    [([], 60.0), ([7.0], 60.0), ([0, 5, 10, 3600, 3605], 60.0), ([0, 59.8, 120.1, 180], 89.85), ([0, 300, 600], 450.0)],
+)
+def test_what_is_a_gap_goes_by_the_median_step(utc_s, gap_s):
+    assert longest_gap_s(utc_s) == pytest.approx(gap_s)
 
 
 @pytest.mark.parametrize("power_w", [[1.0, 2.0, 3.0], [[1.0, 2.0], [3.0, 4.0]]])

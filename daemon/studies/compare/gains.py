@@ -11,7 +11,7 @@ from daemon.base.clock import iso_utc
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
-from solar.compare import ChainBias, energy_wh, gain_pct
+from solar.compare import ChainBias, energy_wh, gain_pct, longest_gap_s
 from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array
 from solar.skies.sky_periods import sky_periods
@@ -76,30 +76,37 @@ def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span]) -> list[G
     found = []
     days = np.floor(pairs.utc_s / DAY_S)
     for day in np.unique(days).tolist():
-        found.append(_gain(pairs.where(days == day), bias, WHOLE_DAY))
+        of_day = pairs.where(days == day)
+        # By the day, for tables that were written at different rates may stand beside one another.
+        gap_s = longest_gap_s(of_day.utc_s)
+        found.append(_gain(of_day, bias, WHOLE_DAY, gap_s))
         for span in spans:
             inside = (pairs.utc_s >= span.start_utc_s) & (pairs.utc_s < span.end_utc_s)
             if span.start_utc_s // DAY_S == day and inside.sum() > 1:
-                found.append(_gain(pairs.where(inside), bias, span.name))
+                found.append(_gain(pairs.where(inside), bias, span.name, gap_s))
     return found
 
 
-def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
-    time, power = pairs.utc_s, corrected_power(pairs, bias)
-    cube, chrono = energy_wh(time, power), energy_wh(time, pairs.chrono.pmpp_w)
-    irradiation = [energy_wh(time, side.irradiance_w_m2) for side in (pairs.cube, pairs.chrono)]
+def _gain(pairs: Pairs, bias: ChainBias | None, period: str, gap_s: float) -> Gain:
+    time = pairs.utc_s
+
+    def sum_up(values: Array) -> float:
+        return energy_wh(time, values, gap_s)
+
+    cube, chrono = sum_up(corrected_power(pairs, bias)), sum_up(pairs.chrono.pmpp_w)
+    irradiation = [sum_up(side.irradiance_w_m2) for side in (pairs.cube, pairs.chrono)]
     beyond = np.nan
-    measured = energy_wh(time, pairs.cube.pmpp_w)
+    measured = sum_up(pairs.cube.pmpp_w)
     if bias is not None and measured > 0.0:
         outside = np.where(bias.beyond(pairs.cube.pmpp_w), pairs.cube.pmpp_w, 0.0)
-        beyond = 100.0 * energy_wh(time, outside) / measured
+        beyond = 100.0 * sum_up(outside) / measured
     start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
     return Gain(
         date=start[:10],
         period=period,
         start=f"{start}Z",
         end=f"{end}Z",
-        hours=energy_wh(time, np.ones(time.shape)),
+        hours=sum_up(np.ones(time.shape)),
         cube_wh=cube,
         chrono_wh=chrono,
         gain_pct=gain_pct(cube, chrono),
@@ -112,11 +119,11 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str) -> Gain:
 
 def as_text(rows: Sequence[Gain], names: tuple[str, str]) -> str:
     """Return the gains as a table for people."""
-    heads = (f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
+    heads = ("hours", f"{names[0]}/Wh", f"{names[1]}/Wh", "gain/%", "uncorrected/%", "irradiation/%")
     lines: list[Sequence[str]] = [("date", "period", "from", "to", *heads)]
     for row in rows:
         percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
-        energies = (f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
+        energies = (f"{row.hours:.2f}", f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
         lines.append((row.date, row.period[:17], row.start[11:16], row.end[11:16], *energies, *percent))
     return "\n".join(table(lines, keys=4)) + "\n"
 

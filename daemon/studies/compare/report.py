@@ -118,14 +118,15 @@ def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
 
 def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equation (16)") -> Table:
     """Return the gains for the page."""
-    columns = ("date", "period", "from", "to", f"{names[0]} Wh", f"{names[1]} Wh", "gain %", "uncorrected %",
-               "irradiation %", "outside the fit %")  # fmt: skip
+    columns = ("date", "period", "from", "to", "hours", f"{names[0]} Wh", f"{names[1]} Wh", "gain %",
+               "uncorrected %", "irradiation %", "outside the fit %")  # fmt: skip
     body = []
     for row in rows:
-        texts = (row.date, row.period, row.start[11:16], row.end[11:16], f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
+        texts = (row.date, row.period, row.start[11:16], row.end[11:16])
+        sums = (f"{row.hours:.2f}", f"{row.cube_wh:.1f}", f"{row.chrono_wh:.1f}")
         percent = [signed(value, 2, "") for value in (row.gain_pct, row.uncorrected_pct, row.irradiation_pct)]
         beyond = "" if row.extrapolated_pct != row.extrapolated_pct else f"{row.extrapolated_pct:.0f}"
-        body.append((*texts, *percent, beyond))
+        body.append((*texts, *sums, *percent, beyond))
     return Table(heading, columns, body)
 
 

@@ -137,6 +137,23 @@ def test_the_same_report_is_the_same_bytes(compare, day, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
 
 
+@pytest.mark.parametrize("step_s", [5.0, 60.0, 61.0, 300.0])
+def test_a_wattmeter_may_write_as_seldom_as_it_likes(compare, tmp_path, step_s):
+    # A clock that is read every minute is a little late now and then.
+    times = NOON + np.arange(0.0, 7201.0, step_s)
+    times[1:] += 0.3 * (np.arange(times.size - 1) % 2)
+    lines = [f"{stamp(when)},{name},100" for when in times for name in ("T-Cube", "T-Chrono")]
+    # The flat days beside it, of a faster clock, do not make gaps of a slow one's steps.
+    lines += [f"{stamp(NOON - 86400 + 5 * n)},{name},9" for n in range(2000) for name in ("T-Cube", "T-Chrono")]
+    path = table(tmp_path / "powers.csv", lines, "time,tracker,pmpp_w")
+    code, out, _ = compare("report", path, "--site", SITE, "--out", tmp_path / "o", "--json")
+    assert code == 0
+    (day,) = (gain for gain in json.loads(out)["gains"] if gain["date"] == "2022-10-12")
+    assert day["hours"] == pytest.approx((times[-1] - times[0]) / 3600)
+    assert (day["cube_wh"], day["chrono_wh"]) == pytest.approx((100 * day["hours"],) * 2)
+    assert f"<td>{day['hours']:.2f}</td>" in (tmp_path / "o" / "report.html").read_text()
+
+
 def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, day, tmp_path):
     period = "coffee=2022-10-12T10:00/2022-10-12T11:00"
     code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, "--period", period, "--json")
