@@ -27,6 +27,10 @@ DAY_S = 86400.0
 REMEMBERED_HOURS = 128
 REMEMBERED_DAYS = 16
 
+_STEPS = 8
+_CLOSE_S = 1.0
+_FARTHEST_S = 3600.0
+
 Number = TypeVar("Number", float, Array)
 
 
@@ -214,14 +218,21 @@ def _finite(utc_s: float | Array) -> Array:
 
 
 def _refined(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float) -> float | None:
-    """One step of Newton's method: pvlib's sunrise and sunset are off by up to 15 s far from Greenwich."""
+    """Repeat Newton's method: pvlib's sunrise and sunset are off by up to 4 min far from Greenwich."""
     if np.isnan(utc_s):
         return None
-    instants = utc_s + np.array([0.0, 30.0])
-    now, then = sun_position(instants, latitude_deg, longitude_deg, altitude_m).geometric_elevation_deg
-    step_s = 30.0 * (RISE_ELEVATION_DEG - now) / (then - now)
+    found_s = utc_s
+    for _ in range(_STEPS):
+        instants = found_s + np.array([0.0, 30.0])
+        now, then = sun_position(instants, latitude_deg, longitude_deg, altitude_m).geometric_elevation_deg
+        step_s = 30.0 * (RISE_ELEVATION_DEG - float(now)) / float(then - now) if then != now else np.inf
+        if abs(found_s + step_s - utc_s) > _FARTHEST_S:
+            break
+        found_s += step_s
+        if abs(step_s) < _CLOSE_S:
+            return found_s
     # Where the sun only grazes the horizon the slope vanishes, and the first estimate is the better one.
-    return utc_s + float(step_s) if abs(step_s) < 60.0 else utc_s
+    return utc_s
 
 
 _SUN_EVERY_S = 60.0

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pvlib.irradiance import get_extra_radiation
 from pvlib.solarposition import get_solarposition
+from scipy.optimize import brentq
 
 from solar.ephemeris import (
     Site,
@@ -104,6 +105,19 @@ def test_sunrise_noon_and_sunset_are_those_of_the_solar_day_around_the_instant(s
     assert abs(day.noon_utc_s - utc(date)) < 12.3 * 3600.0
     near = day.noon_utc_s + np.linspace(-600.0, 600.0, 5)
     assert day.highest_elevation_deg == pytest.approx(sun_position(near, *site).elevation_deg.max(), abs=0.01)
+
+
+@pytest.mark.parametrize("site", [(35.7, 139.7, 0.0), (61.2, -149.9, 0.0)])
+@pytest.mark.parametrize("date", ["2026-03-20T12:00", "2026-06-21T12:00", "2026-09-21T12:00"])
+def test_sunrise_and_sunset_are_true_to_the_second_far_from_greenwich_too(site, date):
+    # Tokyo and Anchorage, where the first estimate is off by minutes around the equinoxes.
+    day = sun_day(utc(date), *site)
+
+    def above_deg(utc_s):
+        return sun_position(utc_s, *site).geometric_elevation_deg + 0.8333
+
+    for found in (day.sunrise_utc_s, day.sunset_utc_s):
+        assert found == pytest.approx(brentq(above_deg, found - 900.0, found + 900.0, xtol=0.1), abs=1.0)
 
 
 def test_a_day_is_worked_out_once_for_all_trackers_that_ask_in_it():
