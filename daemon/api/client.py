@@ -21,6 +21,8 @@ CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 
 _TIMEOUT_S = 15.0
 _LONGEST_NAME = 200
+# The service cuts a reason there; a whole one may be longer than the body that it takes.
+_LONGEST_REASON = 200
 _LONGEST_REPLY = 16 << 20
 _OK = b"200"
 _UNHEALTHY = b"503"
@@ -94,15 +96,19 @@ class Client:
                 f"'{name}' needs the service's token: name its configuration with --config, or its token with"
                 f" --token-file or in {TOKEN_VARIABLE}; a service without api.token_file shows a token at its start"
             )
-        found = self._request("POST", f"/api/{name}", {"by": whoami(), **arguments})
+        body = {"by": whoami(), **arguments}
+        if "why" in arguments:
+            body["why"] = _readable(str(arguments["why"]))[:_LONGEST_REASON]
+        found = self._request("POST", f"/api/{name}", body)
         seen = found.get("state") != "not-seen"
         return Reply(str(found.get("text", "")), ExitCode.GOOD if seen else ExitCode.NOT_SEEN, found)
 
     def _request(
         self, method: str, path: str, body: Mapping[str, float | str] | None, also: tuple[bytes, ...] = ()
     ) -> dict[str, Any]:
+        sent = b"" if body is None else json.dumps(body, ensure_ascii=False).encode("utf-8", "replace")
         try:
-            status, content = self._exchange_surely(method, path, b"" if body is None else json.dumps(body).encode())
+            status, content = self._exchange_surely(method, path, sent)
         except ConnectionRefusedError:
             raise NoServiceError(
                 f"nothing listens at {self.address}: the service is not running, or its api.listen is another address"
@@ -170,6 +176,14 @@ def whoami() -> str:
         user = "somebody"
     text = f"{user}@{socket.gethostname()}"
     return text if text.isprintable() and len(text) <= _LONGEST_NAME else "somebody"
+
+
+def _readable(text: str) -> str:
+    """Return an argument of the command line as it was typed, also where the locale knows ASCII only."""
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    except UnicodeEncodeError:
+        return text
 
 
 def find(

@@ -18,6 +18,8 @@ from pydantic import (
 ModeName = Literal["auto", "hold", "stow", "snow", "maintenance"]
 MODES: tuple[str, ...] = get_args(ModeName)
 
+NO_REASON = "an operator asked"
+
 _LONGEST_LINE = 200
 # What str.isprintable() lets pass: letters, marks, numbers, punctuation, symbols and the space of ASCII.
 _PRINTABLE = r"^[\p{L}\p{M}\p{N}\p{P}\p{S} ]+$"
@@ -27,6 +29,12 @@ def _printable(text: str) -> str:
     if not text.isprintable():
         raise ValueError("not one line")
     return text
+
+
+def _one_line(value: object) -> str:
+    """Return what was said as one line that is not too long; nothing for what is no text."""
+    text = value if isinstance(value, str) else ""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:_LONGEST_LINE]
 
 
 def _degrees(value: object) -> float:
@@ -45,6 +53,8 @@ Line = Annotated[
     AfterValidator(_printable),
     WithJsonSchema({"type": "string", "minLength": 1, "maxLength": _LONGEST_LINE, "pattern": _PRINTABLE}),
 ]
+# A stop is never refused for its words.
+Words = Annotated[str, BeforeValidator(_one_line), WithJsonSchema({})]
 Degrees = Annotated[float, BeforeValidator(_degrees), WithJsonSchema({"type": "number"})]
 
 
@@ -56,8 +66,15 @@ class CommandBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    why: Line = Field("an operator asked", description="The reason, for the records.")
-    by: Line = Field(default_factory=str, description="Who asks; left out: over which way the command came.")
+    why: Words = Field(
+        NO_REASON,
+        description=f"The reason, a text for the records: kept as one line, cut to {_LONGEST_LINE} letters; anything"
+        " but text counts as left out.",
+    )
+    by: Words = Field(
+        default_factory=str,
+        description="Who asks, kept in the same way; left out or empty: over which way the command came.",
+    )
     id: Line = Field(default_factory=str, description="Is repeated in the answer.")
     tracker: Line = Field(default_factory=str, description="Which tracker is meant, where there are several.")
 

@@ -15,7 +15,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.process import TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
-from daemon.service.command_bodies import MODES, AcknowledgeBody, GotoBody, ModeBody, check
+from daemon.service.command_bodies import MODES, NO_REASON, AcknowledgeBody, GotoBody, ModeBody, check
 from daemon.service.operator import Answer, CommandError, Operator, Seen
 from daemon.service.tracker import Tracker
 
@@ -251,7 +251,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
         name=name,
         wanted=body.mode if isinstance(body, ModeBody) else name,
         way=way,
-        why=body.why,
+        why=body.why or NO_REASON,
         by=body.by or way,
         identifier=body.id or None,
         time_utc_s=_utc_s(found["time"]) if "time" in found else None,
