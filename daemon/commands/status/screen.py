@@ -4,6 +4,7 @@ All of it is made from the JSON of the state alone, wherever that comes from.
 """
 
 import asyncio
+import logging
 from collections.abc import Callable, Iterator
 from operator import itemgetter
 from typing import Any
@@ -16,6 +17,8 @@ from rich.text import Text
 
 from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, moment, zone
+
+log = logging.getLogger("heliocube")
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -59,7 +62,16 @@ class LiveView:
         self._speed = speed
 
     async def run(self) -> None:
-        """Refresh until cancelled."""
+        """Refresh until cancelled, or until nothing more can be written: the service goes on without a display."""
+        try:
+            await self._show()
+        except (OSError, SystemExit) as error:
+            # Of a closed pipe rich makes a SystemExit.
+            why = error.strerror if isinstance(error, OSError) else "nobody reads it any more"
+            log.warning("the display has ended, and the service goes on without it: %s", why)
+            self._console.quiet = True
+
+    async def _show(self) -> None:
         if not self._console.is_terminal:
             while True:
                 await asyncio.sleep(_LINE_EVERY_S * self._speed)

@@ -1,11 +1,13 @@
 """What a person sees in the terminal."""
 
 import asyncio
+import errno
 import io
 import math
 import re
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 from daemon.base.records import Event, Mode
@@ -153,3 +155,22 @@ def test_the_newest_news_stand_on_a_small_terminal_and_the_oldest_are_left_out(r
     assert "event 8" in small
     assert "event 2" not in small
     assert "event 2" in tall
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), SystemExit(1)])
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_display_that_cannot_write_ends_alone_and_is_told_once(run_rig, caplog, terminal, error):
+    class Full(io.StringIO):
+        def write(self, text):
+            raise error
+
+    async def scenario(rig):
+        console = Console(file=Full(), force_terminal=terminal, width=110, height=40)
+        async with asyncio.timeout(60):
+            await view_of(rig, console).run()
+        console.print("the service has ended")
+
+    run_rig(scenario)
+    told = [record.getMessage() for record in caplog.records if "display" in record.getMessage()]
+    why = "nobody reads it any more" if isinstance(error, SystemExit) else "No space left on device"
+    assert told == [f"the display has ended, and the service goes on without it: {why}"]
