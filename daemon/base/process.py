@@ -235,8 +235,13 @@ def _handed(environment: Mapping[str, str], pid: int) -> list[tuple[str, int]]:
 
 @contextlib.contextmanager
 def on_signals(stop: Callable[[], object]) -> Iterator[None]:
-    """Call `stop` on SIGINT and SIGTERM; works on Windows too, where event loops know no signal handlers."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    """Call `stop` on SIGINT, SIGTERM and SIGHUP; works on Windows too, where event loops know no signal handlers.
+
+    A SIGHUP that is ignored at the start, as under nohup, stays ignored.
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: stop()) for number in numbers}
     try:
         yield

@@ -143,7 +143,7 @@ def run(
         bool, typer.Option("--dashboard", help="Serve the dashboard as well, in a process of its own beside this one.")
     ] = False,
 ) -> None:
-    """Run the service until Ctrl-C or SIGTERM: read the cube, decide, move the tracker."""
+    """Run the service until Ctrl-C, SIGTERM or SIGHUP: read the cube, decide, move the tracker."""
     from daemon.config.file import on_a_port_of_its_own
 
     settings = _settings(

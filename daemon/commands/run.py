@@ -49,7 +49,7 @@ log = logging.getLogger("heliocube")
 
 
 def run_service(settings: Settings, role: Role, for_s: float | None, console: Console) -> None:
-    """Run one role of the service until SIGINT, SIGTERM or the end of `for_s` seconds of wall time.
+    """Run one role of the service until SIGINT, SIGTERM, SIGHUP or the end of `for_s` seconds of wall time.
 
     Raises
     ------
@@ -126,7 +126,9 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             runner.run(_run(service, for_s, speed, releases, companions))
     moving = [each.name for each in service.trackers if not each.left_standing]
     stands = f"; motion is NOT known to be stopped: {', '.join(moving)}" if moving else "; motion is stopped"
-    console.print(f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}", highlight=False)
+    # The terminal, or whatever reads, may be gone; rich makes a SystemExit of a pipe that is closed.
+    with contextlib.suppress(OSError, SystemExit):
+        console.print(f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}", highlight=False)
 
 
 def lacking(settings: Settings, role: Role) -> list[str]:

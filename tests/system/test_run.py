@@ -1,11 +1,14 @@
 """`heliocube run` as a person starts it."""
 
 import collections
+import fcntl
 import os
+import pty
 import signal
 import socket
 import subprocess
 import sys
+import termios
 
 import pytest
 
@@ -29,7 +32,7 @@ def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_stops_motion_and_ends_with_0(number):
     process = subprocess.Popen(
         [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "30"],
@@ -48,6 +51,45 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
     assert "motion stopped" in err
     assert "Traceback" not in err
     assert "ended at" in out
+
+
+def test_a_terminal_that_is_closed_ends_the_service_in_good_order():
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "daemon.commands.main", "run", "--speed", "30"],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    os.close(theirs)
+    shown = b""
+    while b"tracking" not in shown:
+        shown += os.read(ours, 65536)
+    os.close(ours)
+    _, err = process.communicate(timeout=240)
+    assert process.returncode == 0
+    assert "Traceback" not in err
+
+
+def test_under_nohup_the_service_outlives_its_terminal():
+    process = subprocess.Popen(
+        ["nohup", sys.executable, "-m", "daemon.commands.main", "run", "--speed", "30"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        assert any("decision" in line or "moving" in line for line in process.stderr)
+        process.send_signal(signal.SIGHUP)
+        assert any("moving" in line for line in process.stderr)
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=240)
+    assert process.returncode == 0
+    assert "motion stopped" in err
 
 
 def test_a_port_in_use_is_one_sentence(tmp_path):
