@@ -187,6 +187,37 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
     run_rig(scenario)
 
 
+def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        clear = rig.positioner.clear_faults
+
+        async def with_two_statuses():
+            await asyncio.sleep(7.2)
+            return await clear()
+
+        rig.positioner.clear_faults = with_two_statuses
+        rig.unit.inject("a_overcurrent", rig.clock.monotonic())
+        await rig.until_mode(Mode.FAULT, 15)
+        assert (await operator(rig).clear("looked")).done
+
+    run_rig(scenario)
+
+
+def test_a_reference_run_that_the_unit_never_begins_is_not_said_to_be_under_way(run_rig, monkeypatch):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        feed = rig.unit.feed
+        monkeypatch.setattr(rig.unit, "feed", lambda data, now: data.startswith((b"$95", b"$96")) or feed(data, now))
+        answer = await operator(rig).home("the count slipped")
+        assert answer.seen == "not-seen"
+        assert "homing was not finished" in answer.text
+
+    run_rig(scenario)
+
+
 def test_a_fault_keeps_the_tracker_until_whoever_has_looked_clears_it_and_the_answer_names_it(run_rig):
     async def scenario(rig):
         await under_way(rig)
