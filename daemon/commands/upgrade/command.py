@@ -144,6 +144,11 @@ def rollback(
                 done.append(sentence)
         if installation is not None:
             installation.switch()
+            if units:
+                # A unit may take a minute to start: whoever does not wait for it knows how far this came.
+                sentence = f"{program.name} is in use; starting {', '.join(units)}"
+                tell(sentence)
+                done.append(sentence)
     finally:
         failed = installed.start_units(units)
     for unit in failed:

@@ -11,6 +11,8 @@ from daemon.base.errors import UserError
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
+# What installs a release writes this last.
+_WHOLE = ".complete"
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
 
@@ -91,11 +93,16 @@ class Installation:
             )
         others = [folder for folder in releases.iterdir() if folder != prefix.resolve() and _whole(folder)]
         if current.resolve() != prefix.resolve() or len(others) != 1:
-            raise UserError(f"{releases} has no release before the one in use: install the one that is wanted")
+            raise UserError(
+                f"{releases} has no release before {current.resolve().name}, which is in use: start what does not run"
+                " (systemctl start heliocube-tracker, or -cube), or install the release that is wanted"
+            )
         return cls(current, Program(others[0].name, others[0] / "bin"))
 
     def switch(self) -> None:
-        """Let the release before be the one in use, in one step."""
+        """Let the release before be the one in use, in one step, and leave nothing to go back to from there."""
+        # The other one would else be taken for the release before by whoever gives the command again.
+        (self.current / _WHOLE).unlink(missing_ok=True)
         new = self.current.with_name("current.new")
         new.unlink(missing_ok=True)
         new.symlink_to(Path("releases") / self.before.name)
@@ -103,8 +110,7 @@ class Installation:
 
 
 def _whole(folder: Path) -> bool:
-    # What installs a release writes this last.
-    return (folder / ".complete").exists() and (folder / "bin" / "heliocube").is_file()
+    return (folder / _WHOLE).exists() and (folder / "bin" / "heliocube").is_file()
 
 
 def installed() -> Installation:

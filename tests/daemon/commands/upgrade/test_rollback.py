@@ -244,9 +244,26 @@ def test_an_installation_goes_back_in_one_command_and_starts_what_ran(heliocube,
         "start heliocube-cube",
     ]
 
+
+def test_given_again_it_does_not_go_forward_to_the_newer_release(
+    heliocube, config, installation, tmp_path, monkeypatch
+):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "start heliocube-cube" ]\n')
+    code, out, _ = heliocube("rollback", "-c", config)
+    assert code == 3
+    before_the_start = out.splitlines()[-3]
+    assert before_the_start == "older is in use; starting heliocube-tracker, heliocube-cube"
+    assert "heliocube-cube does not start" in out.splitlines()[-2]
+
+    # From now on the command is that of the release in use.
+    monkeypatch.setattr(sys, "prefix", str(installation / "older"))
+    (tmp_path / "asked").unlink()
     code, _, err = heliocube("rollback", "-c", config)
-    assert code == 2
-    assert "has no release before the one in use" in err
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "has no release before older, which is in use: start what does not run" in err
+    assert (installation.parent / "current").resolve() == installation / "older"
+    assert not (tmp_path / "asked").exists(), "nothing is stopped"
 
 
 def test_what_ran_is_started_again_although_the_way_back_failed(heliocube, config, installation, tmp_path):
