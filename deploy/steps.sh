@@ -35,6 +35,8 @@ link() { # TARGET LINK: replaces a link in one step
 use_release() { # ID
   before=''
   if [ -L "$opt/current" ]; then before=$(basename "$(readlink "$opt/current")"); fi
+  # The same one again: what is beside it is the way back.
+  [ "$1" != "$before" ] || return 0
   link "releases/$1" "$opt/current"
   for old in "$opt/releases"/*; do
     case $(basename "$old") in
