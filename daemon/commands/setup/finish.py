@@ -39,7 +39,7 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
         for path in (key, token):
             if not path.exists():
                 write_key(path, generate_key()) if path == key else write_token(path, generate_token())
-                _owned_like(model, path)
+                _owned_like(model, path, alone=path == key)
                 done.append(f"{path}, new")
         if file.exists():
             old = _free_name(file)
@@ -59,10 +59,20 @@ def _free_name(file: Path) -> Path:
     return next(path for path in names if not path.exists())
 
 
-def _owned_like(model: Path | None, path: Path) -> None:
-    """Give a file that root has written to whom the others belong: the service's user could not read it."""
+def _owned_like(model: Path | None, path: Path, *, alone: bool = False) -> None:
+    """Give a file that root has written to whom the others belong: the service's user could not read it.
+
+    Where `alone`, nobody but its owner may read it. Where the others are root's it goes to the user that their group is
+    named after, who is the service's as deploy/ has it.
+    """
     if model is None or model == path or os.name != "posix":
         return
+    # Not there on Windows.
+    import grp
+
     with contextlib.suppress(OSError):
         owner = model.stat()
         shutil.chown(path, owner.st_uid, owner.st_gid)
+        if alone and owner.st_uid == 0:
+            with contextlib.suppress(LookupError):
+                shutil.chown(path, grp.getgrgid(owner.st_gid).gr_name)

@@ -46,12 +46,14 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
     directory = records_of(settings, config, environment)
     try:
         if directory is not None:
+            folders = [own.store.directory or directory for _, own in settings.trackers]
+            for folder in folders:
+                _make(folder)
             with claimed(directory, ("cube", "tracker")):
                 yield from _held(settings, to)
                 yield from _store(directory, to)
-                for name, _ in settings.trackers:
-                    _give_to_owner(directory / name)
-                _give_to_owner(directory)
+                for folder in (directory, *folders):
+                    _give_to_owner(folder)
         yield from _file(config, to)
     except OSError as error:
         raise UserError(f"{error.filename or directory}: {error.strerror}; do it again when that is mended") from None
@@ -113,10 +115,24 @@ def _file(config: Path, to: Program) -> Iterator[str]:
     yield f"{config}: as it was before the upgrade; what you have changed since is in {newer} alone"
 
 
+def _make(directory: Path) -> None:
+    """Make a folder, and those above it, for whom the folder belongs to that is there already."""
+    if directory.is_dir():
+        return
+    _make(directory.parent)
+    directory.mkdir()
+    _give(directory, directory.parent)
+
+
 def _give_to_owner(directory: Path) -> None:
     """Give what was written here to the user of the service, whose folder it is."""
+    for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
+        _give(path, directory)
+
+
+def _give(path: Path, folder: Path) -> None:
+    """Give what root has made to whom the folder belongs."""
     if sys.platform == "win32" or os.geteuid() != 0:
         return
-    for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
-        owner = directory.stat()
-        os.chown(path, owner.st_uid, owner.st_gid)
+    owner = folder.stat()
+    os.chown(path, owner.st_uid, owner.st_gid)

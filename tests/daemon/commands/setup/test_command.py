@@ -1,5 +1,9 @@
 """`heliocube setup` where nothing moves: what it writes, what it leaves alone, and how it is left."""
 
+import grp
+import os
+import pwd
+
 import pytest
 from typer.testing import CliRunner
 
@@ -53,6 +57,23 @@ def test_what_is_there_is_kept_and_no_key_is_overwritten(setup, tmp_path):
     assert key.read_bytes() == secret
     found = load_settings(file)
     assert (found.cube.name, found.store.directory) == ("roof", tmp_path / "kept")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
+def test_a_key_that_root_makes_belongs_to_the_user_of_the_service_as_the_installation_has_it(setup, tmp_path):
+    # As deploy/heliocube.tmpfiles.conf lays the others down; 'daemon' stands for the user and group 'heliocube'.
+    user, group = pwd.getpwnam("daemon").pw_uid, grp.getgrnam("daemon").gr_gid
+    (tmp_path / "api.token").write_text("t" * 40)
+    os.chown(tmp_path / "api.token", 0, group)
+    done = setup(tmp_path / "cube.toml", *CUBE, "new")
+    assert done.exit_code == 0, done.output
+    found = {path.name: path.stat() for path in tmp_path.iterdir()}
+    assert {name: (of.st_uid, of.st_gid) for name, of in found.items()} == {
+        "api.token": (0, group),
+        "bridge.key": (user, group),
+        "cube.toml": (0, group),
+    }
+    assert found["bridge.key"].st_mode & 0o777 == 0o600
 
 
 def test_a_full_disk_leaves_the_configuration_that_was_there(setup, small_disk, tmp_path):

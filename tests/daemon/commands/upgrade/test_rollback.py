@@ -127,6 +127,23 @@ def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, 
     assert {path.stat().st_uid for path in kept} == {65534}
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
+@pytest.mark.parametrize(
+    ("tables", "folders"), [("", ["tracker"]), ("[[tracker]]\nname = 'east'", ["east", "tracker"])]
+)
+def test_a_folder_that_root_makes_belongs_to_whom_the_one_above_it_does(heliocube, program, tmp_path, tables, folders):
+    state = tmp_path / "state"
+    state.mkdir()
+    os.chown(state, 65534, 65534)
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"[store]\ndirectory = 'state/tracker'\n{tables}\n")
+    assert heliocube("rollback", "-c", file, "--to", program(VERSION))[0] == 0
+    made = list(state.rglob("*"))
+    assert sorted(path.name for path in made if path.is_dir()) == folders
+    assert len([path for path in made if path.name == "operator.json"]) == 1
+    assert {path.stat().st_uid for path in made} == {65534}
+
+
 def test_a_release_that_does_not_say_which_it_is_goes_by_the_name_of_its_folder(heliocube, config, program, tmp_path):
     (tmp_path / "records").mkdir()
     heliocube("rollback", "-c", config, "--to", program(VERSION, release="echo no module; exit 1"))
