@@ -46,6 +46,8 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
     directory = records_of(settings, config, environment)
     try:
         if directory is not None:
+            # Where the file names no folder its service has one all the same.
+            settings = settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
             folders = [own.store.directory or directory for _, own in settings.trackers]
             for folder in folders:
                 _make(folder)

@@ -127,6 +127,15 @@ def test_what_root_writes_belongs_to_the_user_of_the_service(heliocube, config, 
     assert {path.stat().st_uid for path in kept} == {65534}
 
 
+def test_a_service_whose_file_names_no_folder_is_held_in_the_one_that_it_uses(heliocube, config, program, tmp_path):
+    config.write_text("[instruments]\nkind = 'real'\n")
+    (tmp_path / "records").mkdir()
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION))
+    assert code == 0
+    assert "is held until 'heliocube auto'" in out
+    assert json.loads((tmp_path / "records" / "operator.json").read_text())["hold"]["by"] == "heliocube"
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files to others")
 @pytest.mark.parametrize(
     ("tables", "folders"), [("", ["tracker"]), ("[[tracker]]\nname = 'east'", ["east", "tracker"])]
