@@ -46,7 +46,7 @@ differently: `site`, `law`, `windows`, `limits`, `rows`, `motion`, `safety`, `lo
 `instruments.positioner`. The same rules hold for the outcome, and no two real trackers share a port. What a tracker
 keeps stands in a folder of its name in `store.directory`; its topics are below `mqtt.prefix` and its name. What a
 tracker without a table has kept there holds for those that get one, until a person releases it: nothing that was
-stopped is let go by a new line in a file.
+stopped is let go by a new line in a file, or by another name.
 
 ```toml
 [[tracker]]

@@ -1,7 +1,8 @@
 """What a tracker without a name has kept, handed on when the configuration names trackers.
 
 A stop, a storm or a doubt must not be forgotten because a file has got a new line: it holds for every tracker that has
-kept nothing of its own yet, until a person releases it.
+kept nothing of its own yet, until a person releases it. Where a tracker has got another name, or its table is gone, the
+service itself holds every tracker that has kept nothing of its own.
 """
 
 import logging
@@ -11,9 +12,11 @@ from pathlib import Path
 
 from daemon.base.alarms import kept
 from daemon.base.errors import UserError
+from daemon.base.state import StateFolder
 from daemon.motion import reference
 from daemon.received import today
 from daemon.tracker import budget, law_file, stow_watch, wishes
+from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 
 log = logging.getLogger("heliocube.service")
 
@@ -42,3 +45,33 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
         except OSError as error:
             raise UserError(f"{before} cannot be handed on to {', '.join(trackers)}: {error.strerror}") from None
         log.warning("%s holds for %s from now on", before, ", ".join(trackers))
+
+
+def left_behind(directory: Path, trackers: Sequence[str]) -> str | None:
+    """Return what is asked in a folder of trackers that are not in the configuration any more, in words, or None.
+
+    Parameters
+    ----------
+    directory
+        In which each tracker with a table has a folder.
+    trackers
+        The names in the tables.
+    """
+    found = []
+    for folder in sorted(path.parent for path in directory.glob(f"*/{wishes.FILE_NAME}")):
+        # Another service may have its folder here: it is at work there itself.
+        if folder.name not in trackers and not (folder / ".tracker-in-use").exists():
+            asked = WishFile(StateFolder(folder)).load()
+            if asked.held_by_program:
+                # Its own reason may name such folders, and would be told once more with each name.
+                asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
+            found += [f"in {folder} '{folder.name}' is still {text}" for text in asked.gone_in(Wishes())]
+    if not found:
+        return None
+    remedy = "give that name back in a table [[tracker]] and restart, or look at the tracker, then 'heliocube auto'"
+    return f"no tracker is named so any more, but {'; '.join(found)}: {remedy}"
+
+
+def has_kept(directory: Path | None) -> bool:
+    """Return whether anything was ever asked of the tracker with this folder and kept there."""
+    return directory is not None and (directory / wishes.FILE_NAME).exists()

@@ -24,7 +24,7 @@ from daemon.cube.face_watch import FaceWatch
 from daemon.cube.told_faces import ToldFaces
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
-from daemon.service.inheritance import hand_on
+from daemon.service.inheritance import hand_on, has_kept, left_behind
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
@@ -139,9 +139,11 @@ class Service:
     def _build_trackers(
         self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
     ) -> Iterator[Tracker]:
-        wanted, common = self.settings.trackers, Common()
-        if self.settings.tracker and self.settings.store.directory is not None:
-            hand_on(self.settings.store.directory, [name for name, _ in wanted])
+        wanted, common, directory = self.settings.trackers, Common(), self.settings.store.directory
+        tables = [table.name for table in self.settings.tracker]
+        if tables and directory is not None:
+            hand_on(directory, tables)
+        left = None if directory is None else left_behind(directory, tables)
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
         for place, ((name, settings), instruments) in enumerate(zip(wanted, self.rig.trackers, strict=True)):
@@ -162,7 +164,7 @@ class Service:
                 common=common,
                 refused=self._refused,
                 muted=self._mute_cube,
-                hold_why=self._hold_why,
+                hold_why=self._hold_why if left is None or has_kept(settings.store.directory) else left,
             )
             self.bus.subscribe(tracker.note, name)
             yield tracker

@@ -16,7 +16,7 @@ log = logging.getLogger("heliocube.control")
 
 FILE_NAME = "operator.json"
 PROGRAM = "heliocube"
-"""Who holds the tracker where no person does: the service itself, after a change of its release."""
+"""Who holds the tracker where no person does: the service itself, after a change of its release or of its name."""
 
 # What each wish makes of the tracker, as a sentence begins.
 _DONE_TO_IT = {

@@ -2,7 +2,11 @@
 
 import asyncio
 
+import pytest
+
 from daemon.base.records import Mode
+from daemon.service.operator import Operator
+from daemon.store.place import claimed
 
 
 def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_that(run_rig, tmp_path):
@@ -27,3 +31,67 @@ def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_t
     run_rig(named, store=store, tracker=[{"name": "east"}, {"name": "west"}])
     assert (tmp_path / "operator.json.before").is_file()
     run_rig(again, store=store, tracker=[{"name": "east"}, {"name": "west"}, {"name": "north"}])
+
+
+@pytest.mark.parametrize("later", [[{"name": "east-roof"}], [{"name": "east-roof"}, {"name": "west"}], []])
+def test_a_tracker_whose_name_is_new_is_held_by_the_stop_of_one_that_is_gone(run_rig, tmp_path, later):
+    store = {"directory": tmp_path}
+
+    async def stopped(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.control.stop("repair", "ana")
+
+    async def held(rig):
+        stood = rig.truth()
+        await asyncio.sleep(600)
+        assert rig.truth() == stood
+        for tracker in rig.service.trackers:
+            assert tracker.control.mode is Mode.HOLD
+            (alarm,) = [alarm for alarm in tracker.alarms.active if alarm.name == "release-changed"]
+            assert f"in {tmp_path / 'east'} 'east' is still stopped by ana" in alarm.text
+            assert "give that name back" in alarm.text
+            await Operator(tracker, 1.0).auto("ana")
+
+    async def released(rig):
+        await asyncio.sleep(600)
+        assert [tracker.control.mode for tracker in rig.service.trackers] == [Mode.TRACKING] * (len(later) or 1)
+
+    async def named_again(rig):
+        await asyncio.sleep(60)
+        assert rig.service.trackers[0].control.wishes.stop.why == "repair"
+
+    run_rig(stopped, store=store, tracker=[{"name": "east"}])
+    run_rig(held, store=store, tracker=later)
+    run_rig(released, store=store, tracker=later)
+    run_rig(named_again, store=store, tracker=[{"name": "east"}])
+
+
+def test_a_tracker_that_has_kept_something_and_a_stop_that_was_released_hold_nobody(run_rig, tmp_path):
+    store, both = {"directory": tmp_path}, [{"name": "east"}, {"name": "west"}]
+
+    async def both_stopped(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        for tracker in rig.service.trackers:
+            await tracker.control.stop("repair", "ana")
+
+    async def last_released(rig):
+        rig.service.trackers[-1].control.auto()
+
+    async def works(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+
+    run_rig(both_stopped, store=store, tracker=both)
+    run_rig(last_released, store=store, tracker=both)
+    run_rig(works, store=store, tracker=[{"name": "west"}])
+    run_rig(last_released, store=store, tracker=[{"name": "east"}])
+    run_rig(works, store=store, tracker=[{"name": "north"}])
+
+
+def test_another_service_whose_folder_is_inside_holds_nobody(run_rig, tmp_path):
+    with claimed(tmp_path / "other", ("tracker",)):
+        (tmp_path / "other" / "operator.json").write_text('{"stop": {"why": "repair"}}')
+
+    async def works(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+
+    run_rig(works, store={"directory": tmp_path})
