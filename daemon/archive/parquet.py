@@ -1,5 +1,6 @@
 """Days of an archive as Parquet: a file for each kind of record and UTC day, which DuckDB reads as one table."""
 
+import os
 import re
 from collections.abc import Iterator
 from contextlib import closing
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from daemon.archive.address import ArchiveAddress, connected, telling
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, part_name
 from daemon.base.errors import UserError
+from daemon.base.files import sync_names
 from daemon.store.batches import KINDS
 from daemon.store.outputs import check_folder
 
@@ -117,6 +119,9 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
         # Never written again, whatever comes late: that has a file of its own beside it.
         final = _final(connection, table, path)
         path.rename(final)
+        # A power cut after the drop may cost no name on the way to the file; its content was synced when written.
+        for folder in final.parents[:4]:
+            sync_names(folder)
         try:
             connection.execute(f"DROP TABLE {table}")
         except BaseException:
@@ -146,6 +151,8 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(path.name + ".part")
         _write(connection, kind, table, part)
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
         raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None

@@ -1,0 +1,41 @@
+"""Days of an archive as Parquet: their files outlive the database's rows."""
+
+import os
+import sys
+from contextlib import closing
+from datetime import date
+
+import pytest
+
+from daemon.archive.address import parse_archive
+from daemon.archive.parquet import drop_days, write_days
+from daemon.archive.writer import ArchiveWriter, SentPage
+from tests.support.archive import batch_of, origin, pose_row
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
+def test_a_day_is_dropped_when_its_file_and_its_names_are_on_the_disk(postgres, database, tmp_path, monkeypatch):
+    address, synced, fsync = parse_archive(database), [], os.fsync
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+
+    def parts():
+        query = "SELECT count(*) FROM pg_class WHERE relname = 'poses_20221014'"
+        return postgres.sql(query, database.rpartition("/")[2])[0][0]
+
+    def noted(descriptor):
+        fsync(descriptor)
+        found, final = os.fstat(descriptor), list(tmp_path.rglob("final-*.parquet"))
+        synced.append((found.st_ino, found.st_size, bool(final), parts()))
+
+    monkeypatch.setattr(os, "fsync", noted)
+    out = tmp_path / "days"
+    out.mkdir()
+    (written,) = write_days(address, out, date(2026, 1, 1))
+    (dropped,) = drop_days(address, out, date(2026, 1, 1))
+    assert (written.written, dropped.rows, parts()) == (True, 1, 0)
+    file = dropped.path.stat()
+    assert (file.st_ino, file.st_size, False, 1) in synced
+    with_final_name = {number for number, _, final, part in synced if final and part}
+    assert with_final_name >= {folder.stat().st_ino for folder in dropped.path.parents[:3]}
