@@ -9,7 +9,7 @@ _MOST_REMEMBERED = 4096
 
 
 class Dates:
-    """Knows the commands of the last time that one may take to arrive.
+    """Knows the commands that came last, and with them all of the time that one may take to arrive.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class Dates:
         self._required = settings.dated_commands
         self._age_s = settings.command_age_s
         self._clock = clock
-        self._began_utc_s = clock.utc()
+        self._began_s = clock.monotonic()
         self._given: dict[tuple[str | None, float], float] = {}
 
     def check(self, command: Command) -> None:
@@ -41,7 +41,7 @@ class Dates:
                 raise CommandError('mqtt.dated_commands is set: a command needs an "id" and a "time" of its own')
             if command.time_utc_s is None:
                 return
-        utc_s = self._clock.utc()
+        utc_s, now_s = self._clock.utc(), self._clock.monotonic()
         off_s = utc_s - command.time_utc_s
         if not abs(off_s) <= self._age_s:
             side = "behind" if off_s > 0 else "ahead of"
@@ -50,15 +50,22 @@ class Dates:
                 f" {self._age_s:g} s"
             )
         # What was given before a restart is not remembered, and so cannot be told from what is new.
-        if command.time_utc_s < self._began_utc_s:
+        # The beginning is told by the clock of now, which may have been set since.
+        if command.time_utc_s < utc_s - (now_s - self._began_s):
             raise CommandError("it was given before this service began to listen: give it again")
-        self._refuse_again(command.identifier, command.time_utc_s, self._clock.monotonic())
+        self._refuse_again(command.identifier, command.time_utc_s, now_s)
 
     def _refuse_again(self, identifier: str | None, time_utc_s: float, now_s: float) -> None:
-        # Twice the age: one may be ahead of the clock by as much when it comes.
-        self._given = {key: at_s for key, at_s in self._given.items() if now_s - at_s <= 2.0 * self._age_s}
         if (identifier, time_utc_s) in self._given:
             raise CommandError("the same command, with this id and time, has been given before")
         if len(self._given) >= _MOST_REMEMBERED:
-            raise CommandError("more dated commands have come than can be remembered: ask again later")
+            self._forget_oldest(now_s)
         self._given[identifier, time_utc_s] = now_s
+
+    def _forget_oldest(self, now_s: float) -> None:
+        """Make room for one more; what needs no room is kept, because a clock that is set back makes it new again."""
+        oldest = next(iter(self._given))
+        # Twice the age: one may be ahead of the clock by as much when it comes.
+        if now_s - self._given[oldest] <= 2.0 * self._age_s:
+            raise CommandError("more dated commands have come than can be remembered: ask again later")
+        del self._given[oldest]

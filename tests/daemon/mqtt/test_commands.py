@@ -123,12 +123,13 @@ class Watch:
     """A clock in hand."""
 
     now_s = 1000.0
+    ahead_s = 0.0
 
     def monotonic(self):
         return self.now_s
 
     def utc(self):
-        return UTC_S + self.now_s
+        return UTC_S + self.now_s + self.ahead_s
 
 
 class Given:
@@ -177,6 +178,25 @@ def test_after_a_restart_what_was_given_before_it_is_refused():
     given.clock.now_s += 5.0
     assert "before this service began to listen" in given.refusal(off_s=-6.0)
     assert given.refusal(off_s=-4.0) is None
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_clock_that_is_set_after_the_start_costs_no_command_and_what_is_from_before_the_start_stays_refused(step_s):
+    given = Given()
+    given.clock.now_s += 10.0
+    given.clock.ahead_s += step_s
+    assert given.refusal() is None
+    assert "before this service began to listen" in given.refusal(off_s=-11.0)
+
+
+def test_a_command_that_a_clock_set_back_makes_new_again_has_been_given_before():
+    given = Given(dated_commands=True)
+    given.clock.now_s += 2000.0
+    assert given.refusal() is None
+    given.clock.now_s += 1000.0
+    assert given.refusal() is None
+    given.clock.ahead_s -= 1000.0
+    assert "has been given before" in given.refusal()
 
 
 def test_dated_commands_that_flood_take_no_memory_without_end():
