@@ -130,7 +130,7 @@ class Store:
         self._lost = 0
         self._reported_lost = 0
         self._run: int | None = None
-        self._newest_day: int | None = None
+        self._days: set[int] = set()
         self._moved_s = -math.inf
         self._alarms: dict[str, str | None] = {}
         self._thread = threading.Thread(target=self._work, name="store", daemon=True)
@@ -197,7 +197,8 @@ class Store:
         except OSError:
             return False
         self._moved_s = self._clock.monotonic()
-        self._run = self._newest_day = None
+        self._run = None
+        self._days.clear()
         log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
         self._check_aside()
         return True
@@ -250,9 +251,8 @@ class Store:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
             raise
-        newest = max(days)
-        if self._newest_day is None or newest > self._newest_day:
-            self._newest_day = newest
+        if not days <= self._days:
+            self._days |= days
             self._thin(connection)
 
     def _begin_run(self, connection: sqlite3.Connection) -> int:

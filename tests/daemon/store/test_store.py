@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -143,6 +144,19 @@ def test_a_clock_set_far_ahead_costs_one_day_and_not_all(keep):
     records = [Event(T0 + n * DAY_S, n, "test", str(n)) for n in range(3)]
     folder = keep(*records, Event(T0 + 9000 * DAY_S, 3, "test", "wrong clock"), keep_days=3)
     assert count(folder, "events") == 3
+
+
+def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_path):
+    store = Store(tmp_path, 0.01, 3, ORIGIN, SystemClock(), print)
+    for number, day in enumerate((0, 9000, 1, 2, 3, 4)):
+        store.keep(Event(T0 + day * DAY_S, number, "test", str(day)))
+        deadline_s = time.monotonic() + 60.0
+        while store.status.waiting:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.005)
+    store.close()
+    # The day of the future is one of the three.
+    assert count(tmp_path, "events") == 3
 
 
 def test_the_file_of_this_version_is_what_it_was():
