@@ -1,6 +1,7 @@
 """Looking at what answers on lines of Modbus, clearing an old error, and giving new sensors their addresses."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple, cast
 
 from daemon.base.clock import Clock
@@ -115,7 +116,8 @@ class ModbusProbe:
                 for each in found:
                     self._say(f"  address {each.unit}: {each.text}{self._face_of(line, each)}")
                     if clear and each.make == "smp":
-                        await self._clear(bus, each.unit)
+                        with _silence_in_words(each.unit):
+                            await self._clear(bus, each.unit)
             finally:
                 await bus.close()
             if not found:
@@ -173,7 +175,8 @@ class ModbusProbe:
         if ask(f"Type the new address once more ({wanted}) and it is written") != str(wanted):
             self._say("  that was another number: left as it is")
             return False
-        await bus.ask(write_register(sensor.unit, register, wanted), self._within_s)
+        with _silence_in_words(sensor.unit):
+            await bus.ask(write_register(sensor.unit, register, wanted), self._within_s)
         return True
 
     async def _confirm(self, bus: ModbusBus, line: str, sensor: Answering, wanted: int, ask: Ask) -> None:
@@ -276,6 +279,16 @@ class ModbusProbe:
                     " rtu-over-tcp:HOST:PORT"
                 ) from None
         return ModbusBus(path, "cube", own.gap_s, self._clock.monotonic, writes=writes)
+
+
+@contextmanager
+def _silence_in_words(unit: int) -> Iterator[None]:
+    """Say whose answer is missing, where the error of a device that has sent nothing is for a person."""
+    try:
+        yield
+    except DeadlineError as error:
+        message = error.message or f"address {unit} answers no more: is it on still? Then give the command again"
+        raise DeadlineError(error.device, message) from None
 
 
 def unit_range(text: str) -> range:

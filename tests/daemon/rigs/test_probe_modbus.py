@@ -9,6 +9,7 @@ from daemon.base.errors import UserError
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.rigs.probe_modbus import ModbusProbe, unit_range
+from drivers.errors import DeadlineError
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedSmp
 from sim_drivers.transports import InMemoryModbus
@@ -78,6 +79,20 @@ def test_an_old_error_is_cleared_only_when_asked_for():
     assert sensor.status == 0
 
 
+def test_a_sensor_that_is_silent_when_its_error_is_to_be_cleared_is_named():
+    bus = Bus(SimulatedSmp(1, 101, bright))
+
+    class Said(list):
+        def append(self, line):
+            super().append(line)
+            if "address 1:" in line:
+                bus.core.sensors.clear()
+
+    bus.said = Said()
+    with pytest.raises(DeadlineError, match=r"^cube: address 1 answers no more: is it on still\?"):
+        bus.run(lambda probe: probe.report(range(1, 2), clear=True))
+
+
 class Person:
     """Connects one sensor after another, switches it off and on when asked to, and answers as the test says."""
 
@@ -116,6 +131,21 @@ def test_nothing_is_written_unless_it_was_said_twice(answers):
     bus = Bus(make="hukseflux")
     bus.run(lambda probe: probe.set_addresses(Person(bus, [[new], [], [], []], **answers), range(1, 11)))
     assert new.stored_address == 9
+
+
+def test_a_sensor_that_is_silent_when_its_address_is_written_is_named():
+    bus = Bus(make="hukseflux")
+
+    class Unplugging(Person):
+        def __call__(self, question):
+            answer = super().__call__(question)
+            if question.startswith("Type"):
+                bus.core.sensors.clear()
+            return answer
+
+    person = Unplugging(bus, [[SimulatedHukseflux(7, 101, bright)]])
+    with pytest.raises(DeadlineError, match=r"^cube: address 7 answers no more"):
+        bus.run(lambda probe: probe.set_addresses(person, range(1, 9)))
 
 
 def test_two_on_the_line_at_once_are_sent_back():
