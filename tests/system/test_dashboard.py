@@ -2,6 +2,7 @@
 
 import json
 import re
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -171,6 +172,26 @@ def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_pa
     page.sees(".day .hint", "Shown: 12:5")
     page.page.get_by_role("button", name="Whole day").click()
     page.sees(".day .hint", "Shown: the whole solar day, 01:5")
+
+
+def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_said(open_page):
+    page = open_page("now")
+    days = [f"2022-09-{number}" for number in (17, 18, 19, 20, 21)]
+
+    def modes(route):
+        end = parse_qs(urlsplit(route.request.url).query)["to"][0]
+        row = {"time": end, "before": "starting", "after": "stow", "why": f"the end of {end[:10]}"}
+        route.fulfill(json={"rows": [row], "more": end.startswith("2022-09-18")})
+
+    page.page.route("**/read/days?*", lambda route: route.fulfill(json={"days": days}))
+    page.page.route("**/read/history/modes?*", modes)
+    page.show("day")
+    page.sees(".day .log", "the end of 2022-09-21")
+    assert "end early" not in page.text(".day .summary")
+    page.page.get_by_role("button", name="Day before").evaluate("button => [1, 2, 3].forEach(() => button.click())")
+    page.sees(".day .log", "the end of 2022-09-18")
+    assert page.page.get_by_label("Day", exact=True).input_value() == "2022-09-18"
+    page.sees(".day .summary", "more records than fit here: modes end early.")
 
 
 def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_path):

@@ -38,7 +38,7 @@ export const dateOf = (at, site) => new Date(at + site.longitude_deg * 240e3).to
 
 const span = (from, to, tracker) => ({ from: new Date(from).toISOString(), to: new Date(to).toISOString(), ...(tracker ? { tracker } : {}) });
 
-// Returns the columns as arrays by name, times as seconds of UTC.
+// Returns the columns as arrays by name, times as seconds of UTC, and whether there are more rows than a reply has.
 export async function numbers(service, kind, from, to, tracker) {
   const buffer = await (await read(`history/${kind}`, service, span(from, to, tracker))).arrayBuffer();
   const end = new Uint8Array(buffer).indexOf(10);
@@ -54,9 +54,10 @@ export async function numbers(service, kind, from, to, tracker) {
   });
   found.time = found.time_s.map((value) => head.start + value);
   delete found.time_s;
-  return found;
+  return { found, more: head.more };
 }
 
 export async function lines(service, kind, from, to, tracker) {
-  return (await (await read(`history/${kind}`, service, span(from, to, tracker))).json()).rows;
+  const { rows, more } = await (await read(`history/${kind}`, service, span(from, to, tracker))).json();
+  return { found: rows, more };
 }

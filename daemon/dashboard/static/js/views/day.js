@@ -12,6 +12,7 @@ const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], [
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
 const KINDS_OF_LINES = ["modes", "moves", "events"];
+const KINDS = [...KINDS_OF_NUMBERS, ...KINDS_OF_LINES];
 
 export function day() {
   const picker = h("select", { "aria-label": "Day" });
@@ -38,72 +39,99 @@ export function day() {
   let context = null;
   let held = null;
   let loading = false;
+  let wish = null;
 
   async function choose() {
     const { service, entry } = context;
     source = entry.key;
+    clear();
     try {
       const days = (await storedDays(service.name)).reverse();
+      if (source !== entry.key) return;
       if (days.length === 0) throw new Error("no records yet");
       fill(picker, days, () => days.map((date) => h("option", { value: date }, date === utcDay(context.now) ? `${date} (today)` : date)));
       await open(days[0]);
     } catch (error) {
-      fail(error);
+      if (source === entry.key) fail(error);
     }
   }
 
-  function fail(error) {
+  function clear() {
     plots.clear();
-    figures.replaceChildren(h("p", { class: "big" }, "No stored day to show"), h("p", null, sentence(error.message)));
+    figures.replaceChildren();
     setText(summary, "");
     setText(shown, "");
     happened.replaceChildren();
     held = null;
+    wish = null;
   }
 
+  function fail(error) {
+    clear();
+    figures.replaceChildren(h("p", { class: "big" }, "No stored day to show"), h("p", null, sentence(error.message)));
+  }
+
+  // One day at a time: what is asked for meanwhile waits, and only the last of it counts.
   async function open(date) {
+    wish = date;
     if (loading) return;
     loading = true;
+    while (wish !== null) {
+      const next = wish;
+      wish = null;
+      await load(next);
+    }
+    loading = false;
+  }
+
+  async function load(date) {
     const begun = performance.now();
+    const { service, entry, state } = context;
+    const unwanted = () => wish !== null || source !== entry.key;
     try {
-      const { service, entry, state } = context;
       const sun = await solarDay(service.name, date, state.site);
       const from = Date.parse(sun.path[0].time);
       const to = Date.parse(sun.path.at(-1).time);
-      const [found, told] = await Promise.all([
-        Promise.all(KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, from, to, entry.name))),
-        Promise.all(KINDS_OF_LINES.map((kind) => lines(service.name, kind, from, to, entry.name))),
+      const replies = await Promise.all([
+        ...KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, from, to, entry.name)),
+        ...KINDS_OF_LINES.map((kind) => lines(service.name, kind, from, to, entry.name)),
       ]);
-      held = { date, sun, from, to, loaded: performance.now(), latitude: state.site.latitude_deg };
-      KINDS_OF_NUMBERS.forEach((kind, index) => (held[kind] = found[index]));
-      KINDS_OF_LINES.forEach((kind, index) => (held[kind] = told[index]));
+      if (unwanted()) return;
+      held = { date, sun, from, to, loaded: performance.now(), latitude: state.site.latitude_deg, cut: cut(replies) };
+      KINDS.forEach((kind, index) => (held[kind] = replies[index].found));
       const drawing = performance.now();
       draw();
       node.dataset.drawn = Math.round(performance.now() - drawing);
       node.dataset.ready = Math.round(performance.now() - begun);
     } catch (error) {
-      fail(error);
+      if (!unwanted()) fail(error);
     }
-    loading = false;
   }
 
   // What has come since, for the day that goes on.
   async function follow() {
     loading = true;
+    const day = held;
     try {
       const { service, entry } = context;
-      const found = await Promise.all(KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, (held[kind].time.at(-1) ?? held.from / 1000) * 1000 + 1, held.to, entry.name)));
-      const told = await Promise.all(KINDS_OF_LINES.map((kind) => lines(service.name, kind, held[kind].length ? Date.parse(held[kind].at(-1).time) + 1 : held.from, held.to, entry.name)));
-      KINDS_OF_NUMBERS.forEach((kind, index) => {
-        for (const name of Object.keys(held[kind])) held[kind][name].push(...found[index][name]);
-      });
-      KINDS_OF_LINES.forEach((kind, index) => held[kind].push(...told[index]));
-      if (found.some(({ time }) => time.length)) draw();
+      const replies = await Promise.all([
+        ...KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, (day[kind].time.at(-1) ?? day.from / 1000) * 1000 + 1, day.to, entry.name)),
+        ...KINDS_OF_LINES.map((kind) => lines(service.name, kind, day[kind].length ? Date.parse(day[kind].at(-1).time) + 1 : day.from, day.to, entry.name)),
+      ]);
+      if (held === day) {
+        for (const [index, kind] of KINDS_OF_NUMBERS.entries()) {
+          for (const name of Object.keys(day[kind])) day[kind][name].push(...replies[index].found[name]);
+        }
+        KINDS_OF_LINES.forEach((kind, index) => day[kind].push(...replies[KINDS_OF_NUMBERS.length + index].found));
+        day.cut = cut(replies);
+        if (KINDS_OF_NUMBERS.some((_, index) => replies[index].found.time.length)) draw();
+      }
     } catch {
       // The head of the page says when the service is gone; the day is asked for again.
     }
-    held.loaded = performance.now();
+    day.loaded = performance.now();
     loading = false;
+    if (wish !== null) open(wish);
   }
 
   function draw() {
@@ -192,7 +220,8 @@ export function day() {
     for (const { name, from, to } of spans()) hours[name] = (hours[name] ?? 0) + to - from;
     const modes = Object.entries(hours).sort((a, b) => b[1] - a[1]).map(([name, seconds]) => `${TITLE[name] ?? name} ${duration(seconds)}`);
     const sun = held.sun.sunrise ? `Sun from ${localTime(Date.parse(held.sun.sunrise), false)} to ${localTime(Date.parse(held.sun.sunset), false)} local, highest ${deg(held.sun.highest_elevation_deg)}. ` : "";
-    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}. ${modes.join(", ")}.`;
+    const early = held.cut.length ? ` The day has more records than fit here: ${held.cut.join(", ")} end early.` : "";
+    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}. ${modes.join(", ")}.${early}`;
   }
 
   function list() {
@@ -229,6 +258,9 @@ export function day() {
 
   return { node, update, close: () => { watcher.disconnect(); plots.clear(); } };
 }
+
+// The kinds of which there are more than a reply has.
+const cut = (replies) => KINDS.filter((_, index) => replies[index].more);
 
 // The angles A and B that point at the sun; null while it is down.
 function sunAngles({ azimuth_deg, elevation_deg }, latitude) {
