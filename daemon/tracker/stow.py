@@ -19,7 +19,8 @@ class StowStatus(NamedTuple):
     age_s
         Time since it was last heard; infinite before the first time since the start of the service.
     speed_m_s, stow_from_m_s, release_below_m_s
-        Wind of the last reading, and what it is compared with; NaN for a source that measures no wind.
+        Wind of the last reading, NaN once that is too old to count, and what it is compared with; all three NaN for a
+        source that measures no wind.
     release_in_s
         How long it must go on being calm before it lets the tracker go; NaN while it does not stow.
     """
@@ -116,12 +117,12 @@ class WindStow:
 
     def status(self, now_s: float) -> StowStatus:
         """Return how it stood at the last poll."""
-        safety = self._safety
+        safety, age_s = self._safety, now_s - self._heard_s
         return StowStatus(
             name=self.name,
             why=self._why,
-            age_s=now_s - self._heard_s,
-            speed_m_s=self._speed_m_s,
+            age_s=age_s,
+            speed_m_s=self._speed_m_s if age_s <= safety.wind_stale_s else math.nan,
             stow_from_m_s=safety.stow_wind_m_s,
             release_below_m_s=safety.release_wind_m_s,
             release_in_s=release_in_s(self._why, now_s - self._strong_s, safety.stow_at_least_s),

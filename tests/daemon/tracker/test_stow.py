@@ -91,6 +91,15 @@ def test_a_source_that_stowed_before_a_restart_counts_its_calm_from_its_first_wo
     assert wind.at(2095, 3) is None
 
 
+def test_the_wind_of_a_source_that_is_silent_for_too_long_is_unknown():
+    wind = Wind()
+    wind.at(0, 3)
+    assert wind.source.status(300).speed_m_s == 3
+    status = wind.source.status(301)
+    assert math.isnan(status.speed_m_s)
+    assert (status.age_s, status.stow_from_m_s) == (301, 15)
+
+
 def test_a_status_shows_speed_age_threshold_and_the_time_to_release_and_takes_nothing():
     wind = Wind()
     assert wind.source.status(0).age_s == math.inf
