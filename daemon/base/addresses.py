@@ -72,6 +72,12 @@ def parse_address(text: str) -> Address:
     return Address(str(ip), port)
 
 
+def without_mapping(host: str) -> str:
+    """Return an IPv4 address that IPv6 has wrapped, such as ``::ffff:192.0.2.2``, as IPv4, and any other as it is."""
+    mapped = getattr(ipaddress.ip_address(host), "ipv4_mapped", None)
+    return host if mapped is None else str(mapped)
+
+
 def require_key(key: bytes | None, *, insecure: bool) -> None:
     """Raise `BridgeError` when there is no key and the settings do not say that none is wanted."""
     if key is None and not insecure:

@@ -17,6 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from daemon.api.gate import Token
 from daemon.api.refusals import ApiRefusals
+from daemon.base.addresses import without_mapping
 
 _MOST = 384
 MOST_OF_AN_ADDRESS = 32
@@ -135,7 +136,11 @@ class HttpConnection(H11Protocol):
         """Begin, if there is room."""
         super().connection_made(transport)
         self._since_s = self._moved_s = self.loop.time()
+        # A socket for all of IPv6 wraps whoever comes by IPv4.
+        if self.server is not None:
+            self.server = (without_mapping(self.server[0]), self.server[1])
         if self.client is not None:
+            self.client = (without_mapping(self.client[0]), self.client[1])
             self.address = self.client[0]
             self.from_loopback = ipaddress.ip_address(self.address).is_loopback
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from daemon.api.gate import Token
 from daemon.api.port.connections import MOST_OF_AN_ADDRESS
 from daemon.api.refusals import ApiRefusals
+from daemon.base.addresses import without_mapping
 from daemon.base.recurrence import RateLimit
 
 # More wait in the kernel, up to net.core.somaxconn; whoever comes when its queue is full is let wait for a second.
@@ -101,7 +102,7 @@ class Doorkeeper:
                 self._after(_AGAIN_AFTER_S, self._take_in)
                 return
             accepted.setblocking(False)
-            self._come(_Caller(accepted, address[0], self._loop.time()))
+            self._come(_Caller(accepted, without_mapping(address[0]), self._loop.time()))
 
     def _come(self, caller: _Caller) -> None:
         said = _look(caller)

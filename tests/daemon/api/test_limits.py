@@ -293,6 +293,21 @@ def test_pipelined_requests_are_answered_in_order_and_an_upgrade_is_an_ordinary_
     assert [record for record in caplog.records if record.levelno >= logging.WARNING and "api" in record.name] == []
 
 
+def test_whoever_comes_by_ipv4_to_a_socket_for_all_of_ipv6_is_treated_as_coming_by_ipv4(serve, monkeypatch):
+    own = "uvicorn.protocols.http.h11_impl"
+    monkeypatch.setattr(f"{own}.get_local_addr", lambda transport: ("::ffff:192.0.2.2", 20572))
+    monkeypatch.setattr(f"{own}.get_remote_addr", lambda transport: ("::ffff:127.0.0.1", 40000))
+
+    async def scenario(rig, call):
+        held = [await connect(call, HALF_A_HEAD) for _ in range(40)]
+        assert (await call("GET", "/healthz", headers={"Host": "192.0.2.2:20572"})).status == 200
+        assert await metric(call, 'api_refused_total{kind="crowded"}') == 0.0
+        for _, writer in held:
+            writer.close()
+
+    serve(scenario)
+
+
 def test_a_long_head_is_refused(serve):
     async def scenario(rig, call):
         reader, writer = await connect(call, HALF_A_HEAD + b"y" * 40_000)

@@ -131,7 +131,7 @@ def test_more_than_can_wait_are_told_so():
     in_house(scenario)
 
 
-@pytest.mark.parametrize(("whence", "most"), [("192.0.2.7", 32), ("127.9.9.9", 192)])
+@pytest.mark.parametrize(("whence", "most"), [("192.0.2.7", 32), ("127.9.9.9", 192), ("::ffff:127.9.9.9", 192)])
 def test_too_many_silent_ones_cost_the_longest_silent_and_of_one_address_only_its_own(whence, most):
     async def scenario(house):
         near = house.call()
