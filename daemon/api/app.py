@@ -28,6 +28,8 @@ from daemon.service.state import state_json
 _MOST_LISTENERS = 16
 _STATE_EVERY_S = 1.0
 _STUCK_AFTER_S = 30.0
+# From 1970 to 2199, as the store's days.
+_SUN_END_S = 7_258_118_400.0
 
 
 class Api:
@@ -115,6 +117,8 @@ class Api:
         seen = self._glance()
         given = request.query_params.get("at")
         at_s = seen.time_utc_s if given is None else instant("at", given)
+        if given is not None and not 0.0 <= at_s < _SUN_END_S:
+            raise HTTPException(400, f"at={ascii(given)[:40]} is no time from 1970 to 2199")
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
 
     async def _authorised(self, _: Request) -> Response:

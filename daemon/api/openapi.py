@@ -75,7 +75,7 @@ _AT = {
     "name": "at",
     "in": "query",
     "required": False,
-    "description": "An instant of the day, in UTC, ISO 8601; left out: now.",
+    "description": "An instant of the day, in UTC, ISO 8601, from 1970 to 2199; left out: now.",
     "schema": {"type": "string", "format": "date-time"},
 }
 _TRACKER = {

@@ -75,6 +75,11 @@ def test_the_suns_path_is_that_of_the_solar_day_by_pvlib(serve):
         noon = (await call.get("/api/sun")).json["noon"]
         assert noon[:10] == (await call.get("/api/state")).json["time"][:10]
         assert (await call.get("/api/sun?at=noon")).status == 400
+        for year in (1970, 2199):
+            assert (await call.get(f"/api/sun?at={year}-12-31T23:59:59Z")).status == 200
+        for year in (1, 1969, 2200, 9999):
+            refused = await call.get(f"/api/sun?at={year:04}-12-31T23:59:59Z")
+            assert (refused.status, refused.json["error"].endswith("is no time from 1970 to 2199")) == (400, True)
 
     serve(scenario)
 
