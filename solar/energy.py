@@ -90,12 +90,15 @@ class DaylightWeather:
 def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0) -> DaylightWeather:
     """Return the daylight part of weather at instants `utc_s`, multiples of `step_s`, in solar days of the site.
 
-    NaN is missing weather; negative values count as zero. Raises `ValueError` if no instant has sun and weather.
+    NaN is missing weather; negative values count as zero. Raises `ValueError` if no instant has sun and weather,
+    or none of them any light.
     """
     sun = sun_direction(utc_s, *site)
     used = np.isfinite(dni_w_m2) & np.isfinite(dhi_w_m2) & (sun[:, 2] > 0.0)
     if not used.any():
         raise ValueError("there is no record with the sun above the horizon and dni and dhi present")
+    if not np.any((dni_w_m2[used] > 0.0) | (dhi_w_m2[used] > 0.0)):
+        raise ValueError("no record has any light while the sun is above the horizon: compare its times with the site")
     utc_s, sun = utc_s[used], sun[used]
     steps = np.round(utc_s / step_s).astype(np.int64)
     per_day = round(DAY_S / step_s)

@@ -6,9 +6,13 @@ from dataclasses import asdict, dataclass
 from textwrap import wrap
 from typing import Any
 
+import numpy as np
+
 from daemon.studies.energy.benchmark import EnergyRow
 from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.text_table import WIDTH, table
+from solar.ephemeris import DAY_S, Site, sun_position
+from solar.frames import Array
 
 _YEAR_DAYS = 365.25
 _HEADS = ("law", "energy/year", "wear/year", "left/year", "drive lasts")
@@ -60,19 +64,29 @@ class Worth:
         return self.energy - self.wear
 
 
-def worths(rows: Sequence[EnergyRow], days: int, prices: Prices) -> list[Worth]:
+def sunless_days(utc_s: Array, site: Site) -> int:
+    """Return on how many solar days with their noon between these rising instants [s] the sun does not rise."""
+    east_s = site.longitude_deg * 240.0
+    first, last = (utc_s[[0, -1]] + east_s) / DAY_S - 0.5
+    noons_utc_s = (np.arange(np.ceil(first), np.floor(last) + 1.0) + 0.5) * DAY_S - east_s
+    return int(np.count_nonzero(sun_position(noons_utc_s, *site).elevation_deg <= 0.0))
+
+
+def worths(rows: Sequence[EnergyRow], lit_days: int, sunless: int, prices: Prices) -> list[Worth]:
     """Return what each law is worth; the bound, which is no tracker, is left out.
 
     Parameters
     ----------
     rows
         Of the benchmark.
-    days
-        Whole days that they are of: a mean year is `365.25 / days` of them.
+    lit_days
+        Whole days that they are of.
+    sunless
+        Days of polar night among them, with neither energy nor travel: a mean year is 365.25 days of both kinds.
     prices
         Of energy and drives. The way back to the night position wears as any other.
     """
-    return [_worth(row, days, prices) for row in rows if row.law != BOUND]
+    return [_worth(row, lit_days, (lit_days + sunless) / _YEAR_DAYS, prices) for row in rows if row.law != BOUND]
 
 
 def as_text(found: Sequence[Worth], prices: Prices) -> str:
@@ -94,11 +108,10 @@ def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
     return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.left} for each in found]}
 
 
-def _worth(row: EnergyRow, days: int, prices: Prices) -> Worth:
-    years = days / _YEAR_DAYS
+def _worth(row: EnergyRow, lit_days: int, years: float, prices: Prices) -> Worth:
     # A plane that is fixed has no drive, whatever the benchmark counts on its way from the night position.
     per_day_deg = 0.0 if row.law.startswith(FIXED) else row.travel_deg_per_day + row.return_deg_per_day
-    travel_deg = per_day_deg * _YEAR_DAYS
+    travel_deg = per_day_deg * lit_days / years
     return Worth(
         sky=row.sky,
         law=row.law,

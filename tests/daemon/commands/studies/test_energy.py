@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -63,6 +64,7 @@ def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(monke
     assert "SIMULATED" not in (out / "energy.txt").read_text()
 
 
+WINTER = datetime(2023, 1, 1, tzinfo=UTC)
 PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
 
 
@@ -82,6 +84,31 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     text = (tmp_path / "o" / "energy.txt").read_text()
     assert f"sky perez1990: most is left by {most}\n" in text
     assert all(len(line) <= 80 for line in text.splitlines())
+
+
+def test_days_without_sun_count_as_days_of_the_year(monkeypatch, tmp_path, capsys):
+    # Sixty days at 78 N: the sun is back in the middle of February.
+    path = tmp_path / "spitsbergen.csv"
+    light = [f"{WINTER + timedelta(hours=hour):%Y-%m-%dT%H:%M:%SZ},20,0,20" for hour in range(60 * 24)]
+    path.write_text("\n".join(["time,ghi,dni,dhi", *light]))
+    given = (path, "--site", "78.2,15.6", "--laws", "chronometric", "--out", tmp_path / "o")
+    assert energy(monkeypatch, *given, *PRICES, "--json") == 0
+    page = json.loads(capsys.readouterr().out)
+    (row,), (worth,), lit = page["rows"], page["worth"]["rows"], sum(page["days"].values())
+    assert 10 < lit < 20
+    assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25 / 60)
+    travel_deg = (row["travel_deg_per_day"] + row["return_deg_per_day"]) * lit * 365.25 / 60
+    assert worth["wear"] == pytest.approx(travel_deg / 300000 * 600)
+
+
+@pytest.mark.parametrize("prices", [(), PRICES])
+def test_weather_without_light_while_the_sun_is_up_is_refused(monkeypatch, weather, tmp_path, capsys, prices):
+    lines = weather.read_text().splitlines()
+    weather.write_text("\n".join([lines[0], *(f"{line.split(',')[0]},0,0,0" for line in lines[1:])]))
+    assert energy(monkeypatch, weather, "--site", SITE, "--out", tmp_path / "o", *prices) == 2
+    err = capsys.readouterr().err
+    assert "no record has any light while the sun is above the horizon" in err
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize("left_out", range(4))
