@@ -203,7 +203,7 @@ def report(
     _check_measurements(data, store, cube, chrono)
     spans = [parse_span(text) for text in period or []]
     from daemon.studies.compare.fit import flat_pairs, read
-    from daemon.studies.compare.gains import as_text, extrapolation
+    from daemon.studies.compare.gains import as_text, check_spans, extrapolation
     from daemon.studies.compare.report import write_report
     from daemon.studies.compare.stored import kept_curve
     from solar.ephemeris import Site
@@ -213,6 +213,7 @@ def report(
     place = place or stored_site
     if place is None:
         raise UserError("report needs --site LAT,LON[,ALT]: tables do not tell where the trackers stand")
+    check_spans(pairs, spans)
     found = None if bias is None else read(bias)
     if found is not None and found.names != (cube, chrono):
         raise UserError(

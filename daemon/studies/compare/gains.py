@@ -6,8 +6,10 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
+from daemon.base.errors import UserError
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
@@ -71,8 +73,21 @@ def spans_by_sky(pairs: Pairs, site: Site) -> list[Span]:
     return [Span(one.kind, one.start_utc_s, one.end_utc_s) for one in sky_periods(pairs.utc_s, fraction)]
 
 
+def check_spans(pairs: Pairs, spans: Sequence[Span]) -> None:
+    """Raise `UserError` for a named period without measurements of both trackers."""
+    for span in spans:
+        if _inside(pairs, span).sum() < 2:
+            first, last, *ends = (
+                f"{iso_utc(at)[:16]}Z" for at in (*pairs.utc_s[[0, -1]].tolist(), span.start_utc_s, span.end_utc_s)
+            )
+            raise UserError(
+                f"--period: in '{span.name}', {ends[0]} to {ends[1]}, the two trackers were not measured together; they"
+                f" were from {first} to {last}"
+            )
+
+
 def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span]) -> list[Gain]:
-    """Return the gain of every UTC day with pairs, each followed by those of the spans that begin in it."""
+    """Return the gain of every UTC day with pairs, each followed by those of the spans whose first pair is in it."""
     found = []
     days = np.floor(pairs.utc_s / DAY_S)
     for day in np.unique(days).tolist():
@@ -81,10 +96,14 @@ def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span]) -> list[G
         gap_s = longest_gap_s(of_day.utc_s)
         found.append(_gain(of_day, bias, WHOLE_DAY, gap_s))
         for span in spans:
-            inside = (pairs.utc_s >= span.start_utc_s) & (pairs.utc_s < span.end_utc_s)
-            if span.start_utc_s // DAY_S == day and inside.sum() > 1:
+            inside = _inside(pairs, span)
+            if inside.sum() > 1 and days[inside][0] == day:
                 found.append(_gain(pairs.where(inside), bias, span.name, gap_s))
     return found
+
+
+def _inside(pairs: Pairs, span: Span) -> NDArray[np.bool_]:
+    return (pairs.utc_s >= span.start_utc_s) & (pairs.utc_s < span.end_utc_s)
 
 
 def _gain(pairs: Pairs, bias: ChainBias | None, period: str, gap_s: float) -> Gain:

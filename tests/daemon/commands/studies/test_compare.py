@@ -155,10 +155,13 @@ def test_a_wattmeter_may_write_as_seldom_as_it_likes(compare, tmp_path, step_s):
 
 
 def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, day, tmp_path):
-    period = "coffee=2022-10-12T10:00/2022-10-12T11:00"
-    code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, "--period", period, "--json")
+    # The second begins on a day without measurements.
+    periods = ("coffee=2022-10-12T10:00/2022-10-12T11:00", "since=2022-10-11T20:00/2022-10-12T11:00")
+    asked = (word for period in periods for word in ("--period", period))
+    code, out, _ = compare("report", day, "--site", SITE, "--out", tmp_path, *asked, "--json")
     assert code == 0
-    assert "coffee" in {gain["period"] for gain in json.loads(out)["gains"]}
+    hours = {gain["period"]: gain["hours"] for gain in json.loads(out)["gains"]}
+    assert hours["coffee"] == hours["since"] == pytest.approx(3595 / 3600)
     assert "overcast" not in out
     assert json.loads(out)["corrected"] is False
 
@@ -236,6 +239,13 @@ def test_without_a_flat_flat_period_there_is_no_fit(compare, day, tmp_path):
         (("--period", "noon"), "is not NAME=FROM/TO"),
         (("--period", "x=2022-10-12T11:00/2022-10-12T10:00"), "ends before it begins"),
         (("--period", "x=now/then"), "'now' is not a date or time"),
+        (
+            ("--period", "x=2023-10-12T10:00/2023-10-12T11:00"),
+            (
+                "in 'x', 2023-10-12T10:00Z to 2023-10-12T11:00Z, the two trackers were not measured together; they were"
+                " from 2022-10-12T10:00Z to 2022-10-12T11:59Z"
+            ),
+        ),
         (("--cube", "T-Chrono"), "two trackers are needed"),
         (("--site", "here"), "is not LAT,LON"),
     ],
