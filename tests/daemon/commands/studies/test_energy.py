@@ -126,6 +126,8 @@ def test_a_worth_without_one_of_its_prices_is_refused(monkeypatch, weather, tmp_
         (("--laws", "optimal:nan"), "optimal:nan: input should be a finite number"),
         (("--laws", "optimal:0"), "optimal:0: input should be greater than or equal to 0.1"),
         (("--sky", "green"), "there is no sky 'green'"),
+        (("--laws", ","), "--laws: name one of fixed:35, "),
+        (("--sky", ""), "--sky: name one of isotropic, "),
         (("--site", "91,0"), "is not on Earth"),
     ],
 )
