@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the science.
     from daemon.config.settings import Settings
 
+# In the first and the last year that Python knows, a zone or a longitude carries an instant beyond its calendar.
+YEARS = range(2, 9999)
+
 
 def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
     """Return degrees north, degrees east and metres of ``LAT,LON`` or ``LAT,LON,ALT``; `UserError` for other text."""
@@ -33,7 +36,9 @@ def instant(text: str, option: str) -> datetime:
     try:
         found = datetime.fromisoformat(text)
     except ValueError:
-        raise UserError(f"{option}: '{text}' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
+        found = None
+    if found is None or found.year not in YEARS:
+        raise UserError(f"{option}: '{text}' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z")
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 

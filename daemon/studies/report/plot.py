@@ -1,6 +1,7 @@
 """Quick pictures: the report's own, one by one, as files."""
 
 import math
+import time
 from collections.abc import Sequence
 from datetime import tzinfo
 from pathlib import Path
@@ -39,7 +40,11 @@ def material_of_tables(
     else:
         name, place = settings.site.name, settings.site.place()
     tables, source = from_tables(directory, table_format), f"the tables in {directory}"
-    span = reach_of_tables(tables, source) if wanted is None else wanted.span(place.longitude_deg, math.inf)
+    if wanted is None:
+        span = reach_of_tables(tables, source)
+    else:
+        # Simulated tables may be of days to come.
+        span = wanted.span(place.longitude_deg, time.time() if wanted.by_the_clock else math.inf)
     found = of_tables(tables, span, place, name, source)
     if tracker is None and len(found) == 1:
         return found[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, tzinfo
 
 from daemon.base.errors import UserError
-from daemon.studies.inputs import instant
+from daemon.studies.inputs import YEARS, instant
 from solar.ephemeris import DAY_S
 
 MOST_DAYS = 62
@@ -62,6 +62,11 @@ class Wanted:
             if text is not None:
                 instant(text, option)
 
+    @property
+    def by_the_clock(self) -> bool:
+        """Whether the day is told from today's."""
+        return self.day in _WORDS
+
     def span(self, longitude_deg: float, now_utc_s: float) -> ReportSpan:
         """Return the span at a site [degrees east]; raises `UserError` for one that is empty, too long or to come."""
         if self.day is not None:
@@ -102,8 +107,8 @@ def _day(text: str, longitude_deg: float, now_utc_s: float) -> ReportSpan:
 
 def _date(text: str, option: str) -> date:
     try:
-        if _DATE.match(text):
-            return date.fromisoformat(text)
+        if _DATE.match(text) and (found := date.fromisoformat(text)).year in YEARS:
+            return found
     except ValueError:
         pass
     raise UserError(f"{option}: '{text}' is no day; write 2022-10-14, yesterday or today")

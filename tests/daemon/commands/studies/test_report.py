@@ -179,6 +179,9 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
         (("--from", "2022-10-14"), "--from and --to belong together"),
         (("--day", "14 October"), "--day: '14 October' is no day; write 2022-10-14, yesterday or today"),
         (("--day", "2022-13-14"), "--day: '2022-13-14' is no day"),
+        (("--day", "0001-01-01"), "--day: '0001-01-01' is no day"),
+        (("--day", "9999-12-31"), "--day: '9999-12-31' is no day"),
+        (("--from", "0001-01-01T00:00+01:00", "--to", "2022-10-14"), "'0001-01-01T00:00+01:00' is not a date or time"),
         (("--from", "2022-10-14", "--to", "noon"), "--to: 'noon' is not a date or time"),
         (("--from", "2022-10-15", "--to", "2022-10-14"), "--from 2022-10-15 is not before --to 2022-10-14"),
         (("--from", "2021-10-15", "--to", "2022-10-14"), "that is 364 days and a report has 62 at most"),
@@ -247,6 +250,10 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
     tables = ("--tables", tmp_path / "tables", "--site", "48.7,0,156")
     assert heliocube("plot", "angles", *tables, "--out", tmp_path / "angles.svg")[0] == 0
     assert "SIMULATED" in (tmp_path / "angles.svg").read_text()
+    for day in ("today", "yesterday"):
+        code, _, said = heliocube("plot", "angles", *tables, "--day", day, "--out", tmp_path / f"{day}.svg")
+        assert (code, said.count("\n")) == (2, 1)
+        assert "no record from " in said
 
 
 @pytest.mark.parametrize(
