@@ -13,7 +13,7 @@ from typing import Any
 
 from daemon.api.token import check_token, load_token
 from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
-from daemon.base.errors import ExitCode, UserError
+from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.base.files import parse_toml, toml_text
 
 TOKEN_VARIABLE = "HELIOCUBE_TOKEN"  # noqa: S105 - the name of a variable, not what is in it
@@ -99,7 +99,12 @@ class Client:
         body = {"by": whoami(), **arguments}
         if "why" in arguments:
             body["why"] = _readable(str(arguments["why"]))[:_LONGEST_REASON]
-        found = self._request("POST", f"/api/{name}", body)
+        try:
+            found = self._request("POST", f"/api/{name}", body)
+        except KeyboardInterrupt:
+            raise InterruptedEarlyError(
+                "interrupted: the command may have been taken; see 'heliocube status'"
+            ) from None
         seen = found.get("state") != "not-seen"
         return Reply(str(found.get("text", "")), ExitCode.GOOD if seen else ExitCode.NOT_SEEN, found)
 

@@ -4,6 +4,7 @@ import asyncio
 import json
 import logging
 import math
+import signal
 import socket
 import subprocess
 import sys
@@ -161,6 +162,29 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
     assert (done.returncode, done.stdout, done.stderr) == (code, out, err)
     assert heard[0]["by"] == f"ana@{socket.gethostname()}"
     assert heard[0].get("tracker") == ("west" if "west" in command else None)
+
+
+@pytest.mark.parametrize("command", [["stop"], ["goto", "3", "80"]])
+def test_ctrl_c_while_a_service_hangs_says_that_the_command_may_have_been_taken(tmp_path, command):
+    with socket.create_server(("127.0.0.1", 0)) as hanging:
+        config = _config(tmp_path, hanging.getsockname()[1])
+        process = subprocess.Popen(
+            [sys.executable, "-c", "from daemon.entry import main; main()", *command, "--config", config],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env={"HELIOCUBE_TOKEN": "t" * 43, "PATH": "", "LOGNAME": "ana"},
+        )
+        with process:
+            hanging.settimeout(60)
+            connection, _ = hanging.accept()
+            with connection:
+                assert connection.recv(1)
+                process.send_signal(signal.SIGINT)
+                out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert (out, err) == ("", "heliocube: interrupted: the command may have been taken; see 'heliocube status'\n")
 
 
 def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto_is_not():
