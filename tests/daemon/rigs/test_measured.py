@@ -1,6 +1,7 @@
 """Holes in measured weather: an hour is bridged, a night is dark, and what is missing by day is missing data."""
 
 import csv
+import math
 from datetime import UTC, datetime
 
 import numpy as np
@@ -107,6 +108,9 @@ def test_a_voltmeter_on_the_bench_overflows_while_the_weather_is_missing(gaps, b
 def test_what_lies_outside_the_file_by_day_is_refused(gaps):
     for begin_h, end_h in ((1.0, 10.0), (12.5, 21.5)):
         build_weather(settings_under(gaps), MIDNIGHT + begin_h * 3600, MIDNIGHT + end_h * 3600, with_gaps=True)
+    for end_s in (math.inf, 1e12):
+        with pytest.raises(UserError, match="it runs from"):
+            build_weather(settings_under(gaps), MIDNIGHT + 3600, MIDNIGHT + end_s, with_gaps=True)
     with pytest.raises(UserError, match="it runs from"):
         build_weather(settings_under(gaps), MIDNIGHT + DAY_S, MIDNIGHT + 1.5 * DAY_S, with_gaps=True)
     with pytest.raises(UserError, match="it has a gap from"):
