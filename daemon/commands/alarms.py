@@ -101,16 +101,16 @@ def notify(
     from daemon.base import process
     from daemon.base.clock import SystemClock
     from daemon.config.links import NotifySettings, section_of_guest
+    from daemon.config.section import beside
     from daemon.notify import courier
     from daemon.notify.recipients import recipients_of
 
-    settings = section_of_guest(config, "notify", NotifySettings)
+    settings = beside(config, section_of_guest(config, "notify", NotifySettings))
     if api:
         settings = settings.model_copy(update={"services": tuple(api)})
     if (settings.quiet_from is None) is not (settings.quiet_until is None):
         raise UserError("notify.quiet_from and notify.quiet_until go together: set both, or neither")
-    file = settings.people_file
-    recipients = recipients_of(file if file is None or config is None else config.parent / file.expanduser())
+    recipients = recipients_of(settings.people_file)
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     logging.getLogger("httpx").setLevel(logging.WARNING)
     if test:

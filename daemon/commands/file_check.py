@@ -37,6 +37,7 @@ def check_file(
     from daemon.bridge.signing import KeyFileError, load_key
     from daemon.commands.kept import with_place
     from daemon.config.file import ConfigError, load_settings_with_topics
+    from daemon.config.section import beside
     from daemon.cube.calibration import calibration_in_force
     from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
     from daemon.mqtt.topics import unusable
@@ -69,7 +70,7 @@ def check_file(
     if settings.notify.people_file is not None:
         try:
             # As heliocube notify does: from beside the file.
-            recipients_of(path.parent / settings.notify.people_file.expanduser())
+            recipients_of(beside(path, settings.notify).people_file)
         except UserError as error:
             problems.append(str(error))
     weather = settings.simulation.weather

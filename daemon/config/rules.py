@@ -20,6 +20,8 @@ _BRIGHT_SUN_W_M2 = 1000.0
 # What an electronic load takes for one exchange, and a sweep for its beginning and end.
 _LOAD_EXCHANGE_S = 0.02
 _SWEEP_ENDS_S = 0.2
+# Dates end with the year 9999, and a simulated clock runs up to a thousand times as fast as time.
+_START_BEFORE_YEAR = 3000
 SELF_TESTS = ("self_test_channel", "second_self_test_channel")
 
 
@@ -178,6 +180,13 @@ def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
     if mean_s < scan_s:
         other = "cube.scan_every_s"
         yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
+
+
+def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
+    """`simulation.start_utc` is before the year 3000."""
+    start = settings.simulation.start_utc
+    if start is not None and start.year >= _START_BEFORE_YEAR:
+        yield Conflict("simulation.start_utc", f"must be before the year {_START_BEFORE_YEAR}")
 
 
 def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:
@@ -345,6 +354,7 @@ RULES = (
     *_OF_MULTIPLEXED,
     the_faces_can_be_told_apart,
     windows_hold_scans,
+    a_simulated_clock_starts_in_time,
     the_law_in_the_shadow_is_another,
     a_group_is_whole,
     trackers_of_a_group_stand_apart,

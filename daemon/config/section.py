@@ -1,12 +1,12 @@
 """What the tables of the configuration file have in common."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from daemon.base.errors import UserError
+from daemon.base.files import parse_toml, toml_text
 
 
 def _no_empty_path(value: object) -> object:
@@ -34,7 +34,7 @@ def read_tables(path: Path | None) -> dict[str, Any]:
     if path is None:
         return {}
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        return parse_toml(toml_text(path))
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror}") from None
     except ValueError as error:
@@ -50,7 +50,19 @@ def one_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Ki
 
 
 def beside(path: Path | None, section: Kind) -> Kind:
-    """Return a section with its files where they are meant: those of no absolute path lie beside the configuration."""
+    """Return a section with its files where they are meant: those of no absolute path lie beside the configuration.
+
+    Raises
+    ------
+    UserError
+        One is said to be in the folder of a user that there is not.
+    """
     folder = Path() if path is None else path.parent
-    files = {name: value for name, value in section if isinstance(value, Path)}
-    return section.model_copy(update={name: folder / value.expanduser() for name, value in files.items()})
+    files = {}
+    for name, value in section:
+        if isinstance(value, Path):
+            try:
+                files[name] = folder / value.expanduser()
+            except RuntimeError:
+                raise UserError(f"{name} = {str(value)!a}: there is no such user; write the whole path") from None
+    return section.model_copy(update=files)

@@ -40,8 +40,11 @@ def setup(
     from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
     from daemon.commands.setup.screen import SetupScreen
     from daemon.commands.setup.steps import A_BENCH, RIG, ROLE
+    from daemon.config.template import FILE_NAME
 
     file = file.absolute()
+    if file.is_dir():
+        raise UserError(f"{file} is a folder: name the file to write, such as {file / FILE_NAME}")
     place = place_of_answers(file)
     kept = SetupAnswers() if anew else load_answers(place)
     dialogue = SetupDialogue(kept, file)

@@ -97,6 +97,13 @@ def test_check_lists_everything_on_standard_error_without_a_traceback(heliocube,
     assert "Traceback" not in err
 
 
+def test_check_tells_of_a_people_file_in_the_folder_of_nobody(heliocube, tmp_path):
+    (tmp_path / "bad.toml").write_text("[notify]\npeople_file = '~nosuch/x'\n")
+    code, _, err = heliocube("config", "check", tmp_path / "bad.toml")
+    assert code == 2
+    assert "  people_file = '~nosuch/x': there is no such user; write the whole path\n" in err
+
+
 def test_check_says_when_scans_are_not_signed(heliocube, tmp_path):
     path = tmp_path / "heliocube.toml"
     path.write_text("[bridge]\ninsecure = true\n")

@@ -72,6 +72,12 @@ WRONG = {
     "campaign --reliability there/out.csv": "there/out.csv " + THERE + "--reliability",
     "bench --dir new --weather nonsense": "no weather file at nonsense",
     "report --store there": "name either --day DAY, or --from and --to",
+    "setup /": "/ is a folder: name the file to write, such as /heliocube.toml",
+    "run --start 9999-12-31T23:59": "must be before the year 3000",
+    "notify --config home.toml": "people_file = '~nosuch/x': there is no such user; write the whole path",
+    "archive --config home.toml": "password_file = '~nosuch/x': there is no such user; write the whole path",
+    "notify --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",
+    "dashboard --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",
     "export --out new": "export needs either --store DIR or --config FILE",
 }
 
@@ -81,6 +87,10 @@ def refused(tmp_path_factory):
     """What each of the commands says, and what it has loaded by then, by its words."""
     folder = tmp_path_factory.mktemp("refused")
     (folder / "file").write_text("mine")
+    (folder / "home.toml").write_text(
+        "[notify]\npeople_file = '~nosuch/x'\n[archive]\ndatabase = 'postgresql://u@h/d'\npassword_file = '~nosuch/x'\n"
+    )
+    (folder / "deep.toml").write_text(f"a = {'[' * 5000}")
     (folder / "there").mkdir()
     names = ("scans.csv", "out.csv", "out.png", "energy.txt", "powers.csv", "gains.csv", "paper.txt", "seed-4.json")
     for name in names:
