@@ -14,7 +14,7 @@ class ExitCode(IntEnum):
     NOT_SEEN = 3
     """The service took the command, and telemetry did not show its effect in time."""
     ALARMS = 4
-    """Of a check: the service works, and something is the matter."""
+    """Of a check: the service works, and something is the matter; of a test message: not everybody got it."""
     UNREACHABLE = 5
     """Nothing answers there, or something that is not heliocube."""
     REFUSED = 6

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from daemon.base.errors import UserError
+from daemon.base.errors import ExitCode, UserError
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.operate import TokenOption, WhyOption, give
 from daemon.commands.options import ApiOption, ConfigOption, TrackerOption
@@ -114,7 +114,8 @@ def notify(
     process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     logging.getLogger("httpx").setLevel(logging.WARNING)
     if test:
-        raise typer.Exit(0 if asyncio.run(courier.test(settings, recipients, typer.echo)) else 1)
+        delivered = asyncio.run(courier.test(settings, recipients, typer.echo))
+        raise typer.Exit(ExitCode.GOOD if delivered else ExitCode.ALARMS)
     services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
     say(f"telling {people} of alarms of {services}")
     manager = process.Notifier(os.environ, os.getpid())

@@ -19,6 +19,7 @@ from daemon.notify.backlog import QuietHours
 from daemon.notify.courier import Courier
 from daemon.notify.courier import test as try_out
 from daemon.notify.recipients import recipients_of
+from tests.support import forks
 
 pytestmark = pytest.mark.slow
 
@@ -348,6 +349,16 @@ def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_pa
     assert [line.rpartition(": ")[2] for line in lines] == ["taken", "not taken; see the lines above", "taken"]
     assert "secret" not in "".join(lines)
     assert "a test" in str(lab.told[0])
+
+
+def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
+    config, people = tmp_path / "notify.toml", tmp_path / "people"
+    config.write_text("[notify]\npeople_file = 'people'\n")
+    people.touch(0o600)
+    for port, code in ((lab.address.rpartition(":")[2], 0), ("1", 4)):
+        people.write_text(f"json://127.0.0.1:{port}/\n")
+        done = forks.run("notify", "--config", config, "--test")
+        assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
 
 
 @pytest.mark.parametrize(
