@@ -49,6 +49,11 @@ def setup(
     kept = SetupAnswers() if anew else load_answers(place)
     dialogue = SetupDialogue(kept, file)
     screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
+    if role is not None and kept.answers.get(ROLE, role.value) != role.value:
+        raise UserError(
+            f"--role {role.value}: the answers from before in {place} are for the role {kept.answers[ROLE]}; leave"
+            " --role out to go on with them, or begin with --anew"
+        )
     _greet(screen, file, place, len(kept.answers))
     if role is not None and ROLE not in kept.answers:
         dialogue.take(role.value)

@@ -106,17 +106,12 @@ def test_the_end_of_the_input_leaves_and_the_same_command_goes_on(setup, tmp_pat
     assert "What will this machine do" in again.output
 
 
-def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
-    port = tmp_path / "positioner"
-    said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 6]
-    done = setup(tmp_path / "tracker.toml", *said, "move", "skip", options=("--role", "tracker"))
-    assert done.exit_code == 0, done.output
-    assert "nothing is moved without a terminal" in done.output
-    assert "THE FIRST MOVE" in done.output
-
-
-def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
-    (tmp_path / "file").write_text("")
-    done = setup(tmp_path / "file" / "cube.toml", *CUBE)
-    assert "cannot be written" in str(done.exception)
-    assert "name a file in a folder of yours" in str(done.exception)
+def test_another_role_than_was_answered_before_is_refused_and_nothing_is_asked(setup, tmp_path):
+    file = tmp_path / "cube.toml"
+    assert setup(file, "real", options=("--role", "both")).exit_code == LEFT
+    kept = (tmp_path / "cube.setup.json").read_text()
+    other = setup(file, *CUBE)
+    assert str(other.exception).startswith("--role cube: the answers from before in ")
+    assert "are for the role both; leave --role out to go on with them, or begin with --anew" in str(other.exception)
+    assert (tmp_path / "cube.setup.json").read_text() == kept
+    assert setup(file, options=("--role", "both")).exit_code == LEFT
