@@ -39,7 +39,8 @@ class SetupDialogue:
         own: dict[str, Any] = {}
         if file.exists():
             load_settings(file)
-            own = _values_of(file)
+            # install.sh lays down a file with the place of the paper, which nobody may take by Enter.
+            own = {path: value for path, value in _values_of(file).items() if not _is_the_papers(path, value)}
         if "tracker" in own:
             raise UserError(f"{file} has tables of trackers, which a setup does not ask for: change that file by hand")
         self._own = own
@@ -236,6 +237,12 @@ def _values_of(file: Path) -> dict[str, Any]:
     for former in RENAMED.keys() & found.keys():
         found[f"{former.rpartition('.')[0]}.{RENAMED[former]}"] = found.pop(former)
     return found
+
+
+def _is_the_papers(path: str, value: Any) -> bool:
+    """Return whether a value of the site is the one that counts where a file says nothing."""
+    key = keys.keys().get(path)
+    return key is not None and key.section == "site" and value == key.default
 
 
 def _flat(table: Mapping[str, Any], path: str) -> list[tuple[str, Any]]:

@@ -3,6 +3,7 @@
 import grp
 import os
 import pwd
+import shutil
 
 import pytest
 from typer.testing import CliRunner
@@ -12,6 +13,7 @@ from daemon.commands.main import app
 from daemon.commands.setup.command import LEFT
 from daemon.config.file import load_settings
 from tests.daemon.store.test_store import fill, small_disk
+from tests.support import ROOT
 
 __all__ = ["small_disk"]
 
@@ -115,3 +117,27 @@ def test_another_role_than_was_answered_before_is_refused_and_nothing_is_asked(s
     assert "are for the role both; leave --role out to go on with them, or begin with --anew" in str(other.exception)
     assert (tmp_path / "cube.setup.json").read_text() == kept
     assert setup(file, options=("--role", "both")).exit_code == LEFT
+
+
+def test_the_place_of_the_paper_in_the_file_that_the_installation_lays_down_is_not_taken_by_enter(setup, tmp_path):
+    file = tmp_path / "tracker.toml"
+    shutil.copy(ROOT / "deploy" / "examples" / file.name, file)
+    done = setup(file, "real", "", "Roof", "", "48.7", "", "2.2", "", "156.5", options=("--role", "tracker"))
+    assert done.output.count("this has no default") == 4
+    assert "Does that fit the clock" in done.output
+
+
+def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
+    port = tmp_path / "positioner"
+    said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 6]
+    done = setup(tmp_path / "tracker.toml", *said, "move", "skip", options=("--role", "tracker"))
+    assert done.exit_code == 0, done.output
+    assert "nothing is moved without a terminal" in done.output
+    assert "THE FIRST MOVE" in done.output
+
+
+def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
+    (tmp_path / "file").write_text("")
+    done = setup(tmp_path / "file" / "cube.toml", *CUBE)
+    assert "cannot be written" in str(done.exception)
+    assert "name a file in a folder of yours" in str(done.exception)
