@@ -43,3 +43,10 @@ def test_addresses_of_others_are_whole(page):
         parts = urlsplit(address)
         assert re.fullmatch(r"[\w.-]+\.[a-z]{2,}|127\.0\.0\.1|tracker\.lab", parts.hostname or ""), address
         assert not re.search(r"\s|[.,;]$", address), address
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_the_user_of_the_service_is_to_run_names_the_configuration(page):
+    # sudo does not hand HELIOCUBE_CONFIG on.
+    commands = re.findall(r"sudo -u heliocube heliocube ([^`\n]*)", page.read_text())
+    assert [command for command in commands if "/etc/heliocube/" not in command and "..." not in command] == []
