@@ -12,8 +12,9 @@ usage: install.sh [--role cube|tracker|both|archive] [--from WHEEL|CHECKOUT] [--
 Puts the program into a Python environment under /opt/heliocube, its units and device rules under /etc, and, where there
 is none yet, a configuration under /etc/heliocube. Starts nothing: nothing moves before you say so.
 
-  --role ROLE       what this machine does (default: both, as two units); archive keeps the records of many services in
-                    PostgreSQL, alone or beside what an earlier run has installed
+  --role ROLE       what this machine does (default: what an earlier run has installed, or else both, as two units);
+                    archive keeps the records of many services in PostgreSQL, alone or beside what an earlier run has
+                    installed
   --from PATH       a heliocube wheel, or a checkout (default: the checkout that this script is in)
   --python PROGRAM  the Python to build on, 3.11 or newer (default: python3)
   --notify          with what sends alarms to people; kept at an upgrade where /etc/heliocube/notify.people is
@@ -27,7 +28,7 @@ fail() {
   exit 2
 }
 
-role=both from='' python=python3 root='' remove=no notify=no archive=no
+role='' from='' python=python3 root='' remove=no notify=no archive=no
 while [ $# -gt 0 ]; do
   case $1 in
     -h | --help) usage; exit 0 ;;
@@ -48,6 +49,7 @@ done
 case $role in
   cube | tracker | archive) roles=$role ;;
   both) roles='cube tracker' ;;
+  '') roles='' ;;
   *) fail "--role $role: must be cube, tracker, both or archive" ;;
 esac
 [ "$(id -u)" -eq 0 ] || fail 'this needs root: run it with sudo'
@@ -61,7 +63,13 @@ here=$(cd "$(dirname "$0")" && pwd)
 # shellcheck source=deploy/steps.sh
 . "$here/steps.sh"
 [ ! -e "$etc/notify.people" ] || notify=yes
-[ "$role" != archive ] && [ ! -e "$etc/archive.toml" ] || archive=yes
+# An upgrade leaves a machine what it is.
+[ -n "$role" ] || for each in archive cube tracker; do
+  [ ! -e "$root/etc/systemd/system/heliocube-$each.service" ] || roles="$roles $each"
+done
+[ -n "$roles" ] || roles='cube tracker'
+[ ! -e "$etc/archive.toml" ] || archive=yes
+case " $roles " in *' archive '*) archive=yes ;; esac
 # The locks name the same release of what more than one of them names.
 locks='runtime'
 [ $notify = no ] || locks="$locks notify"

@@ -306,7 +306,7 @@ def test_installing_twice_and_removing_leaves_only_data_and_configuration(tmp_pa
     assert not (units / "heliocube-tracker.service").exists()
     assert not list(units.glob("*.wants")), "nothing is enabled"
 
-    first = run(*install)
+    first = run(*install, "--role", "both")
     assert first.returncode == 0, first.stderr
     assert "building" not in first.stdout, "who has been an archive stays one"
     assert "systemctl enable --now heliocube-tracker" in first.stdout

@@ -49,21 +49,6 @@ def test_the_scripts_are_a_shell_s(name):
     assert run("sh", "-n", DEB / name).stderr == ""
 
 
-def test_installing_a_release_again_leaves_the_one_before_it(tmp_path):
-    releases = tmp_path / "opt" / "heliocube" / "releases"
-
-    def use(name):
-        (releases / name).mkdir(parents=True, exist_ok=True)
-        done = run("sh", "-euc", '. deploy/steps.sh; use_release "$0"', name, cwd=ROOT, env={"root": str(tmp_path)})
-        assert (done.returncode, done.stderr) == (0, "")
-        return (releases.parent / "current").resolve().name, {path.name for path in releases.iterdir()}
-
-    assert use("1") == ("1", {"1"})
-    assert use("2") == ("2", {"1", "2"})
-    assert use("2") == ("2", {"1", "2"})
-    assert use("3") == ("3", {"2", "3"})
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
