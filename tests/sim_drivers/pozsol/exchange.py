@@ -25,6 +25,12 @@ def status(core, now):
     return parse_status(fields(core, now)[Field.STATUS].decode(), wire.B_OUT_BIT_STM)
 
 
+def moves(core, now, axis="a"):
+    """Whether the status says that an axis moves, in or out."""
+    first = {"a": wire.A_OUT_BIT, "b": wire.B_OUT_BIT_STM}[axis]
+    return bool(status(core, now).word >> first & 0b11)
+
+
 def point(core, now, a_deg=None, b_deg=None):
     if a_deg is not None:
         core.feed(encode_command(Field.A_ANGLE, a_deg), now)

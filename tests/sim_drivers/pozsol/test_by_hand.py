@@ -5,15 +5,15 @@ import pytest
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import B_ACTUATOR, Actuator, Setup
 from solar.frames import Angles
-from tests.sim_drivers.pozsol.exchange import JOG_A_OUT, point, status
+from tests.sim_drivers.pozsol.exchange import JOG_A_OUT, moves, point, status
 
 
 def test_a_jog_ends_280_ms_after_its_last_repetition():
     core = PositionerCore()
     for i in range(10):
         core.feed(JOG_A_OUT, i * 0.2)
-    assert status(core, 1.82 + 0.27).a_moving
-    assert not status(core, 1.82 + 0.29).a_moving
+    assert moves(core, 1.82 + 0.27)
+    assert not moves(core, 1.82 + 0.29)
     end = core.truth(1.82 + 0.28 + 0.6)
     assert end.a_deg > 0.5
     assert core.truth(100.0) == end
@@ -38,7 +38,7 @@ def test_an_unknown_action_ends_a_move_as_a_jog_that_is_not_repeated():
     core = PositionerCore()
     point(core, 0.0, a_deg=40.0)
     core.feed(b"$9x\r", 5.0)
-    assert status(core, 5.25).a_moving
+    assert moves(core, 5.25)
     assert core.truth(6.0) == core.truth(100.0)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from drivers.positioners.pozsol.wire import Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR, AxisDrive, Setup
-from tests.sim_drivers.pozsol.exchange import STOP, fields, number, point, status
+from tests.sim_drivers.pozsol.exchange import STOP, fields, moves, number, point
 
 
 def test_an_angle_command_moves_the_axis_there_cut_to_whole_millimetres():
@@ -35,7 +35,7 @@ def test_a_move_takes_the_time_of_its_speed_and_ramps_and_counts_as_one_for_anot
     drive = AxisDrive()
     way = int(start) + 65 - start
     arrival_s = 0.02 + way / drive.speed_mm_s + 0.5 * drive.speed_mm_s / drive.acceleration_mm_s2
-    assert status(core, arrival_s - 0.1).a_moving
+    assert moves(core, arrival_s - 0.1)
     assert number(core, Field.A_POSITION, arrival_s + 0.3) == pytest.approx(int(start) + 65 + 0.14, abs=0.03)
     assert number(core, Field.A_DESTINATION, arrival_s + 0.3) == int(start) + 65
     assert number(core, Field.A_DESTINATION, arrival_s + 0.5) == number(core, Field.A_POSITION, arrival_s + 0.5)
@@ -55,8 +55,8 @@ def test_b_waits_until_a_has_stopped():
     core = PositionerCore()
     now = point(core, 0.0, a_deg=10.0, b_deg=60.0)
     assert number(core, Field.B_DESTINATION, now) == int(B_ACTUATOR.position_mm(60.0))
-    assert status(core, now + 2.0).a_moving
-    assert not status(core, now + 2.0).b_moving
+    assert moves(core, now + 2.0)
+    assert not moves(core, now + 2.0, "b")
     assert core.truth(now + 2.0).b_deg == pytest.approx(90.0)
     assert core.truth(now + 200.0).b_deg == pytest.approx(60.0, abs=0.4)
 
@@ -64,7 +64,7 @@ def test_b_waits_until_a_has_stopped():
 def test_a_synchronous_unit_says_so_and_takes_turns_all_the_same():
     core = PositionerCore(setup=Setup(synchronous=True))
     now = point(core, 0.0, a_deg=10.0, b_deg=60.0)
-    assert not status(core, now + 2.0).b_moving
+    assert not moves(core, now + 2.0, "b")
     assert fields(core, now + 2.0)[Field.SERVICE].startswith(b"Run:synch")
 
 
@@ -90,8 +90,7 @@ def test_after_a_stop_the_destination_is_the_position_and_no_bit_tells_that_the_
     now = point(core, 0.0, a_deg=40.0, b_deg=30.0)
     core.feed(STOP, 10.0)
     before = number(core, Field.A_POSITION, 10.02)
-    shown = status(core, 10.03)
-    assert not shown.a_moving
+    assert not moves(core, 10.03)
     assert number(core, Field.A_POSITION, 10.1) > before
     assert number(core, Field.A_DESTINATION, 10.1) == number(core, Field.A_POSITION, 10.1)
     after = number(core, Field.A_POSITION, 11.0)
@@ -107,7 +106,7 @@ def test_on_a_reversal_it_drives_the_old_way_for_another_second():
     point(core, 0.0, a_deg=40.0)
     turn = number(core, Field.A_POSITION, 10.0)
     point(core, 10.0, a_deg=-40.0)
-    assert status(core, 10.5).a_moving
+    assert moves(core, 10.5)
     assert number(core, Field.A_POSITION, 11.0) == pytest.approx(turn + 3.1, abs=0.1)
     assert number(core, Field.A_POSITION, 11.5) == pytest.approx(turn + 3.55, abs=0.1)
     assert number(core, Field.A_POSITION, 20.0) < turn

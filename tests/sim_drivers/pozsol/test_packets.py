@@ -5,7 +5,7 @@ import pytest
 from drivers.positioners.pozsol.wire import Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, B_ACTUATOR
-from tests.sim_drivers.pozsol.exchange import STOP, fields, number, point, status
+from tests.sim_drivers.pozsol.exchange import STOP, fields, moves, number, point
 
 
 @pytest.mark.parametrize("text", [b"-5", b"-1", b"99999999999", b"-99999999999"])
@@ -89,7 +89,7 @@ def test_the_first_packet_after_each_connection_of_the_cable_is_lost():
     point(core, 0.0, a_deg=40.0)
     core.enumerate_usb(5.0)
     core.feed(STOP, 5.0)
-    assert status(core, 5.5).a_moving
+    assert moves(core, 5.5)
     core.feed(STOP, 5.5)
     assert core.truth(6.5) == core.truth(100.0)
 
