@@ -1,6 +1,7 @@
 """One move or one reference run, from its order to its end: each begins and ends with both axes standing."""
 
 import asyncio
+import contextlib
 import logging
 import math
 from collections.abc import Callable, Coroutine
@@ -159,11 +160,19 @@ class Runs:
                 guard.watch.pardon()
                 await guard.halt()
                 outcome, why = MoveOutcome.REFUSED, error.message
+                await self._wake_up()
                 if self._is_interrupted():
                     outcome, why = MoveOutcome.INTERRUPTED, target.why
             if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._hopeless():
                 break
         return outcome, why
+
+    async def _wake_up(self) -> None:
+        """Clear the mark of a restart for a stow that was refused: until then a unit may take no target at all."""
+        telemetry = self._guard.telemetry
+        if self._stow and telemetry is not None and telemetry.was_reset:
+            with contextlib.suppress(RefusedError):
+                await self._clear_marks()
 
     async def _pause(self) -> None:
         """Let time pass between two attempts and watch meanwhile: what stands may begin to move by itself."""
@@ -266,16 +275,20 @@ class Runs:
             doubts.homing_ends(left)
             self._changed()
 
-    async def _home_both(self) -> None:
+    async def _clear_marks(self) -> None:
+        """Clear what the unit shows, and forgive nothing: only a reference run or a person may end a doubt."""
         guard = self._guard
         guard.clearing = True
         try:
-            # Only the run itself may tell whether the count is right.
             clear = partial(self._positioner.clear_faults, forgive=False)
             await guard.attended(self._unless_interrupted(clear))
             guard.doubts.cleared()
         finally:
             guard.clearing = False
+
+    async def _home_both(self) -> None:
+        guard = self._guard
+        await self._clear_marks()
         for axis in _AXES:
             await self._home_one(axis)
         await guard.halt()

@@ -125,13 +125,20 @@ class PositionerUnit:
         self.decide(now)
 
     def clear_faults(self) -> None:
-        """Forget all faults but a broken cable."""
+        """Forget all faults but a broken cable, and enable the axes."""
+        self._forget_faults()
         for axis in self.axes.values():
-            axis.faults = {"cable"} if axis.cable_broken else set()
             axis.enabled = True
 
+    def _forget_faults(self) -> None:
+        for axis in self.axes.values():
+            axis.faults = {"cable"} if axis.cable_broken else set()
+
     def power_cycle(self, now: float, *, keep_position: bool = True) -> None:
-        """Restart: faults are gone, the reset mark is set, the count is kept or starts at 0."""
+        """Restart: faults are gone, the reset mark is set, the count is kept or starts at 0.
+
+        An axis that a fault has disabled stays so until the status is cleared, by us or by the unit itself.
+        """
         for axis in self.axes.values():
             axis.freeze(now)
             if not keep_position:
@@ -139,7 +146,7 @@ class PositionerUnit:
             axis.control, axis.target_mm, axis.outward = "idle", axis.counted_mm(now), True
         self._choose("a", now)
         self._forget_orders()
-        self.clear_faults()
+        self._forget_faults()
         self.modes.restart(now)
         self.was_reset, self._self_clear_s = True, now + SELF_CLEAR_S
         self.decide(now)

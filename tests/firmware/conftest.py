@@ -50,8 +50,8 @@ def start_firmware(tmp_path):
     """Start a powered-up, provisioned unit on a pseudo-terminal, its axes at the angles given."""
     started = []
 
-    def start(a_deg=0.0, b_deg=90.0):
-        started.append(LiveFirmware(tmp_path / "positioner", a_deg, b_deg))
+    def start(a_deg=0.0, b_deg=90.0, **how):
+        started.append(LiveFirmware(tmp_path / "positioner", a_deg, b_deg, **how))
         return started[-1]
 
     yield start

@@ -17,13 +17,28 @@ A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
 
 
+# As the peer's own program, but for the status: after power-up nobody has cleared it.
+_NOT_CLEARED = """
+import sys
+sys.path.insert(0, sys.argv.pop(1))
+from fw import LiveUnit, provision
+unit = LiveUnit(sys.argv[1], sys.argv[2])
+provision(unit, float(sys.argv[3]), float(sys.argv[4]), clear=False)
+print("up", flush=True)
+for line in sys.stdin:
+    print(*unit.cmd(line.strip()), flush=True)
+unit.close()
+"""
+
+
 class LiveFirmware:
     """One unit, with its truth and its cable in hand."""
 
-    def __init__(self, link, a_deg, b_deg):
+    def __init__(self, link, a_deg, b_deg, *, cleared=True):
         self.link = link
+        program = [str(FIRMWARE / "serve.py")] if cleared else ["-B", "-c", _NOT_CLEARED, str(FIRMWARE)]
         self._process = subprocess.Popen(
-            [sys.executable, str(FIRMWARE / "serve.py"), BUILD, str(link), str(a_deg), str(b_deg)],
+            [sys.executable, *program, BUILD, str(link), str(a_deg), str(b_deg)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

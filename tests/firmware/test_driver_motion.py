@@ -103,6 +103,29 @@ def test_a_single_stop_that_is_the_first_word_of_a_connection_is_heard(start_fir
     asyncio.run(scene())
 
 
+def test_after_power_up_it_takes_no_target_before_its_status_is_cleared(start_firmware):
+    firmware = start_firmware(-20.0, 60.0, cleared=False)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        await opened(positioner)
+        assert (await positioner.read_telemetry()).was_reset
+        with pytest.raises(RefusedError, match="it has restarted, and may take no target before its status is cleared"):
+            await positioner.move_to(0.0, 90.0, first="b")
+        await positioner.clear_faults(forgive=False)
+        assert "restarted" in (await positioner.read_telemetry()).reference_doubt
+        await move(positioner, 0.0, 90.0, first="b")
+
+        async def moves():
+            return firmware.pose_deg()[1] > 61.0
+
+        await until(moves)
+        await positioner.halt()
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
 def test_the_axis_that_is_named_first_moves_first(start_firmware):
     firmware = start_firmware()
 

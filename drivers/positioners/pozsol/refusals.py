@@ -19,6 +19,8 @@ def likely_cause(seen: Telemetry) -> str:
         return f"it reports {', '.join(seen.faults)}"
     if seen.homing:
         return "it is homing"
+    if seen.was_reset:
+        return "it has restarted, and may take no target before its status is cleared"
     if seen.supply_v < _LOWEST_SUPPLY_V:
         return f"its motor supply is {seen.supply_v:g} V"
     if seen.autonomous:

@@ -9,7 +9,7 @@ import pytest
 from daemon.base.records import Mode, ModeChange, Move, MoveOutcome, Target
 from drivers.errors import DeviceError, RefusedError
 from tests.support.motion import commands_sent
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.phases import at_rest, quiet, tracking, under_way
 
 
 def test_wind_stows_in_mid_move_and_releases_after_its_calm(run_rig):
@@ -48,6 +48,25 @@ def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
         await rig.until_mode(Mode.TRACKING, 300)
 
     run_rig(scenario)
+
+
+def test_a_unit_that_takes_no_target_after_its_restart_is_cleared_for_a_stow_and_stays_in_doubt(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.inject("a_hall_loss", rig.clock.monotonic())
+        await rig.until(lambda: rig.motion.telemetry and rig.motion.telemetry.faults, 7200, "the fault", every_s=1.0)
+        # Whoever comes switches it off and on: the fault is gone, and the axis is disabled all the same.
+        rig.unit.repair("a_hall_loss", rig.clock.monotonic())
+        rig.unit.power_cycle(rig.clock.monotonic())
+        await asyncio.sleep(60)
+        rig.wind_m_s = 30.0
+        assert abs(rig.motion.pose.a_deg) > 10.0
+        # It drove blind for some degrees, so by its count it is there before it truly is.
+        await rig.until(lambda: abs(rig.motion.pose.a_deg) < 1.0 and rig.truth().b_deg > 89.0, 300, "the stow")
+        assert rig.mode is Mode.STOW
+        assert "the positioner has restarted" in rig.motion.doubt
+
+    run_rig(scenario, start="2022-10-12T08:30")
 
 
 def test_a_wind_sensor_that_falls_silent_stows(run_rig):

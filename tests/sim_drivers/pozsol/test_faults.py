@@ -5,7 +5,7 @@ import pytest
 from drivers.positioners.pozsol.wire import Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, Setup
-from tests.sim_drivers.pozsol.exchange import CLEAR, HOME_A, HOME_B, STOP, fields, number, point, status
+from tests.sim_drivers.pozsol.exchange import CLEAR, HOME_A, HOME_B, STOP, fields, moves, number, point, status
 
 
 def test_overcurrent_forgets_the_axis_target_and_the_other_axis_pending_move_begins():
@@ -64,7 +64,7 @@ def test_a_lost_hall_signal_latches_after_two_seconds_of_driving_blind():
     point(core, 0.0, a_deg=40.0)
     core.inject("a_hall_loss", 10.0)
     counted = number(core, Field.A_POSITION, 10.0)
-    assert not status(core, 10.5).a_moving
+    assert not moves(core, 10.5)
     assert status(core, 11.9).faults == ()
     assert status(core, 12.1).faults == ("a_hall_fault",)
     assert number(core, Field.A_POSITION, 12.1) == counted
@@ -162,6 +162,22 @@ def test_a_power_cycle_stops_everything_sets_the_reset_mark_and_keeps_the_count(
     assert status(core, 501.0).was_reset, "it has enumerated anew, so the first packet is lost"
     core.feed(CLEAR, 502.0)
     assert not status(core, 503.0).was_reset
+
+
+def test_an_axis_that_a_fault_has_disabled_takes_no_target_after_a_power_cycle_before_the_status_is_cleared():
+    core = PositionerCore()
+    point(core, 0.0, a_deg=40.0)
+    core.inject("a_hall_loss", 10.0)
+    core.repair("a_hall_loss", 15.0)
+    core.power_cycle(20.0)
+    assert status(core, 20.0).faults == ()
+    core.feed(STOP, 21.0)
+    position = number(core, Field.A_POSITION, 22.0)
+    point(core, 22.0, a_deg=40.0)
+    assert number(core, Field.A_DESTINATION, 23.0) == number(core, Field.A_POSITION, 60.0) == position
+    core.feed(CLEAR, 60.0)
+    point(core, 61.0, a_deg=40.0)
+    assert number(core, Field.A_POSITION, 120.0) > position
 
 
 def test_a_fresh_unit_has_no_reset_mark():
