@@ -140,10 +140,12 @@ class Courier:
 
     async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
         try:
-            reply = await self._client.get(f"http://{service.reachable}/api/state", timeout=_ANSWER_WITHIN_S)
+            # The client's own limit is for each piece of an answer, of which there may be no end.
+            async with asyncio.timeout(_ANSWER_WITHIN_S):
+                reply = await self._client.get(f"http://{service.reachable}/api/state", timeout=_ANSWER_WITHIN_S)
             reply.raise_for_status()
             return watch.answered(reply.json(), self._clock.monotonic())
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, TimeoutError) as error:
             return watch.failed(_reason(error), self._clock.monotonic())
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return watch.failed("what answers there is not heliocube", self._clock.monotonic())
@@ -191,6 +193,6 @@ def _reason(error: Exception) -> str:
         return f"it answers with {error.response.status_code}"
     if isinstance(error, httpx.ConnectError):
         return "nothing listens there"
-    if isinstance(error, httpx.TimeoutException):
+    if isinstance(error, (httpx.TimeoutException, TimeoutError)):
         return "it does not answer in time"
     return "the connection broke off"

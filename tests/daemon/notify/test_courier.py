@@ -3,7 +3,7 @@
 import asyncio
 import json
 import threading
-from datetime import UTC, datetime, time
+from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import httpx
@@ -13,9 +13,10 @@ from apprise.plugins.custom_json import NotifyJSON
 from daemon.api.models import AlarmPart
 from daemon.base.addresses import parse_address
 from daemon.base.alarms.kinds import KINDS
+from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
+from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.links import NotifySettings
-from daemon.notify.backlog import QuietHours
 from daemon.notify.courier import Courier
 from daemon.notify.courier import test as try_out
 from daemon.notify.recipients import recipients_of
@@ -103,6 +104,19 @@ class Lab:
     @property
     def titles(self):
         return [json.loads(body)["title"] for path, _, body in self.told if path == "/json"]
+
+
+class Way:
+    """A way to somebody, which takes what it is given once it is free."""
+
+    def __init__(self, name):
+        self.name, self.told, self.free = name, [], asyncio.Event()
+        self.free.set()
+
+    async def tell(self, notice):
+        await self.free.wait()
+        self.told.append(notice.title.rpartition(" ")[2])
+        return True
 
 
 @pytest.fixture
@@ -303,19 +317,32 @@ def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told
     told(scenario)
 
 
-def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
-    class Way:
-        def __init__(self, name):
-            self.name, self.told, self.free = name, [], asyncio.Event()
-
-        async def tell(self, notice):
-            await self.free.wait()
-            self.told.append(notice.title.rpartition(" ")[2])
-            return True
+def test_an_answer_without_an_end_is_told_like_silence():
+    class Endless(httpx.AsyncByteStream):
+        async def __aiter__(self):
+            while True:
+                yield b" "
+                await asyncio.sleep(1.0)
 
     async def scenario():
+        transport = httpx.MockTransport(lambda request: httpx.Response(200, stream=Endless()))
+        async with httpx.AsyncClient(transport=transport) as client:
+            clock, settings = LoopClock(asyncio.get_running_loop().time, NOON_UTC_S), NotifySettings()
+            ways = [Way("one")]
+            courier = Courier(settings, [parse_address("127.0.0.1:1")], ways, clock, client)
+            async with asyncio.timeout(600):
+                while not ways[0].told:
+                    await asyncio.gather(*await courier.step())
+        assert ways[0].told == ["answer"]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
+    async def scenario():
         slow, quick = Way("slow"), Way("quick")
-        quick.free.set()
+        slow.free.clear()
         async with httpx.AsyncClient(trust_env=False) as client:
             courier = Courier(NotifySettings(), [parse_address(lab.address)], [slow, quick], HandClock(), client)
             for name in ("stow-wanted", "clock"):
@@ -380,17 +407,3 @@ def test_a_file_that_names_nobody_is_refused_without_what_is_secret(tmp_path, co
         recipients_of(people)
     assert sentence in str(refused.value)
     assert "secret" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("begin", "end", "quiet", "loud"),
-    [
-        ("22:00", "06:30", ["22:00", "00:00", "06:29"], ["06:30", "21:59"]),
-        ("12:00", "13:00", ["12:00"], ["11:59", "13:00"]),
-        (None, None, [], ["00:00"]),
-    ],
-)
-def test_quiet_hours_may_go_over_midnight(begin, end, quiet, loud):
-    hours = QuietHours(begin, end)
-    assert all(hours.holds(time.fromisoformat(at)) for at in quiet)
-    assert not any(hours.holds(time.fromisoformat(at)) for at in loud)
