@@ -118,6 +118,14 @@ def extraterrestrial_dni(utc_s: float | Array) -> Array:
     return normal.reshape(instants.shape)
 
 
+def solar_days(utc_s: Array, longitude_deg: float) -> Array:
+    """Return the solar days that instants [s UTC] fall in at a longitude, from one mean midnight to the next.
+
+    Counted from 1970-01-01 on. Where midnight of UTC falls in daylight, a day of UTC is halves of two of them.
+    """
+    return np.floor((utc_s + longitude_deg * 240.0) / DAY_S)
+
+
 def sun_day(utc_s: float, latitude_deg: float, longitude_deg: float, altitude_m: float = 0.0) -> SunDay:
     """Return sunrise, noon and sunset of the solar day that `utc_s` [s UTC] falls in at that longitude."""
     mean_solar_day = (float(_finite(utc_s)) + longitude_deg * 240.0) // DAY_S

@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 
 from solar.calibration.level import Tie
 from solar.calibration.selection import CLEAR_WATER_CM, clear_sky_ghi
-from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_direction
+from solar.ephemeris import Site, extraterrestrial_dni, solar_days, sun_direction
 from solar.frames import Array
 from solar.skies.sky import SkyModel, sky
 
@@ -93,7 +93,7 @@ def clear_sky_anchor(
         What else tells e_z and e_v; None for nothing.
     """
     sun, extra = sun_direction(utc_s, *site), extraterrestrial_dni(utc_s)
-    _, day = np.unique(np.floor(utc_s / DAY_S), return_inverse=True)
+    _, day = np.unique(solar_days(utc_s, site.longitude_deg), return_inverse=True)
     weight = np.sqrt(np.minimum(_PER_DAY / np.bincount(day), 1.0))[day]
     ln_zenith, ln_beam = np.log(zenith_w_m2), np.log(beam_w_m2)
     low, high = np.log(_LOWEST_AOD), np.log(_HIGHEST_AOD)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from solar.calibration.selection import block_means
-from solar.ephemeris import DAY_S
+from solar.ephemeris import solar_days
 from solar.frames import Array
 
 SERIES_S = 1200.0
@@ -92,7 +92,9 @@ def lag_s(
     return float(lags[best] + (0.5 * (before - after) / bend * step_s if bend else 0.0))
 
 
-def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: float = SERIES_S) -> SeriesGain:
+def series_gain(
+    utc_s: Array, reference_w_m2: Array, net_mv: Array, longitude_deg: float = 0.0, series_s: float = SERIES_S
+) -> SeriesGain:
     """Return the gain of a sensor from simultaneous readings under clear and stable sky.
 
     Series of `series_s` with fewer than 5 readings are not used. Those whose ratio is more than 2 % off the mean of the
@@ -103,6 +105,8 @@ def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: fl
     ----------
     utc_s, reference_w_m2, net_mv
         Instants [s], the reference's irradiance and the sensor's voltage less its offset, shapes (n,), without NaN.
+    longitude_deg
+        Of the place, by which its days begin.
 
     Raises
     ------
@@ -128,7 +132,7 @@ def series_gain(utc_s: Array, reference_w_m2: Array, net_mv: Array, series_s: fl
         kept[worst] = False
         if np.count_nonzero(kept) < _LEAST_SERIES:
             raise ValueError("the series disagree by more than 2 %: fewer than 3 are left after outliers")
-    _, daily = block_means(middles[kept], ratios[kept], DAY_S)
+    _, daily = block_means(solar_days(middles[kept], longitude_deg), ratios[kept], 1.0)
     independent = daily if daily.size >= _LEAST_SERIES else ratios[kept]
     width = stats.t.ppf(0.975, independent.size - 1) * np.std(independent, ddof=1) / np.sqrt(independent.size)
     return SeriesGain(Interval(float(ratios[kept].mean()), float(width)), ratios, middles, kept)

@@ -11,7 +11,7 @@ from solar.calibration.attitude import Attitude
 from solar.calibration.level import Level, ties
 from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
 from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
-from solar.ephemeris import DAY_S, Site, sun_direction
+from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import SkyModel
 
@@ -77,7 +77,7 @@ class FieldCalibration:
     shape
         The fit behind it.
     days
-        UTC days with clear sky in it.
+        Solar days with clear sky in it.
     """
 
     response: Array
@@ -138,7 +138,7 @@ def calibrate_in_place(
     try:
         values, shape, anchor = estimate(everything, 1.0, _ROUNDS)
         vertical = float(np.exp(np.mean(np.log(values[:3] / values[3]))))
-        day = np.floor(blocks_s / DAY_S)
+        day = solar_days(blocks_s, site.longitude_deg)
         each = np.array([estimate(day != one, vertical, 2)[0] for one in np.unique(day)])
     except ValueError as error:
         raise UndeterminedError([str(error)]) from None
@@ -219,7 +219,7 @@ def _estimate(utc_s: Array, means: Array, told: _Told, vertical: float, rounds: 
 
 
 def _missing(utc_s: Array, site: Site) -> list[str]:
-    days = np.unique(np.floor(utc_s / DAY_S)).size
+    days = np.unique(solar_days(utc_s, site.longitude_deg)).size
     if days < _LEAST_DAYS:
         return [f"clear and stable sky on {days} day{'s' * (days != 1)}, where at least {_LEAST_DAYS} are needed"]
     sun = sun_direction(utc_s, *site)

@@ -133,7 +133,15 @@ def compare(
     for place, name in enumerate(FACES):
         offset = Interval(float(dark[place]), float(_NORMAL * dark_error[place])) if nights else None
         faces[name] = _face(
-            name, minute, ghi, mv[:, place], offset, gains[place], offsets[place], reference_uncertainty_percent
+            name,
+            minute,
+            ghi,
+            mv[:, place],
+            offset,
+            gains[place],
+            offsets[place],
+            reference_uncertainty_percent,
+            site.longitude_deg,
         )
     new_gains = np.array([face.series.gain_w_m2_per_mv.value for face in faces.values()])
     new_offsets = np.array([face.offset_mv.value for face in faces.values()])
@@ -192,10 +200,11 @@ def _face(
     old_gain: float,
     old_offset: float,
     reference_uncertainty_percent: float,
+    longitude_deg: float,
 ) -> FaceResult:
     try:
         zero = fitted_offset(ghi, mv) if offset is None else offset
-        series = series_gain(utc_s, ghi, mv - zero.value)
+        series = series_gain(utc_s, ghi, mv - zero.value, longitude_deg)
     except ValueError as error:
         raise UserError(f"the {name} sensor cannot be calibrated: {error}") from None
     gain = series.gain_w_m2_per_mv

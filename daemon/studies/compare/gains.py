@@ -14,7 +14,7 @@ from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
 from solar.compare import ChainBias, energy_wh, gain_pct, longest_gap_s
-from solar.ephemeris import DAY_S, Site, sun_position
+from solar.ephemeris import DAY_S, Site, solar_days, sun_position
 from solar.frames import Array
 from solar.skies.sky_periods import sky_periods
 
@@ -30,7 +30,7 @@ class Gain:
     Attributes
     ----------
     date, period
-        UTC day, and which part of it; the times are of its first and last pair.
+        Solar day of the site, and which part of it; the times [UTC] are of its first and last pair.
     hours
         That both were measured.
     cube_wh, chrono_wh
@@ -86,19 +86,20 @@ def check_spans(pairs: Pairs, spans: Sequence[Span]) -> None:
             )
 
 
-def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span]) -> list[Gain]:
-    """Return the gain of every UTC day with pairs, each followed by those of the spans whose first pair is in it."""
+def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span], site: Site) -> list[Gain]:
+    """Return the gain of every solar day with pairs, each followed by those of the spans whose first pair is in it."""
     found = []
-    days = np.floor(pairs.utc_s / DAY_S)
+    days = solar_days(pairs.utc_s, site.longitude_deg)
     for day in np.unique(days).tolist():
+        date = iso_utc(day * DAY_S)[:10]
         of_day = pairs.where(days == day)
         # By the day, for tables that were written at different rates may stand beside one another.
         gap_s = longest_gap_s(of_day.utc_s)
-        found.append(_gain(of_day, bias, WHOLE_DAY, gap_s))
+        found.append(_gain(of_day, bias, date, WHOLE_DAY, gap_s))
         for span in spans:
             inside = _inside(pairs, span)
             if inside.sum() > 1 and days[inside][0] == day:
-                found.append(_gain(pairs.where(inside), bias, span.name, gap_s))
+                found.append(_gain(pairs.where(inside), bias, date, span.name, gap_s))
     return found
 
 
@@ -106,7 +107,7 @@ def _inside(pairs: Pairs, span: Span) -> NDArray[np.bool_]:
     return (pairs.utc_s >= span.start_utc_s) & (pairs.utc_s < span.end_utc_s)
 
 
-def _gain(pairs: Pairs, bias: ChainBias | None, period: str, gap_s: float) -> Gain:
+def _gain(pairs: Pairs, bias: ChainBias | None, date: str, period: str, gap_s: float) -> Gain:
     time = pairs.utc_s
 
     def sum_up(values: Array) -> float:
@@ -121,7 +122,7 @@ def _gain(pairs: Pairs, bias: ChainBias | None, period: str, gap_s: float) -> Ga
         beyond = 100.0 * sum_up(outside) / measured
     start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
     return Gain(
-        date=start[:10],
+        date=date,
         period=period,
         start=f"{start}Z",
         end=f"{end}Z",

@@ -145,7 +145,8 @@ def _both_days(asked: _Asked) -> Run:
         _one_day(asked.settings, laws, datetime(2022, 10, day, _BEGIN_HOUR, tzinfo=UTC), _DAY_SHARE, parts)
         for day, parts in days
     )
-    rows = [row for day in pairs for row in gains(day, asked.found.bias, SPANS) if row.period != WHOLE_DAY]
+    site = asked.settings.site.place()
+    rows = [row for day in pairs for row in gains(day, asked.found.bias, SPANS, site) if row.period != WHOLE_DAY]
     simulation = asked.settings.simulation
     return Run(simulation.sky, simulation.seed, tuple(rows), pairs if asked.with_pairs else ())
 

@@ -20,7 +20,7 @@ from daemon.studies.compare.spans import Span
 from daemon.studies.compare.stored import KeptCurve
 from daemon.studies.stamp import stamped
 from daemon.studies.text_table import signed
-from solar.ephemeris import DAY_S, Site
+from solar.ephemeris import DAY_S, Site, solar_days
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
 
 _STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222}
@@ -50,7 +50,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
     """Return Figures 11 and 12 of every day with power, or 13 as it is called on the paper's second day."""
     shown = []
     bias = None if found is None else found.bias
-    days = np.floor(pairs.utc_s / DAY_S)
+    days = solar_days(pairs.utc_s, site.longitude_deg)
     cube, chrono = pairs.names
     mark = _mark(pairs)
     for day in np.unique(days).tolist():
@@ -189,7 +189,7 @@ def write_report(
     shown += experiment_figures(pairs, found, site)
     # Which figures there are is known only now; what is written is looked at before any of it is.
     check_outputs([out / "report.html", out / "gains.csv", *figure_files(out, shown)], "--out", force=force)
-    rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site))
+    rows = gains(pairs, None if found is None else found.bias, spans or spans_by_sky(pairs, site), site)
     tables = [gain_table(rows, pairs.names)] + ([] if found is None else [fit_table(found)])
     notes = [
         f"{pairs.names[0]}'s power is "

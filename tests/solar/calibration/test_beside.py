@@ -198,6 +198,16 @@ def test_a_series_that_strays_is_dropped():
         series_gain(*series([10.0, 10.0]))
 
 
+def test_a_day_that_midnight_of_utc_divides_is_one_day():
+    # Two days at 180 E, each in two halves of UTC days: the six-hourly ratios are no independent days.
+    utc_s = np.concatenate([day * 86400.0 + 64800.0 + np.arange(720) * 60.0 for day in range(2)])
+    reference = np.repeat([495.0, 505.0, 495.0, 505.0], 360)
+    found = series_gain(utc_s, reference, np.full(utc_s.size, 50.0), 180.0)
+    assert found.series_gains.size == 72
+    by_series = 1.993943 * np.std(found.series_gains, ddof=1) / np.sqrt(72)
+    assert found.gain_w_m2_per_mv.half_width == pytest.approx(by_series, rel=1e-6)
+
+
 def test_days_count_and_not_series_where_there_are_three():
     utc_s = np.concatenate([day * 86400.0 + np.arange(120) * 60.0 for day in range(3)])
     reference = np.repeat([495.0, 500.0, 505.0], 120)

@@ -52,6 +52,13 @@ def calibrated(site, days=4):
     return calibrate_in_place(*clear(site, days), site)
 
 
+def test_two_days_are_two_days_where_midnight_of_utc_falls_in_daylight():
+    hawaii = Site(20.0, -155.0, 10.0)
+    two = readings(hawaii, ClearSky(hawaii), MAY + 155.0 * 240.0, 2)
+    with pytest.raises(UndeterminedError, match="clear and stable sky on 2 days, where at least 3 are needed"):
+        calibrate_in_place(*two, hawaii)
+
+
 @given(angles, st.floats(0.01, 20), st.floats(0, 359.99), st.sampled_from([-50.0, 50.0]))
 def test_the_zenith_face_leans_where_it_is_said_to(yaw_deg, tilt_deg, azimuth_deg, latitude_deg):
     azimuth, tilt = face_orientations(attitude(yaw_deg, tilt_deg, azimuth_deg, latitude_deg), latitude_deg)

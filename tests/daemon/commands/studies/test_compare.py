@@ -166,6 +166,15 @@ def test_periods_by_the_clock_take_the_place_of_those_by_the_sky(compare, day, t
     assert json.loads(out)["corrected"] is False
 
 
+def test_a_day_is_the_sites_own(compare, day, tmp_path):
+    # In Hawaii the two hours from 10:00 UTC on are those around midnight.
+    code, out, _ = compare("report", day, "--site", "20,-165", "--out", tmp_path, "--json")
+    assert code == 0
+    days = [(gain["date"], gain["start"][:16]) for gain in json.loads(out)["gains"] if gain["period"] == "day"]
+    assert days == [("2022-10-11", "2022-10-12T10:00"), ("2022-10-12", "2022-10-12T11:00")]
+    assert (tmp_path / "power-2022-10-11.png").exists()
+
+
 def test_parquet_and_gzip_are_read_too(compare, day, tmp_path):
     frame = pd.read_csv(day)
     frame.to_csv(tmp_path / "day.csv.gz", index=False)
