@@ -1,6 +1,7 @@
 """Readings to calibrate by: from CSV, or from the store of the service."""
 
 import sqlite3
+import zlib
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -129,7 +130,7 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, list[int]]:
         raise UserError(f"there is no file at {path}") from None
     except pd.errors.EmptyDataError:
         raise UserError(f"{path} is empty") from None
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, zlib.error, ValueError) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:

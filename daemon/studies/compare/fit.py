@@ -152,8 +152,13 @@ def _fit_of(content: dict[str, Any]) -> Fit:
         raise ValueError("a coefficient is not a number")
     start, end = (datetime.fromisoformat(content[key]).timestamp() for key in ("from", "to"))
     names = (str(content["corrects"]), str(content["reference"]))
-    before, after = (Agreement(*(content[name][key] for key in _AGREEMENT_KEYS)) for name in ("before", "after"))
+    before, after = (_statistics(content[name]) for name in ("before", "after"))
     return Fit(names=names, bias=ChainBias(*numbers), start_utc_s=start, end_utc_s=end, before=before, after=after)
+
+
+def _statistics(content: dict[str, Any]) -> Agreement:
+    pairs, *numbers = (content[key] for key in _AGREEMENT_KEYS)
+    return Agreement(int(pairs), *map(float, numbers))
 
 
 def _content(statistics: Agreement) -> dict[str, float]:

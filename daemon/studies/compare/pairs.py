@@ -1,5 +1,6 @@
 """Powers of two trackers, instant by instant: read from tables or a simulation and laid side by side."""
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -137,8 +138,8 @@ def _read(path: Path) -> pd.DataFrame:
         table = pd.read_parquet(path).reset_index() if path.suffix == ".parquet" else pd.read_csv(path)
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
-    except (OSError, ValueError, UnicodeDecodeError) as error:
-        # pandas and pyarrow derive theirs from ValueError.
+    except (OSError, EOFError, zlib.error, ValueError) as error:
+        # pandas and pyarrow derive theirs from ValueError; the others are those of a .gz that was cut off or damaged.
         raise UserError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
     table = table.drop(columns=[name for name in ("index",) if name in table])
     missing = [name for name in REQUIRED if name not in table]

@@ -191,13 +191,20 @@ def from_tables(directory: Path, table_format: str) -> dict[str, pd.DataFrame]:
         if not path.exists():
             found[kind] = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
             continue
-        if table_format == "parquet":
-            table = pd.read_parquet(path)
-        else:
-            table = pd.read_csv(path, index_col="time", keep_default_na=True)
-            table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
-        found[kind] = _slim(table)
+        try:
+            found[kind] = _slim(_read(path))
+        except (OSError, ValueError) as error:
+            # pandas and pyarrow derive theirs from ValueError.
+            raise UserError(f"{path} is no table that can be read: {str(error).splitlines()[0]}") from None
     return found
+
+
+def _read(path: Path) -> pd.DataFrame:
+    if path.suffix == ".parquet":
+        return pd.read_parquet(path)
+    table = pd.read_csv(path, index_col="time", keep_default_na=True)
+    table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
+    return table
 
 
 def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.DataFrame]:

@@ -1,4 +1,5 @@
 import csv
+import gzip
 import json
 from contextlib import closing
 
@@ -105,6 +106,15 @@ def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp
     before = next(line for line in lines if line.startswith("rMBE"))
     assert [float(cell) for cell in before.split()[2:]] == pytest.approx([-2.0, 2.0, -3.0, 3.0], abs=0.2)
     assert f"# {lines[0]}" in out.read_text()
+
+
+def test_a_file_that_was_cut_off_is_told(heliocube, tmp_path):
+    reference, sensors = tmp_path / "reference.csv.gz", tmp_path / "sensors.csv"
+    sensors.write_text("time,east_mv,south_mv,west_mv,zenith_mv\n2022-03-11T12:00:00Z,1,1,1,1\n")
+    reference.write_bytes(gzip.compress(b"".join(b"2022-03-11T12:%d,%d\n" % (n, n * n) for n in range(9999)))[:3000])
+    code, _, err = heliocube("calibrate", "cube", reference, sensors, *SITE, "--out", tmp_path / "c.toml")
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{reference} cannot be read" in err
 
 
 def test_the_service_measures_with_the_calibration_and_names_it_in_every_scan(heliocube, tmp_path):

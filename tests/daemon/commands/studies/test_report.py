@@ -256,6 +256,14 @@ def test_pictures_of_a_store_and_of_exported_tables(heliocube, store, tmp_path):
         assert "no record from " in said
 
 
+def test_a_damaged_table_is_one_sentence(heliocube, tmp_path):
+    (tmp_path / "scans.csv").write_bytes(b"time,east_w_m2\nnoon,1\n")
+    asked = ("plot", "angles", "--tables", tmp_path, "--site", "48.7,0", "--out", tmp_path / "a.svg")
+    code, _, said = heliocube(*asked)
+    assert (code, said.count("\n")) == (2, 1)
+    assert f"{tmp_path / 'scans.csv'} is no table that can be read" in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
