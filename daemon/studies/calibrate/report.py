@@ -5,7 +5,9 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.cube.calibration import CubeCalibration, new_calibration
 from daemon.studies.calibrate.beside import Comparison
@@ -162,7 +164,7 @@ def comparison_calibration(found: Comparison, cube: str, serials: dict[str, str]
         }
         for name, face in found.faces.items()
     }
-    return new_calibration(
+    return _made(
         _dates(float(found.utc_s[-1]), valid_days)
         | {"method": "beside a reference", "cube": cube, "reference": serials.get("reference", "unknown")}
         | faces
@@ -184,7 +186,7 @@ def field_calibration(
         }
         for place, name in enumerate(FACES)
     }
-    return new_calibration(
+    return _made(
         _dates(float(fit.shape.utc_s[-1]), valid_days)
         | {
             "method": "in place",
@@ -194,6 +196,20 @@ def field_calibration(
         | faces
         | {"standing": _standing(found, made_on.site.latitude_deg)}
     )
+
+
+def _made(values: dict[str, Any]) -> CubeCalibration:
+    """Return the calibration; `UserError` for a number that no sensor has."""
+    try:
+        return new_calibration(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where, value = " ".join(map(str, first["loc"])), first["input"]
+        if "gain_w_m2_per_mv" in first["loc"]:
+            raise UserError(
+                f"the {first['loc'][0]} sensor's gain would be {value:.4g} W/m2/mV: are the voltages in mV?"
+            ) from None
+        raise UserError(f"no calibration can be made of these readings: {where} would be {value}") from None
 
 
 def _standing(found: FieldResult, latitude_deg: float) -> dict[str, Any]:

@@ -108,6 +108,17 @@ def test_a_comparison_finds_lag_gains_and_offsets_and_writes_them(heliocube, tmp
     assert f"# {lines[0]}" in out.read_text()
 
 
+def test_voltages_in_volts_are_told(heliocube, tmp_path):
+    reference, sensors = beside(tmp_path, days=1)
+    header, *lines = (line.split(",") for line in sensors.read_text().splitlines())
+    volts = write(
+        tmp_path / "volts.csv", header, [[at, *(f"{float(mv) / 1e3:.9f}" for mv in mvs)] for at, *mvs in lines]
+    )
+    code, _, err = heliocube("calibrate", "cube", reference, volts, *SITE, "--out", tmp_path / "c.toml")
+    assert (code, err.count("\n")) == (2, 1)
+    assert err.startswith("heliocube: the east sensor's gain would be 9709 W/m2/mV: are the voltages in mV?")
+
+
 def test_a_file_that_was_cut_off_is_told(heliocube, tmp_path):
     reference, sensors = tmp_path / "reference.csv.gz", tmp_path / "sensors.csv"
     sensors.write_text("time,east_mv,south_mv,west_mv,zenith_mv\n2022-03-11T12:00:00Z,1,1,1,1\n")
