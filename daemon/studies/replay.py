@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import csv
-import gc
 import gzip
 import math
 from array import array
@@ -120,8 +119,6 @@ def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
 
 
 def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[float], None]) -> _Log:
-    # The readings stay until the end: the collector need not look at them again and again.
-    gc.freeze()
     with virtual_time() as runner:
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)

@@ -1,6 +1,7 @@
 """What `heliocube simulate` tells on the terminal while it works and when it is done."""
 
 import contextlib
+import gc
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -200,6 +201,8 @@ def replay(
     # The last reading belongs to it.
     span = (rows[0].time_utc_s, rows[-1].time_utc_s + 1.0)
     local = checked_report(report_to, zone, settings, span, force=force)
+    # The readings stay until the process ends: the collector need not look at them again and again.
+    gc.freeze()
     with progress_bar(Console(stderr=True), "replaying") as progress:
         done = run_replay(settings, rows, out, progress)
     pages: Sequence[Path] = ()

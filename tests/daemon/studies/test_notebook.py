@@ -1,6 +1,7 @@
 """The studies inside a notebook, whose kernel runs an event loop already."""
 
 import asyncio
+import gc
 import os
 import signal
 import threading
@@ -18,6 +19,14 @@ def test_a_day_is_simulated_inside_a_running_loop():
 
     tables = asyncio.run(cell())
     assert tables["decisions"]["mode"].iloc[-1] == "tracking"
+
+
+def test_a_replay_keeps_nothing_from_the_collector():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
+    before = gc.get_freeze_count()
+    heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
+    # What was frozen before may have ended meanwhile.
+    assert gc.get_freeze_count() <= before
 
 
 def test_what_is_wrong_is_told_there_too():
