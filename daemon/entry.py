@@ -1,5 +1,6 @@
 """Where the program begins: straight to the service for what cannot wait, to the command line for all else."""
 
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,9 @@ _OPTIONS = {
 
 def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A reason or a name may have letters that the terminal has not.
+        sys.stdout.reconfigure(errors="replace")
     command, *rest = sys.argv[1:] or [""]
     given = _plainly_given(rest) if command in _URGENT else None
     if command not in _URGENT:

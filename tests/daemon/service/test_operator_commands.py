@@ -19,6 +19,8 @@ from daemon.base.records import Event
 from daemon.service.command_bodies import MODES
 from daemon.service.operator import CommandError, Operator, Seen
 from daemon.service.operator_commands import NAMES, URGENT, BodyError, Operators, TooManyError, parse
+from daemon.service.recent import Recent
+from daemon.service.state import state_json
 from tests.support import ROOT
 from tests.support.motion import commands_sent
 from tests.support.phases import tracking, under_way
@@ -122,9 +124,9 @@ def answering(reply):
         connection, _ = listener.accept()
         with connection:
             content = b""
-            while b"\r\n\r\n" not in content or b"}" not in content:
+            while b"\r\n\r\n" not in content or (content.startswith(b"POST") and b"}" not in content):
                 content += connection.recv(65536)
-            heard.append(json.loads(content.partition(b"\r\n\r\n")[2]))
+            heard.append(json.loads(content.partition(b"\r\n\r\n")[2] or b"{}"))
             connection.sendall(reply)
 
     threading.Thread(target=serve, daemon=True).start()
@@ -162,6 +164,36 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
     assert (done.returncode, done.stdout, done.stderr) == (code, out, err)
     assert heard[0]["by"] == f"ana@{socket.gethostname()}"
     assert heard[0].get("tracker") == ("west" if "west" in command else None)
+
+
+@pytest.mark.parametrize("command", ["stop", "status"])
+def test_an_answer_is_told_on_a_terminal_that_knows_ascii_only(tmp_path, run_rig, command):
+    page = {}
+
+    async def scenario(rig):
+        await tracking(rig)
+        await Operator(rig.tracker, 1.0).stop("Böe")
+        page.update(state_json(rig.see(Recent())))
+
+    run_rig(scenario)
+    page |= {"state": "done", "text": "standing; mode hold: Böe"}
+    listener, _ = answering(f"HTTP/1.1 200 x\r\n\r\n{json.dumps(page)}".encode())
+    with listener:
+        done = subprocess.run(
+            [sys.executable, "-c", "from daemon.entry import main; main()", command],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            env={
+                "HELIOCUBE_CONFIG": str(_config(tmp_path, listener.getsockname()[1])),
+                "HELIOCUBE_TOKEN": "t" * 43,
+                "PATH": "",
+                "PYTHONIOENCODING": "ascii",
+            },
+            timeout=60,
+        )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "B?e" in done.stdout
 
 
 @pytest.mark.parametrize("command", [["stop"], ["goto", "3", "80"]])
