@@ -228,19 +228,26 @@ def on_free_ports(config):
     config.write_text(re.sub(r"^#(listen = .*)", r"\1", text, flags=re.MULTILINE))
 
 
+@pytest.fixture(scope="module")
+def readers_folder(tmp_path_factory):
+    """Where a reader follows one tutorial after the other."""
+    return tmp_path_factory.mktemp("reader")
+
+
 @pytest.mark.live
 @pytest.mark.parametrize("name", WITH_A_SERVICE)
-def test_a_tutorial_runs_from_its_first_command_to_its_last(name, tmp_path, heliocube, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_tutorial_runs_from_its_first_command_to_its_last(name, readers_folder, heliocube, monkeypatch):
+    monkeypatch.chdir(readers_folder)
     monkeypatch.delenv("HELIOCUBE_CONFIG", raising=False)
     (page,) = (page for page in ALL if page.name == name)
     service = None
     try:
         for command in ALL[page]:
             if command.startswith("heliocube run "):
-                on_free_ports(Path("rig/heliocube.toml"))
-                monkeypatch.setenv("HELIOCUBE_CONFIG", "rig/heliocube.toml")
-                service = Process(words_of(command), tmp_path / "service.log")
+                config = re.search(r"--config (\S+)", command)[1]
+                on_free_ports(Path(config))
+                monkeypatch.setenv("HELIOCUBE_CONFIG", config)
+                service = Process(words_of(command), readers_folder / f"{name}.log")
                 wait_until(lambda: "tracking" in heliocube(["status", "--check"])[1], 90.0, service.log)
             elif command.startswith(("make ", "export ")):
                 try_out(command, heliocube)
