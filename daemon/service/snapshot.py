@@ -30,7 +30,7 @@ from daemon.tracker.wishes import Wishes
 from drivers.interfaces import PositionerIdentity, Telemetry
 from solar.frames import Limits
 
-# Telemetry comes every 10 s at rest and more often on the way.
+# A pose is told every 5 s at rest and more often on the way.
 POSE_STALE_S = 30.0
 
 

@@ -7,7 +7,7 @@
 `rate` writes pages of 1,000 installations, as they come over a broker, into a PostgreSQL of its own as fast as it takes
 them, and then a day of it to Parquet; from bytes a row and rows a day of one tracker it computes the sizes of plants.
 `kill` runs a broker, a PostgreSQL, two `heliocube archive` and as many stores with their feeds as trackers are asked
-for, at the service's own pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute), kills
+for, at a fixed pace (a scan each 5 s, a pose each 10 s, a decision each 5 min, one event a minute), kills
 broker and database with SIGKILL twice each and one of the archive's processes once, and then counts. `hour` does with
 the same processes what an hour without a database is: the stores take in as many records as in an hour, within half a
 minute, while it is away.
@@ -37,9 +37,9 @@ from tests.support.archive import T0, Sender, archived, batch_of, event, origin,
 from tests.support.broker import Broker
 from tests.support.postgres import Postgres
 
-# Of one tracker with a cube of its own: a scan each 5 s, a pose each 10 s at rest and 0.5 s under way, a decision each
-# 5 min; counted in the store of a simulated variable day (docs/data.md).
-ROWS_A_DAY = {"scans": 17_280, "poses": 9_480, "decisions": 288, "moves": 61, "modes": 4, "events": 11}
+# Of one tracker with a cube of its own: a scan each 5 s, a pose each 5 s at rest and 0.5 s under way, a decision each
+# 5 min by day; counted by `heliocube simulate --start 2022-10-14 --weather variable`.
+ROWS_A_DAY = {"scans": 17_280, "poses": 21_239, "decisions": 128, "moves": 82, "modes": 3, "events": 2}
 PLANTS = (10, 1_000, 100_000)
 INSTALLATIONS = 1_000
 DAY_S = 86_400
@@ -57,7 +57,7 @@ def scan_row(number, at_s):
 
 
 def pages(round_number, runs):
-    """One round: a page of each installation with 32 scans and 18 poses, four minutes of a tracker at rest."""
+    """One round: a page of each installation with 32 scans and 18 poses."""
     for place, run in enumerate(runs):
         first = round_number * 50
         start_s = T0 + round_number * 160.0 + place * 0.001
@@ -160,7 +160,7 @@ def decision(at_s):
 
 
 def keep_one(sender, count, utc_s):
-    """Keep the records of one scan's time as a service does."""
+    """Keep the records of one scan's time, a pose with every second one."""
     sender.keep(scan(count, session=sender.origin.id, utc_s=utc_s))
     if count % 2 == 0:
         sender.keep(pose(count, utc_s))
@@ -171,7 +171,7 @@ def keep_one(sender, count, utc_s):
 
 
 async def pace(sender, place, end_s):
-    """Keep records as a service does, the phase spread by tracker."""
+    """Keep records at the pace of a scan, the phase spread by tracker."""
     await asyncio.sleep(5.0 * (place % 50) / 50)
     count = 0
     while time.monotonic() < end_s:
