@@ -36,7 +36,6 @@ LEFT_OUT = {
     "sudo": "asks for root; tests/system/test_deploy.py installs into a folder of its own",
     "sudoedit": "asks for root, and for a person",
     "git clone": "asks for the network, and for the address of the repository",
-    "scp": "asks for another machine",
     "tail -n 1 /etc/heliocube/bridge.key | ssh": "asks for another machine",
     "ufw": "changes the firewall",
     "netsh": "changes the firewall, on Windows",
