@@ -13,6 +13,7 @@ from contextlib import closing
 from dataclasses import astuple, dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from daemon.base.clock import Clock
@@ -243,7 +244,7 @@ class Store:
             by_kind = sorted(batch, key=lambda item: type(item[1]).__name__)
             for kind, items in groupby(by_kind, key=lambda item: type(item[1])):
                 rows = self._rows[kind]
-                connection.executemany(rows.insert, [rows.row(self._run, number, record) for number, record in items])
+                _insert(connection, rows.insert, [rows.row(self._run, number, record) for number, record in items])
             connection.executemany("INSERT OR IGNORE INTO days VALUES (?)", [(day,) for day in days])
             connection.execute("COMMIT")
         except BaseException:
@@ -312,3 +313,15 @@ class Store:
 
     def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "store", text))
+
+
+def _insert(connection: sqlite3.Connection, statement: str, rows: list[tuple[Any, ...]]) -> None:
+    try:
+        connection.executemany(statement, rows)
+    except UnicodeEncodeError:
+        # Half a letter in one text would keep out all that comes after it; what is in already is ignored.
+        connection.executemany(statement, [tuple(map(_in_whole_letters, row)) for row in rows])
+
+
+def _in_whole_letters(value: Any) -> Any:
+    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value

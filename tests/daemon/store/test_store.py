@@ -85,6 +85,12 @@ def test_parquet_opens_in_pandas_with_a_utc_index_and_the_names_of_pvlib(keep, t
     assert decisions["apparent_zenith"].tolist() == [60.0, 60.0]
 
 
+def test_half_a_letter_in_one_text_keeps_no_other_record_out(keep, tmp_path):
+    events = [Event(T0 + n, n, "test", text) for n, text in enumerate(("before", "half \ud800", "after"))]
+    export(keep(*events), tmp_path / "out", "csv", None, None, ())
+    assert [row["text"] for row in rows(tmp_path / "out" / "events.csv")] == ["before", "half ?", "after"]
+
+
 @pytest.mark.parametrize("latitude_deg", [48.7, -33.9])
 def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
     """Facing the sun by our angles, pvlib sees an angle of incidence of zero."""
