@@ -73,7 +73,8 @@ def numbers(text: str, option: str, low: float, high: float) -> Array:
     steps = np.floor((end - begin) / step + 1e-9)
     if not steps < LARGEST_GRID:
         raise UserError(f"{option}: the range '{text}' has more than {LARGEST_GRID} values; take a longer step")
-    return np.asarray(begin + step * np.arange(int(steps) + 1), dtype=np.float64)
+    # Rounding may carry the last value a little beyond the end, which may be a pole.
+    return np.asarray(np.minimum(begin + step * np.arange(int(steps) + 1), end), dtype=np.float64)
 
 
 def latitudes(lat: float | None, lat_range: str | None) -> Array:

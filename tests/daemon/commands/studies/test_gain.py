@@ -125,6 +125,13 @@ def test_each_part_of_a_wide_table_says_which_day_a_row_is(heliocube):
     assert max(map(len, out.splitlines())) <= 80
 
 
+def test_a_range_ends_at_its_end_in_spite_of_rounding(heliocube):
+    code, out, _ = heliocube("gain", "--lat-range", "0:90:1.8367346939", "--format", "csv")
+    assert code == 0
+    last = list(csv.DictReader(out.splitlines()))[-1]
+    assert "90" in last.values() or "90.0" in last.values(), last
+
+
 def test_a_clear_sky_stands_beside_the_theory(heliocube):
     _, out, _ = heliocube("gain", "--lat", "48.7", "--weather", "clear", "--format", "csv")
     (row,) = rows(out)
