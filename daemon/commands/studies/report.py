@@ -1,6 +1,7 @@
 """`heliocube report` and `heliocube plot`: a day, a week or a month of one tracker as a page, and its pictures."""
 
 import time
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -76,7 +77,8 @@ def report(
         _readable(place, wanted) as (directory, called),
         progress_bar(Console(stderr=True), "reading and drawing") as progress,
     ):
-        taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{tracker or '*'}.html")]
+        trackers = "*" if tracker is None else escape(tracker)
+        taken = [path.name for path in out.glob(f"{_name(directory, wanted)}-{trackers}.html")]
         check_output(out, taken, "--out", force=force)
         materials = _materials(directory, called, wanted, tracker, lambda share: progress(0.8 * share))
         known = [with_settings(material, settings) for material in materials]

@@ -188,6 +188,7 @@ def test_nothing_is_overwritten_unasked(heliocube, store, tmp_path):
         (("--day", "2922-10-14"), "2922-10-14 is in the future"),
         (("--day", "2022-10-12"), "no record from 2022-10-12 00:00 UTC to 2022-10-13 00:00 UTC in "),
         (("--day", "2022-10-14", "--tracker", "cellar"), "--tracker 'cellar': that store has roof in that time"),
+        (("--day", "2022-10-14", "--tracker", "**"), "--tracker '**': that store has roof in that time"),
         (("--day", "2022-10-14", "--zone", "Moon/Base"), "there is no time zone 'Moon/Base'"),
         (("--day", "2022-10-14", "--out", "/dev/null/x"), "--out: /dev/null/x cannot be a folder"),
     ],
