@@ -1,6 +1,7 @@
 """The studies as a notebook calls them: choices by keyword, tables as data frames. Public through `heliocube`."""
 
 import asyncio
+import math
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
@@ -63,7 +64,11 @@ def simulate(
     ------
     UserError
         A choice cannot be used; one sentence says which and what would be.
+    ValueError
+        `days` is no length of time.
     """
+    if not 0.0 < days < math.inf:
+        raise ValueError(f"days must be a number above 0, not {days}")
     settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
         first, out = _instant(start), Path(folder)

@@ -29,6 +29,12 @@ def test_a_replay_keeps_nothing_from_the_collector():
     assert gc.get_freeze_count() <= before
 
 
+@pytest.mark.parametrize("days", [0, -1, float("nan"), float("inf")])
+def test_days_that_are_no_time_are_refused(days):
+    with pytest.raises(ValueError, match=f"days must be a number above 0, not {days}"):
+        heliocube.simulate("2022-10-14", days=days)
+
+
 def test_what_is_wrong_is_told_there_too():
     async def cell():
         return heliocube.simulate("2022-10-14", law="none such")
