@@ -8,7 +8,7 @@ A law is a module with two names, found through the entry points of the group `h
     Returns the :class:`Law` for a :class:`TrackerFacts`.
 
 The module may have a third, `steer(settings, weather, faces, limits)`, which runs the law on the days of a
-:class:`solar.energy.Weather` side by side. Without it the benchmark runs the law itself, day by day and slower.
+:class:`solar.energy.DaylightWeather` side by side. Without it the benchmark runs the law itself, day by day and slower.
 """
 
 from abc import ABC, abstractmethod

@@ -18,7 +18,6 @@ FAULT_KINDS = (
 
 _NO_BYTES = "it gives a voltage, and sends nothing"
 _NO_MEASURE = "it measures nothing"
-_NO_CABLE = "it has no cable of its own"
 _ON_PTY = "in memory a line has no such state; what the bench can do of it, with real processes, is in docs/bench.md"
 _NO_BROKER = "the campaign's service has no broker, and no motion depends on one; the tests with mosquitto do it"
 _TIME_ONLY = "a clock has its time, and nothing else that could fail"
