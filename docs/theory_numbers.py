@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar import gain
+from solar.calibration.selection import clear_sky_ghi
 from solar.ephemeris import Site, sun_position
 from solar.ephemeris import sun_day as almanac_day
 from solar.frames import Array
@@ -318,7 +319,7 @@ def best_tilts(latitudes_deg: Sequence[float] = tuple(range(0, 91, 10))) -> Iter
         instants = real_sky.daylight(site, real_sky.year_instants(0.0, 600.0))
         beam = np.full(instants.size, 1000.0), np.zeros(instants.size)
         bare = real_sky.sky_series(site, instants, *beam, "isotropic")
-        clear = real_sky.sky_series(site, instants, *real_sky.clear_sky(site, instants))
+        clear = real_sky.sky_series(site, instants, *clear_sky_ghi(site, instants)[1:])
         true_sun = real_sky.best_tilt_vertical_sky(bare, 0.01, albedo=0.0).best_deg
         sky = real_sky.best_tilt_vertical_sky(clear, 0.01)
         ratio = 2.0 * gain.half_day_h(latitude, N).sum() / best.energy_h

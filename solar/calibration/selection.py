@@ -11,6 +11,7 @@ from pvlib.clearsky import simplified_solis
 from solar.ephemeris import Site, extraterrestrial_dni, sun_position
 from solar.frames import Array
 
+# A clear continental atmosphere: aerosol optical depth at 700 nm and precipitable water.
 CLEAR_AOD700 = 0.1
 CLEAR_WATER_CM = 1.5
 DARK_BELOW_DEG = -6.0

@@ -10,17 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pvlib.atmosphere import alt2pres
-from pvlib.clearsky import simplified_solis
 
 from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_position
 from solar.frames import Array, direction_from_azimuth
 from solar.skies.sky import Sky, SkyModel, normal_from_tilt, sky
 
 ALBEDO = 0.2
-# A clear continental atmosphere: aerosol optical depth at 700 nm and precipitable water.
-_AOD700 = 0.1
-_PRECIPITABLE_WATER_CM = 1.5
 # Midnight before the first day of a year without a leap day.
 _YEAR_UTC_S = 1672531200.0
 
@@ -61,21 +56,6 @@ def year_instants(longitude_deg: float, step_s: float) -> Array:
 def daylight(site: Site, utc_s: Array) -> Array:
     """Return those instants [s UTC] at which the apparent sun of :mod:`solar.ephemeris` has an elevation > 0."""
     return utc_s[sun_position(utc_s, *site).elevation_deg > 0.0]
-
-
-def clear_sky(site: Site, utc_s: Array) -> tuple[Array, Array]:
-    """Return (DNI, DHI) [W/m2] of a cloudless sky at instants of shape (n,).
-
-    The simplified Solis model, Ineichen (2008), Solar Energy 82, 758, with a constant clear atmosphere.
-    """
-    irradiance = simplified_solis(
-        sun_position(utc_s, *site).elevation_deg,
-        aod700=_AOD700,
-        precipitable_water=_PRECIPITABLE_WATER_CM,
-        pressure=alt2pres(site.altitude_m),
-        dni_extra=extraterrestrial_dni(utc_s),
-    )
-    return irradiance["dni"], irradiance["dhi"]
 
 
 def sky_series(site: Site, utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, model: SkyModel = "perez1990") -> SkySeries:

@@ -10,12 +10,12 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
 from daemon.studies.gain.request import DeviceTilts
+from solar.calibration.selection import clear_sky_ghi
 from solar.ephemeris import Site
 from solar.frames import Array
 from solar.gain.ratios import Energies
 from solar.gain.real_sky import (
     SkySeries,
-    clear_sky,
     daylight,
     dual_irradiance,
     horizontal_irradiance,
@@ -85,7 +85,8 @@ def clear_sky_source(longitude_deg: float, altitude_m: float) -> SkySource:
     def series_at(latitude_deg: float) -> SkySeries:
         site = Site(latitude_deg, longitude_deg, altitude_m)
         instants = daylight(site, year_instants(longitude_deg, CLEAR_STEP_S))
-        return sky_series(site, instants, *clear_sky(site, instants))
+        _, dni, dhi = clear_sky_ghi(site, instants)
+        return sky_series(site, instants, dni, dhi)
 
     return SkySource("clear sky", CLEAR_STEP_S, series_at)
 
