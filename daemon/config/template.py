@@ -70,8 +70,8 @@ _INTRODUCTION = """\
 The service reads one TOML file. `heliocube config init DIR` writes one in which every key is explained, with a new
 bridge key and a new token of the local interface beside it; `heliocube config check FILE` lists everything that is
 wrong with a file at once, missing addresses and a folder that cannot be written to as well, and says in which roles a
-real rig can run; `--role tracker` asks for one. `heliocube run` lists it too, and does not start; only wrong topics and
-JSON paths do not keep it from starting
+real rig can run; `--role tracker` asks for one. `heliocube run` lists the same mistakes and refuses to start, except
+for wrong topics and JSON paths: with those it starts
 ([why](decisions/0011-a-wrong-topic-does-not-stop-the-tracker.md)). A safety input that cannot be heard
 keeps the tracker stowed.
 
