@@ -131,7 +131,7 @@ class HandledRig:
         self.unit = PositionerCore(loop.time(), setup) if setup else build_unit(settings, self.clock)
         self.cables = SimpleNamespace()
         self.connect(settings)
-        self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc(), Q_PEAK_G4_1_305)
+        self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc() - self.clock.step_s, Q_PEAK_G4_1_305)
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
         self.cables.load = InMemoryLine("load", self.load_core, loop.time)
         self.load = Chroma63600(self.cables.load, self.load_core.channel, sweep_settings(settings.load))
@@ -191,7 +191,8 @@ class HandledRig:
         )
 
     def _sensor(self, channel: int, now_s: float) -> float | None:
-        utc_s = self.clock.utc() + now_s - self.clock.monotonic()
+        # The sun does not follow a clock that somebody has set.
+        utc_s = self.clock.utc() - self.clock.step_s + now_s - self.clock.monotonic()
         if channel >= _FACES:
             return None
         noise_v = self._noise.gauss(0.0, self.noise_v) if self.noise_v else 0.0
