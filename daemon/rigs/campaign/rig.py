@@ -131,7 +131,9 @@ class HandledRig:
         self.unit = PositionerCore(loop.time(), setup) if setup else build_unit(settings, self.clock)
         self.cables = SimpleNamespace()
         self.connect(settings)
-        self.source = PvSource(self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc() - self.clock.step_s, Q_PEAK_G4_1_305)
+        self.source = PvSource(
+            self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc() - self.clock.step_s, Q_PEAK_G4_1_305
+        )
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
         self.cables.load = InMemoryLine("load", self.load_core, loop.time)
         self.load = Chroma63600(self.cables.load, self.load_core.channel, sweep_settings(settings.load))
