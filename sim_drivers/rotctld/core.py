@@ -145,9 +145,12 @@ class RotctldSession:
             return ""
         core = self._core
         core.received[name] = core.received.get(name, 0) + 1
-        lines, error = _ANSWERS[name](core, arguments, now_s)
+        lines: _Lines
         if "gone" in core.faults and name not in ("get_info", "dump_state"):
+            # What is told to a rotator that does not answer reaches nothing.
             lines, error = [], _NO_CONNECTION
+        else:
+            lines, error = _ANSWERS[name](core, arguments, now_s)
         extended = words[0].startswith(_PREFIX)
         if extended:
             head = " ".join((f"{name}:", *arguments))

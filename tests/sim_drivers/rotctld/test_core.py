@@ -73,6 +73,15 @@ def test_its_faults_show_as_facts_say(fault, answers):
     assert core.destination()[0] == (60.0 if fault == "stopless" else 0.0)
 
 
+def test_a_rotator_that_is_gone_goes_on_with_what_it_was_told_before():
+    core = RotatorCore(0.0)
+    session = RotctldSession(core)
+    session.feed(b"P 60 30\n", 0.0)
+    core.faults.add("gone")
+    assert session.feed(b"S\nP 0 0\n", 1.0) == b"RPRT -6\nRPRT -6\n"
+    assert core.destination() == (60.0, 30.0)
+
+
 def test_clients_share_the_rotator_and_each_has_a_line_of_its_own():
     core = RotatorCore(0.0)
     one, other = RotctldSession(core), RotctldSession(core)
