@@ -127,13 +127,16 @@ def _setting_for_channels(table: CommandTable, pattern: str, name: str, parse: P
 
     def ask(parameters: tuple[str, ...]) -> Step:
         _, channels = split(parameters)
-        return _step(
-            lambda meter, _: ",".join(f"{float(getattr(meter.settings, name)):+.8E}" for _ in meter.channels(channels))
-        )
+        return _step(lambda meter, _: ",".join(_shown(getattr(meter.settings, name)) for _ in meter.channels(channels)))
 
     _define(table, pattern, act=act, ask=ask)
 
 
+def _shown(value: float | str) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:+.8E}"
+
+
+_place = integer(1, 1_000_000, 1)
 _level = number(0.0, 1010.0, 1000.0)
 
 
@@ -173,7 +176,7 @@ def _tsp() -> CommandTable:
 
     def data(meter: ScannerInstrument, first: str, last: str, name: str, *elements: str) -> str:
         buffer_named(meter, name)
-        pairs = meter.buffered(int(first), int(last))
+        pairs = meter.buffered(_place(first), _place(last))
         chosen = [element.upper() for element in elements] or ["READ"]
         if not set(chosen) <= {"READ", "CHAN"}:
             raise ScpiError(-224)

@@ -26,6 +26,7 @@ CARDS: dict[str, str] = {
     "agilent34970a": "HEWLETT-PACKARD,34901A,0,1.0",
 }
 NO_CARD: dict[str, str] = {"agilent34970a": "HEWLETT-PACKARD,0,0,0"}
+_LONGEST_NUMBER = 9
 _HARDWARE_MISSING = -241
 _RELAY_S = 0.005
 
@@ -84,14 +85,15 @@ class ScannerInstrument(VoltmeterCore):
         """Read a channel list; `ScpiError` for one that is none or that the card has not."""
         if not (text.startswith("(@") and text.endswith(")")):
             raise ScpiError(-224)
+        counts_slots = self.make in ("daq6510", "agilent34970a")
+        there = {(100 * slot if counts_slots else 0) + number for slot in self.slots for number in range(1, 11)}
         found: list[int] = []
         for part in text[2:-1].split(","):
             first, _, last = part.strip().partition(":")
-            if not (first.isdecimal() and (last or first).isdecimal()):
-                raise ScpiError(-224)
-            found += range(int(first), int(last or first) + 1)
-        counts_slots = self.make in ("daq6510", "agilent34970a")
-        there = {(100 * slot if counts_slots else 0) + number for slot in self.slots for number in range(1, 11)}
+            ends = [_channel(end) for end in (first, last or first)]
+            if not there.issuperset(ends):
+                raise ScpiError(-222)
+            found += range(ends[0], ends[1] + 1)
         if not found or not there.issuperset(found):
             raise ScpiError(-222)
         if not self.card:
@@ -136,3 +138,11 @@ class ScannerInstrument(VoltmeterCore):
     def _power_up(self, now: float) -> None:
         super()._power_up(now)
         self.forget_scan()
+
+
+def _channel(text: str) -> int:
+    if not text.isdecimal():
+        raise ScpiError(-224)
+    if len(text) > _LONGEST_NUMBER:
+        raise ScpiError(-222)
+    return int(text)

@@ -73,6 +73,9 @@ def test_a_published_scan_gives_four_readings_with_their_channels(make):
         ("daq6510", 'TRAC:DATA? 1,4,"defbuffer1",READ', "-222"),
         ("daq6510", "INIT", "-221"),
         ("keithley2000-scan", "ROUT:SCAN (@1:11)", "-222"),
+        ("keithley2000-scan", "ROUT:SCAN (@1:2000000000)", "-222"),
+        ("keithley2000-scan", f"ROUT:SCAN (@1:{'9' * 30})", "-222"),
+        ("daq6510", 'TRAC:DATA? a,b,"defbuffer1"', "-104"),
         ("keithley2000-scan", "SYST:CARD1:IDN?", "-113"),
     ],
 )
@@ -90,3 +93,7 @@ def test_a_new_configuration_takes_back_what_was_said_of_the_format():
     assert ask(core, "FORM:READ:CHAN?")[0][1] == "0"
     assert len(ask(core, "READ?", 1.0)[0][1].split(",")) == 4
     assert ask(core, "ROUT:SCAN?", 9.0)[0][1] == "#218(@101,102,103,104)"
+
+
+def test_the_function_of_channels_is_told_in_quotes():
+    assert ask(core_of("daq6510"), "SENS:FUNC? (@101:102)")[0][1] == '"VOLT:DC","VOLT:DC"'
