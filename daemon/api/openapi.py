@@ -148,7 +148,7 @@ def _scans() -> dict[str, Any]:
 
 
 def _sun() -> dict[str, Any]:
-    found = _page("The sun's path over a solar day", SunPage, 400, 421, 503)
+    found = _page("The sun's path over a solar day", SunPage, 400, 421, 422, 503)
     found["get"]["parameters"] = [_AT]
     return found
 

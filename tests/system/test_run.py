@@ -17,6 +17,16 @@ from tests.support import ROOT, forks
 pytestmark = pytest.mark.system
 
 
+def hung_up_on():
+    """Let a process have what it has at a terminal: the tests may have been started under nohup."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def at_a_terminal():
+    hung_up_on()
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
 def test_the_embedded_default_runs_ends_by_itself_and_shows_that_it_is_simulated(tmp_path):
     result = subprocess.run(
         [sys.executable, "-m", "daemon.commands.main", "run", "--for", "6"],
@@ -39,6 +49,7 @@ def test_a_signal_stops_motion_and_ends_with_0(number):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=hung_up_on,
     )
     lines = []
     for line in process.stderr:
@@ -62,7 +73,7 @@ def test_a_terminal_that_is_closed_ends_the_service_in_good_order():
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        preexec_fn=at_a_terminal,
     )
     os.close(theirs)
     shown = b""

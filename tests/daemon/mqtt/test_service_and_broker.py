@@ -97,7 +97,7 @@ def test_commands_are_answered_and_obey_the_guard_of_every_other_way(broker, sca
                     ("stow", "now!", "JSON"),
                     ("stow", b"\xff\x00", "JSON"),
                     ("stow", {"speed": 1}, "speed"),
-                    ("stow", {"why": 5}, "why"),
+                    ("stow", {"why": 5}, "only 'heliocube auto' releases it"),
                     ("stow", b"[" * 5000, "longer"),
                     ("goto", {"a_deg": True, "b_deg": 60}, "degrees"),
                     ("goto", '{"a_deg": NaN, "b_deg": 60}', "limits"),
