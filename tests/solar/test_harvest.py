@@ -130,8 +130,13 @@ def test_missing_weather_is_left_out_and_less_than_nothing_is_nothing():
         lay_out(utc_s + 43200.0, np.ones(4), np.ones(4), LYNGBY)
 
 
-@pytest.mark.parametrize(
-    ("dni", "dhi", "kind"), [(0.0, 0.0, -1), (0.0, 20.0, 3), (0.2, 0.1, 1), (900.0, 50.0, 0), (400.0, 150.0, 1)]
-)
+def test_a_day_without_light_among_others_has_no_type_and_days_without_any_are_refused():
+    dhi = np.repeat([0.0, 20.0], 1440)
+    assert weather_of(0.0, dhi, days=2).day_types().tolist() == [-1, 3]
+    with pytest.raises(ValueError, match="no record has any light while the sun is above the horizon"):
+        weather_of(0.0, 0.0)
+
+
+@pytest.mark.parametrize(("dni", "dhi", "kind"), [(0.0, 20.0, 3), (0.2, 0.1, 1), (900.0, 50.0, 0), (400.0, 150.0, 1)])
 def test_a_day_has_its_type_however_weak_its_light_is(dni, dhi, kind):
     assert weather_of(dni, dhi).day_types().tolist() == [kind]
