@@ -1,8 +1,8 @@
 """The end of a setup: the configuration, with every key explained, and the secrets beside it."""
 
 import contextlib
-import os
 import shutil
+import sys
 from itertools import count
 from pathlib import Path
 from typing import Literal, cast
@@ -65,7 +65,7 @@ def _owned_like(model: Path | None, path: Path, *, alone: bool = False) -> None:
     Where `alone`, nobody but its owner may read it. Where the others are root's it goes to the user that their group is
     named after, who is the service's as deploy/ has it.
     """
-    if model is None or model == path or os.name != "posix":
+    if model is None or model == path or sys.platform == "win32":
         return
     # Not there on Windows.
     import grp
