@@ -147,9 +147,13 @@ class Restarts:
         if mode != "stow":
             raise NotSeen(f"with readings again the mode is {mode}")
         self._rig.must_not_move(before)
-        self._rig.wind(CALM_M_S)
-        self._rig.wait_mode("tracking", TRACKS_WITHIN_S)
+        wait(self._tracks_in_calm, TRACKS_WITHIN_S, lambda: f"mode tracking; it is {self._rig.mode()}")
         return f'back after {took_s:.1f} s, stowed ("{reason}"), released once it was calm'
+
+    def _tracks_in_calm(self) -> bool:
+        # A single word that it is calm only begins the time for which it has to be; a sensor goes on telling.
+        self._rig.wind(CALM_M_S)
+        return self._rig.mode()[0] == "tracking"
 
     def _is_stowed(self) -> bool:
         a_deg, b_deg = self._rig.pose()
