@@ -61,7 +61,8 @@ def left_behind(directory: Path, trackers: Sequence[str]) -> str | None:
     for folder in sorted(path.parent for path in directory.glob(f"*/{wishes.FILE_NAME}")):
         # Another service may have its folder here: it is at work there itself.
         if folder.name not in trackers and not (folder / ".tracker-in-use").exists():
-            asked = WishFile(StateFolder(folder)).load()
+            # Nothing is to be written there, and so no room kept.
+            asked = WishFile(StateFolder(folder, reserve=lambda _path: None)).load()
             if asked.held_by_program:
                 # Its own reason may name such folders, and would be told once more with each name.
                 asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})

@@ -218,6 +218,10 @@ class Axis:
         """Falsify the count."""
         self._origin_mm -= way_mm
 
+    def forget_faults(self) -> None:
+        """Forget all faults but a broken cable; what one has disabled stays so."""
+        self.faults = {"cable"} if self.cable_broken else set()
+
     def forget_position(self, now_s: float) -> None:
         """Lose the count: wherever the axis is now is 0."""
         self._origin_mm, self._frozen_mm = self.true_mm(now_s), None

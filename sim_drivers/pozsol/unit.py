@@ -126,13 +126,9 @@ class PositionerUnit:
 
     def clear_faults(self) -> None:
         """Forget all faults but a broken cable, and enable the axes."""
-        self._forget_faults()
         for axis in self.axes.values():
+            axis.forget_faults()
             axis.enabled = True
-
-    def _forget_faults(self) -> None:
-        for axis in self.axes.values():
-            axis.faults = {"cable"} if axis.cable_broken else set()
 
     def power_cycle(self, now: float, *, keep_position: bool = True) -> None:
         """Restart: faults are gone, the reset mark is set, the count is kept or starts at 0.
@@ -141,12 +137,12 @@ class PositionerUnit:
         """
         for axis in self.axes.values():
             axis.freeze(now)
+            axis.forget_faults()
             if not keep_position:
                 axis.forget_position(now)
             axis.control, axis.target_mm, axis.outward = "idle", axis.counted_mm(now), True
         self._choose("a", now)
         self._forget_orders()
-        self._forget_faults()
         self.modes.restart(now)
         self.was_reset, self._self_clear_s = True, now + SELF_CLEAR_S
         self.decide(now)

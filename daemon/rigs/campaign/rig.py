@@ -74,7 +74,11 @@ class SteppingClock(LoopClock):
 
     def utc(self) -> float:
         """UTC [s], off by `step_s`."""
-        return super().utc() + self.step_s
+        return self.true_utc() + self.step_s
+
+    def true_utc(self) -> float:
+        """UTC [s] as it is: the sun does not follow a clock that somebody has set."""
+        return super().utc()
 
 
 class HandledRig:
@@ -132,7 +136,7 @@ class HandledRig:
         self.cables = SimpleNamespace()
         self.connect(settings)
         self.source = PvSource(
-            self.scene, lambda _now: self.truth(), lambda _now: self.clock.utc() - self.clock.step_s, Q_PEAK_G4_1_305
+            self.scene, lambda _now: self.truth(), lambda _now: self.clock.true_utc(), Q_PEAK_G4_1_305
         )
         self.load_core = LoadCore(self.source, np.random.default_rng(2))
         self.cables.load = InMemoryLine("load", self.load_core, loop.time)
@@ -193,8 +197,7 @@ class HandledRig:
         )
 
     def _sensor(self, channel: int, now_s: float) -> float | None:
-        # The sun does not follow a clock that somebody has set.
-        utc_s = self.clock.utc() - self.clock.step_s + now_s - self.clock.monotonic()
+        utc_s = self.clock.true_utc() + now_s - self.clock.monotonic()
         if channel >= _FACES:
             return None
         noise_v = self._noise.gauss(0.0, self.noise_v) if self.noise_v else 0.0

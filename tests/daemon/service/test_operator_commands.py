@@ -148,19 +148,7 @@ def answering(reply):
 def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, code, out, err):
     listener, heard = answering(f"HTTP/1.1 {status} x\r\n\r\n{json.dumps(body)}".encode())
     with listener:
-        done = subprocess.run(
-            [sys.executable, "-c", "from daemon.entry import main; main()", *command],
-            capture_output=True,
-            text=True,
-            cwd=ROOT,
-            env={
-                "HELIOCUBE_CONFIG": str(_config(tmp_path, listener.getsockname()[1])),
-                "HELIOCUBE_TOKEN": "t" * 43,
-                "PATH": "",
-                "LOGNAME": "ana",
-            },
-            timeout=60,
-        )
+        done = _program(tmp_path, listener, *command, LOGNAME="ana")
     assert (done.returncode, done.stdout, done.stderr) == (code, out, err)
     assert heard[0]["by"] == f"ana@{socket.gethostname()}"
     assert heard[0].get("tracker") == ("west" if "west" in command else None)
@@ -179,19 +167,7 @@ def test_an_answer_is_told_on_a_terminal_that_knows_ascii_only(tmp_path, run_rig
     page |= {"state": "done", "text": "standing; mode hold: Böe"}
     listener, _ = answering(f"HTTP/1.1 200 x\r\n\r\n{json.dumps(page)}".encode())
     with listener:
-        done = subprocess.run(
-            [sys.executable, "-c", "from daemon.entry import main; main()", command],
-            capture_output=True,
-            text=True,
-            cwd=ROOT,
-            env={
-                "HELIOCUBE_CONFIG": str(_config(tmp_path, listener.getsockname()[1])),
-                "HELIOCUBE_TOKEN": "t" * 43,
-                "PATH": "",
-                "PYTHONIOENCODING": "ascii",
-            },
-            timeout=60,
-        )
+        done = _program(tmp_path, listener, command, PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, "")
     assert "B?e" in done.stdout
 
@@ -238,6 +214,19 @@ def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto
             client.command("goto", a_deg=1.0, b_deg=60.0)
         serving.join(60)
     assert heard == ["/api/stop"] * 3 + ["/api/goto"]
+
+
+def _program(tmp_path, listener, *command, **environment):
+    """Give a command to what listens there, and return how the program ended."""
+    config = _config(tmp_path, listener.getsockname()[1])
+    return subprocess.run(
+        [sys.executable, "-c", "from daemon.entry import main; main()", *command],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={"HELIOCUBE_CONFIG": str(config), "HELIOCUBE_TOKEN": "t" * 43, "PATH": ""} | environment,
+        timeout=60,
+    )
 
 
 def _config(folder, port):
