@@ -18,7 +18,7 @@ from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
 from daemon.api.turns import ReadTurns
-from daemon.base.clock import Clock
+from daemon.base.clock import END_UTC_S, FIRST_UTC_S, Clock
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, TooManyError, parse
 from daemon.service.recent import Recent
@@ -28,8 +28,6 @@ from daemon.service.state import state_json
 _MOST_LISTENERS = 16
 _STATE_EVERY_S = 1.0
 _STUCK_AFTER_S = 30.0
-# From 1970 to 2199, as the store's days.
-_SUN_END_S = 7_258_118_400.0
 
 
 class Api:
@@ -117,7 +115,7 @@ class Api:
         seen = self._glance()
         given = request.query_params.get("at")
         at_s = seen.time_utc_s if given is None else instant("at", given)
-        if given is not None and not 0.0 <= at_s < _SUN_END_S:
+        if given is not None and not FIRST_UTC_S <= at_s < END_UTC_S:
             raise HTTPException(422, f"at={ascii(given)[:40]} is no time from 1970 to 2199")
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
 

@@ -7,6 +7,9 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Protocol
 
+FIRST_UTC_S, END_UTC_S = 0.0, 7_258_118_400.0
+"""Instants of records and of the sun that make sense: from 1970, where a clock begins that was never set, to 2199."""
+
 
 class Clock(Protocol):
     """Everything in the service that needs the time is given one of these."""

@@ -40,7 +40,7 @@ from sim_drivers.scene import FaceGeometry, Scene, SensorModel, default_faces
 from sim_drivers.transports import InMemoryLine, InMemoryStream
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherError, WeatherInParts
 from sim_drivers.weather_files import MeasuredWeather, load_weather
-from solar.ephemeris import extraterrestrial_dni, sun_direction
+from solar.ephemeris import DAY_S, extraterrestrial_dni, sun_direction
 from solar.frames import Angles, Array
 from solar.pv_module import Q_PEAK_G4_1_305, PvModule
 from solar.skies.sky import Sky, sky
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 DEFAULT_START = datetime(2022, 10, 12, 9, 25, tzinfo=UTC)
 
 _FLAT = Angles(0.0, 90.0)
-_COVER_EVERY_S, _DAY_S = 60.0, 86400.0
+_COVER_EVERY_S = 60.0
 _NO_LIGHT = SourceLight(0.0, 15.0)
 _WIND_EVERY_S = 1800.0
 
@@ -82,7 +82,7 @@ def build_weather(
     try:
         weather = load_weather(choice)
         # A service may be told to run for ages; what is missing of the file is missing by the day after its end.
-        to_utc_s = min(max(from_utc_s, weather.end_utc_s) + _DAY_S, to_utc_s)
+        to_utc_s = min(max(from_utc_s, weather.end_utc_s) + DAY_S, to_utc_s)
         instants = np.append(np.arange(from_utc_s, to_utc_s, _COVER_EVERY_S), to_utc_s)
         missing = missing_by_day(weather, site, instants)
         inside = (missing >= weather.start_utc_s) & (missing <= weather.end_utc_s)

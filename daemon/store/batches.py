@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 
+from daemon.base.clock import END_UTC_S, FIRST_UTC_S
 from daemon.store.schema import columns_of
 from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
@@ -22,8 +23,6 @@ MOST_ROWS = 500
 MOST_NUMBER = 1 << 53
 """No record has this number or a later one."""
 _MOST_ROWS_TAKEN = 5000
-# 1970 to 2200: each day has tables of its own, and a clock that was never set begins in 1970.
-_FIRST_S, _END_S = 0.0, 7_258_118_400.0
 _COLUMNS = dict(COLUMNS.values())
 _ORIGIN = {field.name: field.type for field in fields(Origin)}
 KINDS = tuple(_COLUMNS)
@@ -162,7 +161,7 @@ def _origin(found: dict[str, Any]) -> Origin:
     if not 16 <= len(origin.id) <= 64 or not origin.id.isalnum():
         raise BatchError("its run has no identifier")
     has_place = all(map(math.isfinite, (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)))
-    if not (has_place and _FIRST_S <= origin.started_utc_s < _END_S):
+    if not (has_place and FIRST_UTC_S <= origin.started_utc_s < END_UTC_S):
         raise BatchError("its run has no place or no start")
     return origin
 
@@ -195,7 +194,8 @@ def _float(value: Any) -> float | None:
 
 def _time(value: Any) -> float | None:
     found = _float(value)
-    return found if found is not None and _FIRST_S <= found < _END_S else None
+    # Each day has tables of its own.
+    return found if found is not None and FIRST_UTC_S <= found < END_UTC_S else None
 
 
 def _int(value: Any) -> int | None:
