@@ -26,8 +26,8 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import new_loop
 from daemon.bridge.key_file import KeyFileWatch
 from daemon.bridge.signing import generate_key, load_keys
+from daemon.commands.status.live import LiveView
 from daemon.commands.status.log_above import LogAbove
-from daemon.commands.status.screen import LiveView
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.mqtt.companion import Mqtt, links

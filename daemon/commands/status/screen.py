@@ -3,22 +3,17 @@
 All of it is made from the JSON of the state alone, wherever that comes from.
 """
 
-import asyncio
-import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
-from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
 from daemon.commands.status.light import lines_of_light
 from daemon.commands.status.times import dated, moment, zone
-
-log = logging.getLogger("heliocube")
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -34,52 +29,11 @@ _HELD = {"stop": "STOPPED", "buttons": "BUTTON PRESSED AT THE UNIT"}
 _STOP_STYLE = "bold white on red"
 _NEWS, _LIVE_NEWS = 5, 7
 _BAD = "bold red"
-_REFRESH_S = 0.25
 _FRAME_LINES, _FRAME_COLUMNS = 2, 4
 # Below it a heading would take the place of the news themselves.
 _LEAST_ROOM = 5
-_LINE_EVERY_S = 5.0
 _BAR_WIDTH = 30
 _FULL_BAR_W_M2 = 1200.0
-
-
-class LiveView:
-    """Shows the service on a console for as long as it runs.
-
-    Parameters
-    ----------
-    see
-        Returns the state, as /api/state does.
-    console
-        Where; a terminal gets a screen that changes in place, anything else plain lines.
-    speed
-        How many times as fast as the machine's the service's clock runs.
-    """
-
-    def __init__(self, see: Callable[[], dict[str, Any]], console: Console, speed: float) -> None:
-        self._see = see
-        self._console = console
-        self._speed = speed
-
-    async def run(self) -> None:
-        """Refresh until cancelled, or until nothing more can be written: the service goes on without a display."""
-        try:
-            await self._show()
-        except (OSError, SystemExit) as error:
-            # Of a closed pipe rich makes a SystemExit.
-            why = error.strerror if isinstance(error, OSError) else "nobody reads it any more"
-            log.warning("the display has ended, and the service goes on without it: %s", why)
-            self._console.quiet = True
-
-    async def _show(self) -> None:
-        if not self._console.is_terminal:
-            while True:
-                await asyncio.sleep(_LINE_EVERY_S * self._speed)
-                self._console.print(line(self._see()), highlight=False, soft_wrap=True)
-        with Live(live_screen(self._see()), console=self._console, auto_refresh=False, transient=False) as live:
-            while True:
-                await asyncio.sleep(_REFRESH_S * self._speed)
-                live.update(live_screen(self._see()), refresh=True)
 
 
 def render(state: dict[str, Any]) -> RenderableType:

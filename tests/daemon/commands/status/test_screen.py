@@ -11,7 +11,8 @@ import pytest
 from rich.console import Console
 
 from daemon.base.records import Event, Mode
-from daemon.commands.status.screen import LiveView, live_screen, render
+from daemon.commands.status.live import LiveView
+from daemon.commands.status.screen import live_screen, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
 
