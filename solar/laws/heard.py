@@ -6,8 +6,10 @@ that has missed a reading, or has been told to forget, goes on along links of it
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -22,6 +24,8 @@ _MEAN_S = 15.0
 _LONGEST_S = 60.0
 # Means that nobody asks for in some mode without decisions are taken in this many at a time.
 _MOST_WAITING = 40
+# Trackers of one cube are this many links apart at the most; one that hears no more would hold every later link.
+_MOST_KEPT = 500
 
 FourNumbers = tuple[float, float, float, float]
 _NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
@@ -78,7 +82,8 @@ class Heard:
     _newest_s: float = -math.inf
     _begun: Begun = Begun()
     _waiting: tuple[tuple[float, float, list[float]], ...] = ()
-    _after: "tuple[Reading, Heard] | None" = None
+    _newest: "deque[Heard]" = field(default_factory=lambda: deque(maxlen=_MOST_KEPT))
+    _after: "tuple[Reading, ref[Heard]] | None" = None
     _turned: "Heard | None" = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Heard":
@@ -87,10 +92,13 @@ class Heard:
 
     def after(self, reading: Reading) -> "Heard":
         """Return the link of whoever has heard one reading more."""
-        if self._after is None or self._after[0] != reading:
+        known = self._after[1]() if self._after is not None and self._after[0] == reading else None
+        if known is None:
             day = solar_day(reading.utc_s, self.site.longitude_deg)
-            self._after = (reading, self.on(day).extended(reading))
-        return self._after[1]
+            known = self.on(day).extended(reading)
+            self._newest.append(known)
+            self._after = (reading, ref(known))
+        return known
 
     def on(self, day: int) -> "Heard":
         """Return the link of whoever has taken over what past days have taught, on this day."""

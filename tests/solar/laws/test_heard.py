@@ -1,7 +1,8 @@
 """What laws of several trackers know alike is worked out once, and no result shows that it is shared."""
 
+import gc
 import math
-from weakref import WeakValueDictionary
+from weakref import WeakValueDictionary, ref
 
 import numpy as np
 import pytest
@@ -153,3 +154,13 @@ def test_nothing_is_kept_of_what_nobody_holds_any_more():
     common = WeakValueDictionary()
     drive(PLACES, common)
     assert dict(common) == {}
+
+
+def test_a_tracker_that_hears_no_more_does_not_keep_what_others_go_on_to_hear():
+    stopped = link = first_link()
+    second = ref(link.after(read_at(0.0)))
+    for number in range(AN_HOUR):
+        link = link.after(read_at(15.0 * number))
+    gc.collect()
+    assert second() is None
+    assert stopped.after(read_at(0.0)).waiting_utc_s == [BEGIN_UTC_S]
