@@ -2,7 +2,7 @@
 
 A stop, a storm or a doubt must not be forgotten because a file has got a new line: it holds for every tracker that has
 kept nothing of its own yet, until a person releases it. Where a tracker has got another name, or its table is gone, the
-service itself holds every tracker that has kept nothing of its own.
+service itself holds every tracker that was not at work beside it or after it: that may be the same one.
 """
 
 import logging
@@ -20,6 +20,11 @@ from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 
 log = logging.getLogger("heliocube.service")
 
+STARTED_NAME = "started.json"
+"""The file of the last start: it is written by every start."""
+
+# The trackers of one service write it one after the other.
+_STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
 
 
@@ -47,8 +52,8 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
         log.warning("%s holds for %s from now on", before, ", ".join(trackers))
 
 
-def left_behind(directory: Path, trackers: Sequence[str]) -> str | None:
-    """Return what is asked in a folder of trackers that are not in the configuration any more, in words, or None.
+def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
+    """Return what is asked in folders of trackers that are not in the configuration any more, in words, or None.
 
     Parameters
     ----------
@@ -56,11 +61,14 @@ def left_behind(directory: Path, trackers: Sequence[str]) -> str | None:
         In which each tracker with a table has a folder.
     trackers
         The names in the tables.
+    own
+        The folder of one of the trackers. Those that are gone since it was last started count only: beside the others
+        it was another one, and whoever started it without them knew of them.
     """
     found = []
     for folder in sorted(path.parent for path in directory.glob(f"*/{wishes.FILE_NAME}")):
         # Another service may have its folder here: it is at work there itself.
-        if folder.name not in trackers and not (folder / ".tracker-in-use").exists():
+        if folder.name not in trackers and _is_newer(folder, own) and not (folder / ".tracker-in-use").exists():
             # Nothing is to be written there, and so no room kept.
             asked = WishFile(StateFolder(folder, reserve=lambda _path: None)).load()
             if asked.held_by_program:
@@ -73,6 +81,11 @@ def left_behind(directory: Path, trackers: Sequence[str]) -> str | None:
     return f"no tracker is named so any more, but {'; '.join(found)}: {remedy}"
 
 
-def has_kept(directory: Path | None) -> bool:
-    """Return whether anything was ever asked of the tracker with this folder and kept there."""
-    return directory is not None and (directory / wishes.FILE_NAME).exists()
+def _is_newer(gone: Path, own: Path) -> bool:
+    """Whether a tracker that is gone was started after the last start with the other one."""
+    if not (own / STARTED_NAME).exists():
+        return True
+    started = gone / STARTED_NAME
+    # A folder of an older release has no such file.
+    last = started if started.exists() else gone / wishes.FILE_NAME
+    return last.stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S

@@ -24,7 +24,7 @@ from daemon.cube.face_watch import FaceWatch
 from daemon.cube.told_faces import ToldFaces
 from daemon.motion.motion import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
-from daemon.service.inheritance import hand_on, has_kept, left_behind
+from daemon.service.inheritance import hand_on, left_behind
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
@@ -143,10 +143,11 @@ class Service:
         tables = [table.name for table in self.settings.tracker]
         if tables and directory is not None:
             hand_on(directory, tables)
-        left = None if directory is None else left_behind(directory, tables)
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
         for place, ((name, settings), instruments) in enumerate(zip(wanted, self.rig.trackers, strict=True)):
+            own = settings.store.directory
+            left = None if directory is None or own is None else left_behind(directory, tables, own)
             same_place = settings.site.place() == self.settings.site.place()
             tracker = Tracker(
                 name=name,
@@ -159,12 +160,12 @@ class Service:
                 sun_elevation_deg=self.sun_elevation_deg if same_place else SunElevation(settings.site.place()),
                 polling=polling,
                 stow_sources=stow_sources.get(name, ()),
-                folder=self._kept_in(settings.store.directory),
+                folder=self._kept_in(own),
                 phase=Phase(place, len(wanted)),
                 common=common,
                 refused=self._refused,
                 muted=self._mute_cube,
-                hold_why=self._hold_why if left is None or has_kept(settings.store.directory) else left,
+                hold_why=left or self._hold_why,
             )
             self.bus.subscribe(tracker.note, name)
             yield tracker

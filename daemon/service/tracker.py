@@ -20,6 +20,7 @@ from daemon.motion.end import finish
 from daemon.motion.motion import Motion, Polling
 from daemon.received.shadow import Active, Shadow
 from daemon.received.today import FILE_NAME, ReceivedToday
+from daemon.service.inheritance import STARTED_NAME
 from daemon.service.mode_times import ModeTimes
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
@@ -39,7 +40,6 @@ log = logging.getLogger("heliocube.service")
 # Of the ground, where the law learns none; the same as that of laws that are told one.
 _ALBEDO = 0.2
 _NO_WIND_SOURCE = "no wind source: nothing stows the tracker in a storm"
-STARTED_NAME = "started.json"
 _TO_KEEP = "what persons ask for, a storm and what is in doubt"
 _NOTHING_KEPT = (
     "store.directory is not set: a restart forgets what persons asked for, a storm and what is in doubt, and no records"
@@ -240,12 +240,12 @@ class Tracker:
         return self._rig.simulated and not self.settings.instruments.bench
 
     def check_folder(self) -> None:
-        """Raise an alarm where a restart would forget all that a real tracker has to keep.
+        """Raise an alarm where a restart would forget all that a real tracker has to keep, and note the start.
 
         Whether the disk takes it is known before the first stop: the folder reports what it could not write.
         """
         self.alarms.set("nothing-kept", self.forgets)
-        if self.folder.directory is not None and not self._harmless:
+        if self.folder.directory is not None:
             started = json.dumps({"started_utc_s": self.clock.utc(), "version": version("heliocube")})
             self.folder.put(self.folder.directory / STARTED_NAME, started, _TO_KEEP, log)
 

@@ -1,6 +1,8 @@
 """A tracker that gets a name forgets nothing of what it had kept without one."""
 
 import asyncio
+import os
+import time
 
 import pytest
 
@@ -85,6 +87,44 @@ def test_a_tracker_that_has_kept_something_and_a_stop_that_was_released_hold_nob
     run_rig(works, store=store, tracker=[{"name": "west"}])
     run_rig(last_released, store=store, tracker=[{"name": "east"}])
     run_rig(works, store=store, tracker=[{"name": "north"}])
+
+
+def test_one_that_has_never_been_told_anything_works_on_without_a_neighbour_that_was_stopped(run_rig, tmp_path):
+    store = {"directory": tmp_path}
+
+    async def east_stopped(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.service.trackers[0].control.stop("broken", "ana")
+
+    async def works(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+
+    run_rig(east_stopped, store=store, tracker=[{"name": "east"}, {"name": "west"}])
+    run_rig(works, store=store, tracker=[{"name": "west"}])
+
+
+def test_a_name_that_is_given_back_after_the_stop_releases_nothing_of_it(run_rig, tmp_path):
+    store = {"directory": tmp_path}
+
+    async def stopped_and_released(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.control.stop("repair", "ana")
+        rig.control.auto()
+
+    async def stopped(rig):
+        await rig.until_mode(Mode.TRACKING, 120)
+        await rig.control.stop("again", "ana")
+
+    async def held(rig):
+        await asyncio.sleep(60)
+        assert rig.control.mode is Mode.HOLD
+        assert "'roof' is still stopped by ana" in rig.control.why
+
+    run_rig(stopped_and_released, store=store, tracker=[{"name": "east"}])
+    before_s = time.time() - 3600.0
+    os.utime(tmp_path / "east" / "started.json", (before_s, before_s))
+    run_rig(stopped, store=store, tracker=[{"name": "roof"}])
+    run_rig(held, store=store, tracker=[{"name": "east"}])
 
 
 def test_another_service_whose_folder_is_inside_holds_nobody(run_rig, tmp_path):
