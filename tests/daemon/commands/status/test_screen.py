@@ -24,7 +24,7 @@ def view_of(rig, console):
     return LiveView(lambda: state_json(rig.see(recent)), console, speed=10.0 if console.is_terminal else 1.0)
 
 
-def shown(run_rig, *, terminal, faults=()):
+def shown(run_rig, *, terminal, faults=(), why=None):
     out = io.StringIO()
 
     async def scenario(rig):
@@ -34,6 +34,8 @@ def shown(run_rig, *, terminal, faults=()):
         await asyncio.sleep(30)
         for name in faults:
             getattr(rig.cables, name).link_up = False
+        if why is not None:
+            await rig.control.stop(why, "ana")
         await asyncio.sleep(90)
         viewing.cancel()
         await asyncio.gather(viewing, return_exceptions=True)
@@ -106,6 +108,11 @@ def test_elsewhere_a_plain_line_comes_now_and_then(run_rig):
     assert len(lines) > 10
     assert all("SIMULATED" in line and "\x1b" not in line for line in lines)
     assert "tracking: the cube's readings are good" in lines[-1]
+
+
+def test_the_words_of_a_person_are_shown_as_they_were_written(run_rig):
+    why = "module [bold]7[/bold], see [/log]"
+    assert why in shown(run_rig, terminal=False, why=why)
 
 
 def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig):
