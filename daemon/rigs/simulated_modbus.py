@@ -8,11 +8,11 @@ from daemon.base.clock import Clock
 from daemon.config.settings import Settings
 from daemon.rigs.real import cube_surroundings
 from drivers.cube import labjack
-from drivers.cube.labjack import LabjackCube, LabjackSettings
+from drivers.cube.labjack import T7, T8, LabjackCube, LabjackSettings
 from drivers.cube.pyranometers.driver import DEVICE, PyranometerCube, build
 from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.settings import CubeDriverSettings
-from sim_drivers.modbus.labjack import SimulatedLabjack
+from sim_drivers.modbus.labjack import BEST_INDEX, SimulatedLabjack
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedMapped, SimulatedPyranometer, simulated_pyranometer
 from sim_drivers.transports import InMemoryModbus
@@ -76,11 +76,13 @@ def simulated_labjack(settings: Settings, clock: Clock, sensor_v: SensorVoltage)
 
 
 def build_labjack(section: CubeDriverSettings, sensor_v: SensorVoltage) -> SimulatedLabjack:
-    """Return a LabJack T7 with the sensors of the four faces at their inputs, each against the next one."""
-    face_of_input = {each: face for face, each in enumerate(cast("LabjackSettings", section).inputs)}
+    """Return a LabJack with the sensors of the four faces at their inputs: a T7, or a T8 for what only that can do."""
+    own = cast("LabjackSettings", section)
+    face_of_input = {each: face for face, each in enumerate(own.inputs)}
+    only_t8 = any(each % 2 for each in own.inputs) or own.resolution_index > BEST_INDEX[T7]
 
     def input_v(each: int, now_s: float) -> float:
         face = face_of_input.get(each)
         return 0.0 if face is None else sensor_v(face, now_s)
 
-    return SimulatedLabjack(input_v)
+    return SimulatedLabjack(input_v, T8 if only_t8 else T7)

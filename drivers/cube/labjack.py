@@ -1,13 +1,14 @@
 """The cube `labjack`: four sensors at the analogue inputs of a LabJack T7 or T8, over Modbus TCP.
 
 Registers by LabJack's own list (ljm_constants): AINn float at 2n, its range at 40000 + 2n, its negative channel at
-41000 + n, its resolution index at 41500 + n; TEST 55100, PRODUCT_ID 60000, SERIAL_NUMBER 60028. Inferred: a reading at
-the end of the range or beyond is none, the error value -9999 among them.
+41000 + n, its resolution index at 41500 + n, its settling time at 42000 + 2n; TEST 55100, PRODUCT_ID 60000,
+SERIAL_NUMBER 60028. The ranges of each type are from there too; a T8 ignores negative channel and settling time.
+Inferred: a reading at the end of the range or beyond is none, the error value -9999 among them.
 """
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
@@ -22,22 +23,25 @@ DEVICE = "cube"
 UNIT = 1
 TEST, TEST_WORDS = 55100, (0x0011, 0x2233)
 PRODUCT_ID, SERIAL_NUMBER = 60000, 60028
-AIN_RANGE, AIN_NEGATIVE, AIN_RESOLUTION = 40000, 41000, 41500
-_T7, _T8 = 7, 8
+AIN_RANGE, AIN_NEGATIVE, AIN_RESOLUTION, AIN_SETTLING_US = 40000, 41000, 41500, 42000
+T7, T8 = 7, 8
+RANGES_V = {
+    T7: (0.01, 0.1, 1.0, 10.0),
+    T8: (0.018, 0.036, 0.075, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 11.0),
+}
+"""The ranges [V] of each type."""
+_INPUTS_OF_T8 = 8
 _OPEN_S = 5.0
 
 
-RANGES_V = (0.01, 0.1, 1.0, 10.0)
-
-
 def _known_range(value: float) -> float:
-    if value not in RANGES_V:
+    if value not in RANGES_V[T7]:
         raise ValueError("not a range of a LabJack")
     return value
 
 
 LabjackRange = Annotated[
-    float, AfterValidator(_known_range), WithJsonSchema({"type": "number", "enum": list(RANGES_V)})
+    float, AfterValidator(_known_range), WithJsonSchema({"type": "number", "enum": list(RANGES_V[T7])})
 ]
 
 
@@ -55,13 +59,15 @@ class LabjackSettings(CubeDriverSettings):
         description="Inputs AIN of east, south, west and zenith. A T7 measures each against the next odd one.",
     )
     range_v: LabjackRange = Field(
-        1.0, description="Measuring range, from minus to plus; 0.1 V ends at 1000 W/m2 of 0.1 mV, which clouds exceed."
+        1.0,
+        description="Measuring range of a T7, from minus to plus; 0.1 V ends at 1000 W/m2 of 0.1 mV, which clouds"
+        " exceed. A T8 takes its next wider one: 0.018, 0.15, 1.2 or 11 V.",
     )
     resolution_index: int = Field(
         8,
         ge=0,
         le=16,
-        description="Resolution against speed, as LabJack counts: 8 is the best of a T7, 12 of a T7-Pro.",
+        description="Resolution against speed, as LabJack counts: 8 is the best of a T7, 12 of a T7-Pro, 16 of a T8.",
     )
 
     def conflicts(self) -> Iterator[SettingsConflict]:
@@ -77,6 +83,14 @@ class LabjackSettings(CubeDriverSettings):
 
 
 SETTINGS = LabjackSettings
+
+
+class _Setting(NamedTuple):
+    """What an input is set to: for people, where, and as registers."""
+
+    name: str
+    register: int
+    words: tuple[int, ...]
 
 
 class LabjackCube:
@@ -96,18 +110,26 @@ class LabjackCube:
         self._bus = bus
         self._settings = settings
         self._around = surroundings
+        self._range_v = settings.range_v
+        self._wanted: list[_Setting] = []
+        self._turn = 0
 
     async def open(self) -> str:
-        """Connect, identify, and set range, resolution and negative channel of the four inputs."""
+        """Connect, identify, set the four inputs and read back what was set."""
         await self.close()
         await self._bus.open(_OPEN_S)
         if await self._read(TEST) != TEST_WORDS:
             raise IdentityError(DEVICE, "what answers is no LabJack, or gives its words in another order")
         product, serial = number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
-        if product not in (_T7, _T8):
+        if product not in RANGES_V:
             raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, and a T7 or T8 was expected")
-        for each in self._settings.inputs:
-            await self._configure(each, product)
+        self._range_v = next(each for each in RANGES_V[int(product)] if each >= self._settings.range_v)
+        self._wanted = [setting for each in self._settings.inputs for setting in self._settings_of(each, int(product))]
+        for setting in self._wanted:
+            await self._write(setting)
+        for setting in self._wanted:
+            if not await self._is_kept(setting):
+                raise ProtocolError(DEVICE, f"did not keep the {setting.name}")
         return f"LabJack T{product:g} no. {int(number(serial, 'uint32'))}"
 
     async def close(self) -> None:
@@ -115,27 +137,41 @@ class LabjackCube:
         await self._bus.close()
 
     async def read(self) -> CubeReading:
-        """Read the four inputs, each with its instant."""
+        """Read the four inputs, each with its instant, and look whether one of the settings still holds."""
         east, south, west, zenith = [await self._sample(each) for each in self._settings.inputs]
+        # Another program in the network may set the inputs too, and a restart sets them to 10 V against ground.
+        if self._wanted:
+            self._turn = (self._turn + 1) % len(self._wanted)
+            if not await self._is_kept(self._wanted[self._turn]):
+                raise LinkLostError(
+                    DEVICE, f"the {self._wanted[self._turn].name} has changed: is another program setting the LabJack?"
+                )
         # The steps of a 16-bit converter are wider than its noise on the larger ranges.
         return CubeReading(east=east, south=south, west=west, zenith=zenith, unit="V", rounded=True)
 
-    async def _configure(self, each: int, product: float) -> None:
-        wanted = words_for(self._settings.range_v, "float32")
-        settings = {AIN_RANGE + 2 * each: wanted, AIN_RESOLUTION + each: (self._settings.resolution_index,)}
-        if product == _T7:
-            if each % 2:
-                raise ProtocolError(DEVICE, f"is a T7, which measures even inputs against odd ones, and {each} is odd")
-            settings[AIN_NEGATIVE + each] = (each + 1,)
+    def _settings_of(self, each: int, product: int) -> Iterator[_Setting]:
+        if product == T7 and each % 2:
+            raise ProtocolError(DEVICE, f"is a T7, which measures even inputs against odd ones, and {each} is odd")
+        if product == T8 and each >= _INPUTS_OF_T8:
+            raise ProtocolError(DEVICE, f"is a T8, which has the inputs 0 to {_INPUTS_OF_T8 - 1}, and not {each}")
+        yield _Setting(f"range of AIN{each}", AIN_RANGE + 2 * each, words_for(self._range_v, "float32"))
+        index = self._settings.resolution_index
+        yield _Setting(f"resolution index {index} of AIN{each}", AIN_RESOLUTION + each, (index,))
+        if product == T7:
+            yield _Setting(f"negative channel of AIN{each}", AIN_NEGATIVE + each, (each + 1,))
+            # 0 lets the LabJack choose; what another program has left here may be too short for a sensor.
+            yield _Setting(f"settling time of AIN{each}", AIN_SETTLING_US + 2 * each, words_for(0.0, "float32"))
+
+    async def _write(self, setting: _Setting) -> None:
         try:
-            for register, words in settings.items():
-                await self._bus.ask(write_registers(UNIT, register, words), self._around.deadline_s)
+            await self._bus.ask(write_registers(UNIT, setting.register, setting.words), self._around.deadline_s)
         except DeadlineError as error:
             raise LinkLostError(DEVICE, "the LabJack does not answer") from error
         except RefusedError as error:
-            raise ProtocolError(DEVICE, f"does not take the settings of AIN{each}: {error.message}") from error
-        if await self._read(AIN_RANGE + 2 * each) != wanted:
-            raise ProtocolError(DEVICE, f"did not keep the range of AIN{each}")
+            raise ProtocolError(DEVICE, f"does not take the {setting.name}: {error.message}") from error
+
+    async def _is_kept(self, setting: _Setting) -> bool:
+        return await self._read(setting.register, len(setting.words)) == setting.words
 
     async def _sample(self, each: int) -> FaceSample:
         value_v = math.nan
@@ -149,11 +185,11 @@ class LabjackCube:
     def _judged(self, value_v: float) -> tuple[float, FaceFlaw | None]:
         if math.isnan(value_v):
             return value_v, "missing"
-        return (value_v, None) if abs(value_v) < self._settings.range_v else (math.nan, "over-range")
+        return (value_v, None) if abs(value_v) < self._range_v else (math.nan, "over-range")
 
-    async def _read(self, register: int) -> tuple[int, ...]:
+    async def _read(self, register: int, count: int = 2) -> tuple[int, ...]:
         try:
-            return await self._bus.read(UNIT, READ_HOLDING, register, 2, self._around.deadline_s)
+            return await self._bus.read(UNIT, READ_HOLDING, register, count, self._around.deadline_s)
         except DeadlineError:
             raise LinkLostError(DEVICE, f"the LabJack does not answer within {self._around.deadline_s:g} s") from None
 

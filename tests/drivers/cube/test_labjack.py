@@ -27,6 +27,7 @@ def test_on_a_server_that_is_not_ours():
         SimData(40000, values=[10.0] * 8, datatype=DataType.FLOAT32),
         SimData(41000, values=[199] * 8, datatype=DataType.REGISTERS),
         SimData(41500, values=[0] * 8, datatype=DataType.REGISTERS),
+        SimData(42000, values=[500.0] * 8, datatype=DataType.FLOAT32),
         SimData(55100, values=[0x0011, 0x2233], datatype=DataType.REGISTERS),
         SimData(60000, values=[7.0], datatype=DataType.FLOAT32),
         SimData(60028, values=[470012345], datatype=DataType.UINT32),
@@ -45,19 +46,21 @@ def test_on_a_server_that_is_not_ours():
             identity, reading = await cube.open(), await cube.read()
             ranges = await server.async_getValues(1, 3, 40000, 2)
             negative = await server.async_getValues(1, 3, 41004, 1)
+            settling = await server.async_getValues(1, 3, 42008, 2)
         finally:
             await cube.close()
             await server.shutdown()
         with pytest.raises(LinkLostError):
             await cube.read()
-        return identity, reading, ranges, negative
+        return identity, reading, ranges, negative, settling
 
-    identity, reading, ranges, negative = asyncio.run(work())
+    identity, reading, ranges, negative, settling = asyncio.run(work())
     assert identity == "LabJack T7 no. 470012345"
     assert [face.value for face in reading.faces] == pytest.approx(list(VOLTS.values()))
     assert (reading.unit, reading.rounded) == ("V", True)
     assert ranges == [0x3DCC, 0xCCCD]
     assert negative == [5]
+    assert settling == [0, 0]
 
 
 def on_simulated(work, **keys):
@@ -128,10 +131,81 @@ def test_odd_inputs_are_for_a_t8_alone():
     async def work(cube, device):
         with pytest.raises(ProtocolError, match="3 is odd"):
             await cube.open()
-        device.product = 8
+        become_t8(device)
         return await cube.open()
 
     assert on_simulated(work, inputs=(0, 3, 4, 6)).startswith("LabJack T8")
+
+
+def become_t8(device):
+    device.product = 8
+    device.power_cycle(0.0)
+
+
+@pytest.mark.parametrize(("range_v", "wider_v"), [(0.01, 0.018), (0.1, 0.15), (1.0, 1.2), (10.0, 11.0)])
+def test_a_t8_measures_in_its_next_wider_range(range_v, wider_v):
+    async def work(cube, device):
+        become_t8(device)
+        await cube.open()
+        return device.state()["range_v"][:7:2]
+
+    assert on_simulated(work, range_v=range_v) == [wider_v] * 4
+
+
+def test_an_input_that_a_t8_has_not_is_said():
+    async def work(cube, device):
+        become_t8(device)
+        with pytest.raises(ProtocolError, match="has the inputs 0 to 7, and not 8"):
+            await cube.open()
+
+    on_simulated(work, inputs=(0, 2, 4, 8))
+
+
+def test_a_resolution_that_it_has_not_is_said():
+    async def work(cube, _device):
+        with pytest.raises(ProtocolError, match="does not take the resolution index 13 of AIN0"):
+            await cube.open()
+
+    on_simulated(work, resolution_index=13)
+
+
+async def read_often(cube):
+    for _ in range(16):
+        await cube.read()
+
+
+SETTINGS_OF_AIN4 = [(40008, "range"), (41004, "negative channel"), (41504, "resolution"), (42008, "settling time")]
+
+
+@pytest.mark.parametrize(("register", "name"), SETTINGS_OF_AIN4)
+def test_a_setting_that_is_not_kept_is_said(register, name, monkeypatch):
+    def write(device, function, at, values):
+        if at != register:
+            keep(device, function, at, values)
+
+    async def work(cube, device):
+        device.write(16, 42008, (0x43FA, 0))
+        monkeypatch.setattr(SimulatedLabjack, "write", write)
+        with pytest.raises(ProtocolError, match=f"did not keep the {name}.* of AIN4"):
+            await cube.open()
+
+    keep = SimulatedLabjack.write
+    on_simulated(work)
+
+
+@pytest.mark.parametrize(("register", "name"), SETTINGS_OF_AIN4)
+def test_a_setting_that_another_program_changes_ends_the_readings(register, name):
+    others = {40008: (0x4120, 0), 41004: (199,), 41504: (1,), 42008: (0x43FA, 0)}
+
+    async def work(cube, device):
+        await cube.open()
+        device.write(16, register, others[register])
+        with pytest.raises(LinkLostError, match=f"the {name}.* of AIN4 has changed"):
+            await read_often(cube)
+        await cube.open()
+        await cube.read()
+
+    on_simulated(work)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,68 @@
+"""The simulated LabJack refuses what LabJack's list of registers says that a real one refuses."""
+
+import pytest
+
+from drivers.modbus.pdu import number, words_for
+from drivers.modbus.server import RefusedRequestError
+from sim_drivers.modbus.labjack import SimulatedLabjack
+
+HALF_VOLT, OVER_SETTLING, NO_NUMBER = (words_for(value, "float32") for value in (0.5, 50001.0, float("nan")))
+
+
+def device(product=7):
+    return SimulatedLabjack(lambda each, _now_s: 0.01 * each, product)
+
+
+@pytest.mark.parametrize(
+    ("product", "register", "words"),
+    [
+        (7, 41000, (2,)),
+        (7, 41001, (2,)),
+        (7, 41500, (13,)),
+        (8, 41500, (17,)),
+        (7, 40000, HALF_VOLT),
+        (7, 40000, words_for(1.2, "float32")),
+        (8, 40000, words_for(1.0, "float32")),
+        (7, 42000, OVER_SETTLING),
+        (7, 42000, NO_NUMBER),
+        (7, 42000, words_for(-1.0, "float32")),
+        (7, 40000, (0,)),
+        (7, 40001, (0, 0)),
+        (8, 41008, (199,)),
+        (7, 55100, (0, 0)),
+        (7, 60000, (0, 0)),
+    ],
+)
+def test_what_a_real_one_does_not_take_is_refused(product, register, words):
+    with pytest.raises(RefusedRequestError):
+        device(product).write(16, register, words)
+
+
+def test_a_t8_ignores_negative_channel_and_settling_time():
+    labjack = device(8)
+    labjack.write(16, 41001, (2,))
+    labjack.write(16, 42000, OVER_SETTLING)
+    assert labjack.read(3, 41001, 1) == (199,)
+    assert labjack.read(3, 42000, 2) == (0, 0)
+
+
+@pytest.mark.parametrize(("register", "count"), [(0, 1), (1, 2), (40001, 1), (60000, 3), (28, 2)])
+def test_half_a_value_is_not_told(register, count):
+    with pytest.raises(RefusedRequestError):
+        device().read(3, register, count)
+
+
+def test_against_ground_an_input_reads_what_the_resistor_drops_as_well():
+    labjack = device()
+    against_ground_v = number(labjack.read(3, 4, 2), "float32")
+    labjack.write(16, 41002, (3,))
+    assert against_ground_v - number(labjack.read(3, 4, 2), "float32") == pytest.approx(0.002, abs=10 / 2**15)
+
+
+def test_a_power_cycle_forgets_what_was_set():
+    labjack = device()
+    labjack.write(16, 40000, words_for(0.1, "float32"))
+    labjack.write(16, 41500, (8,))
+    labjack.power_cycle(0.0)
+    assert number(labjack.read(3, 40000, 2), "float32") == 10.0
+    assert labjack.read(3, 41500, 1) == (0,)
