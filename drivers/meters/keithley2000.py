@@ -96,6 +96,7 @@ class _Settings:
             f":SENS:VOLT:DC:RANG {range_v:g};NPLC {nplc:g};AVER:STAT OFF",
             ":SYST:AZER:STAT ON;:SYST:BEEP:STAT OFF",
             ":FORM:DATA ASC;:FORM:ELEM READ",
+            ":TRIG:SOUR IMM;:TRIG:COUN 1;:SAMP:COUN 1",
         )
         self.expected: dict[str, str | float] = {
             ":INIT:CONT?": "0",
@@ -104,6 +105,7 @@ class _Settings:
             ":SENS:VOLT:DC:NPLC?": nplc,
             ":SENS:VOLT:DC:AVER:STAT?": "0",
             ":FORM:ELEM?": "READ",
+            ":TRIG:SOUR?": "IMM",
         }
 
 

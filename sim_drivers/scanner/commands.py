@@ -74,17 +74,8 @@ def _keithley2000() -> CommandTable:
             raise ScpiError(-241)
         meter.scanning = text.upper() != "NONE"
 
-    def read(meter: ScannerInstrument, cursor_s: float) -> str | None:
-        if not meter.scanning:
-            return meter.read(cursor_s)
-        if meter.settings.continuous:
-            raise ScpiError(-213)
-        pairs, count = meter.scan(cursor_s), len(meter.settings.elements)
-        return ",".join(part for text, channel in pairs for part in (text, str(channel))[:count])
-
     chosen = _plain(lambda meter, _: "INT" if meter.scanning else "NONE")
     _define(table, "ROUTe:SCAN:LSELect", act=_with(1, select), ask=chosen)
-    _define(table, "READ", ask=_plain(read))
     return table
 
 
@@ -219,7 +210,13 @@ def _agilent() -> CommandTable:
             meter.scan_list = meter.channels(channels)
             meter.with_channels = False
             meter.change(
-                cursor_s, function="VOLT:DC", range_v=range_v, autorange=False, continuous=False, filter_on=False
+                cursor_s,
+                function="VOLT:DC",
+                range_v=range_v,
+                autorange=False,
+                continuous=False,
+                filter_on=False,
+                trigger_source="IMM",
             )
 
         return _step(step)
@@ -235,7 +232,9 @@ def _agilent() -> CommandTable:
         text = _listed(tuple(sorted(meter.scan_list)))
         return f"#{len(str(len(text)))}{len(text)}{text}"
 
-    def read(meter: ScannerInstrument, cursor_s: float) -> str:
+    def read(meter: ScannerInstrument, cursor_s: float) -> str | None:
+        if meter.settings.trigger_source != "IMM":
+            return None
         pairs = meter.scan(cursor_s)
         parts = [part for text, channel in pairs for part in ((text, str(channel)) if meter.with_channels else (text,))]
         return ",".join(parts)
@@ -244,10 +243,6 @@ def _agilent() -> CommandTable:
         if slot not in ("100", "200", "300"):
             raise ScpiError(-222)
         return meter.card if int(slot) // 100 in meter.slots and meter.card else "HEWLETT-PACKARD,0,0,0"
-
-    def immediate(_meter: ScannerInstrument, text: str) -> None:
-        if text.upper() not in ("IMM", "IMMEDIATE"):
-            raise ScpiError(-224)
 
     def once(_meter: ScannerInstrument, text: str) -> None:
         if text != "1":
@@ -263,7 +258,7 @@ def _agilent() -> CommandTable:
     )
     for name in ("UNIT", "TIME", "ALARm"):
         _define(table, f"FORMat:READing:{name}", act=_with(1, other_element))
-    _define(table, "TRIGger:SOURce", act=_with(1, immediate))
+    table |= {spelling: TABLE[spelling] for spelling in spellings("TRIGger:SOURce")}
     _define(table, "TRIGger:COUNt", act=_with(1, once))
     _define(table, "ROUTe:SCAN", ask=_plain(block))
     _define(table, "SYSTem:CTYPe", ask=_with(1, card))

@@ -3,13 +3,15 @@
 Left out is what the driver has no use for: other functions than DC voltage, limits, and more than one scan in memory.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from itertools import cycle, islice
 from typing import Literal
 
 import numpy as np
 
 from sim_drivers.scpi import ScpiError
 from sim_drivers.voltmeter.core import VoltmeterCore
+from sim_drivers.voltmeter.instrument import MAXIMUM_READINGS
 
 ScannerMake = Literal["keithley2000-scan", "dmm6500", "daq6510", "agilent34970a"]
 
@@ -29,6 +31,8 @@ NO_CARD: dict[str, str] = {"agilent34970a": "HEWLETT-PACKARD,0,0,0"}
 _LONGEST_NUMBER = 9
 _HARDWARE_MISSING = -241
 _RELAY_S = 0.005
+# How an open channel leaves the voltage of the one before it (assumed: 50 pA into 1 nF of cable).
+_DRIFT_V_PER_S = 0.05
 
 
 class ScannerInstrument(VoltmeterCore):
@@ -39,7 +43,8 @@ class ScannerInstrument(VoltmeterCore):
     make
         Which.
     sensor_v
-        What is at a channel [V] at a time [s]; None where nothing is connected.
+        What is at a channel [V] at a time [s]; None where nothing is connected: such a channel of a Keithley 2000
+        floats away from the voltage of the one before it.
     random
         For the noise and for corrupted replies.
     slots
@@ -75,6 +80,7 @@ class ScannerInstrument(VoltmeterCore):
         self.scans = 1
         self.with_channels = False
         self._sensor_v = sensor_v
+        self._held_v, self._held_at_s = 0.0, now
         self._channel: int | None = None
         self._buffer_of_scan: tuple[tuple[str, int], ...] = ()
         super().__init__(
@@ -106,15 +112,31 @@ class ScannerInstrument(VoltmeterCore):
             raise ScpiError(-221)
         # This family takes its channels in ascending order, whatever order they were given in.
         order = sorted(self.scan_list) if self.make == "agilent34970a" else self.scan_list
+        self._buffer_of_scan = self._over(order, cursor_s)
+        return self._buffer_of_scan
+
+    def _measure(self, cursor_s: float) -> None:
+        if not self.scanning:
+            super()._measure(cursor_s)
+            return
+        if not self.scan_list:
+            raise ScpiError(-221)
+        settings = self.settings
+        count = min(settings.sample_count * settings.trigger_count, MAXIMUM_READINGS)
+        pairs = self._over(tuple(islice(cycle(self.scan_list), count)), cursor_s)
+        parts = [part for text, channel in pairs for part in (text, str(channel))[: len(settings.elements)]]
+        self._last = ",".join(parts)
+
+    def _over(self, channels: Sequence[int], cursor_s: float) -> tuple[tuple[str, int], ...]:
+        """Measure channels one after another."""
         readings = []
-        for channel in order:
+        for channel in channels:
             self._channel = channel
             text, cursor_s = self._converter.convert(cursor_s + _RELAY_S)
             # The converter adds its own channel where it is asked for one.
             readings.append((text.partition(",")[0], channel))
         self._channel, self._cursor_s = None, cursor_s
-        self._buffer_of_scan = tuple(readings)
-        return self._buffer_of_scan
+        return tuple(readings)
 
     def clear_buffer(self) -> None:
         """Forget what was measured."""
@@ -133,7 +155,12 @@ class ScannerInstrument(VoltmeterCore):
 
     def _at_the_terminals(self, now_s: float) -> float:
         value_v = None if self._channel is None else self._sensor_v(self._channel, now_s)
-        return 0.0 if value_v is None else value_v
+        if value_v is None:
+            # The other makes have 10 Mohm across their inputs after *RST, the 2000 more than 10 Gohm.
+            floats = self.make == "keithley2000-scan"
+            return self._held_v + _DRIFT_V_PER_S * (now_s - self._held_at_s) if floats else 0.0
+        self._held_v, self._held_at_s = value_v, now_s
+        return value_v
 
     def _power_up(self, now: float) -> None:
         super()._power_up(now)

@@ -14,7 +14,8 @@ from sim_drivers.scpi import ScpiError, ScpiStatus
 from sim_drivers.voltmeter.converter import Converter
 from sim_drivers.voltmeter.settings import PRESET, RANGES_V, MeterSettings
 
-_MAXIMUM_READINGS = 1024
+MAXIMUM_READINGS = 1024
+"""As many as one answer can have."""
 
 
 class VoltmeterInstrument:
@@ -128,7 +129,7 @@ class VoltmeterInstrument:
         self.reset(PRESET)
 
     def _measure(self, cursor_s: float) -> None:
-        count = min(self.settings.sample_count * self.settings.trigger_count, _MAXIMUM_READINGS)
+        count = min(self.settings.sample_count * self.settings.trigger_count, MAXIMUM_READINGS)
         readings = []
         for _ in range(count):
             reading, cursor_s = self._converter.convert(cursor_s)

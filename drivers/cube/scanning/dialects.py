@@ -80,6 +80,7 @@ def _keithley2000_proofs(channels: str, range_v: float, nplc: float) -> tuple[tu
         (":SENS:VOLT:DC:AVER:STAT?", "0"),
         (":ROUT:SCAN?", channels),
         (":ROUT:SCAN:LSEL?", "INT"),
+        (":TRIG:SOUR?", "IMM"),
         (":SAMP:COUN?", "4"),
         (":FORM:ELEM?", "READ,CHAN"),
     )
@@ -126,6 +127,7 @@ def _agilent_proofs(channels: str, range_v: float, nplc: float) -> tuple[tuple[s
         (f":SENS:VOLT:DC:RANG? {channels}", range_v),
         (f":SENS:VOLT:DC:NPLC? {channels}", nplc),
         (":ROUT:SCAN?", channels),
+        (":TRIG:SOUR?", "IMM"),
         (":FORM:READ:CHAN?", "1"),
     )
 

@@ -95,6 +95,18 @@ def test_interchanged_faces_are_found(run_rig):
     run_rig(scenario, start="2022-10-12T07:30")
 
 
+@pytest.mark.parametrize("face", [2, 3])
+def test_an_open_input_that_keeps_what_the_face_before_it_had_is_found_in_the_sun(run_rig, face):
+    async def scenario(rig):
+        sensor = rig.switch._inputs
+        rig.switch._inputs = lambda channel, now: None if channel == face else sensor(channel, now)
+        await rig.until(lambda: Quality.IMPLAUSIBLE in qualities(rig), 3600, "the finding")
+        assert f"the {('west', 'zenith')[face - 2]} face reads" in alarm(rig)
+
+    seldom = {"cube": {"scan_every_s": 15}, "safety": {"scan_stale_s": 65, "fallback_after_s": 130}}
+    run_rig(scenario, start="2022-10-12T07:30", rest_look_s=5.0, **seldom)
+
+
 @pytest.mark.parametrize(
     ("weather", "start", "hours"),
     [(HandWeather(), "2022-10-12T06:00", 4), (HandWeather(dni=0, dhi=8), "2022-10-12T14:30", 3)],

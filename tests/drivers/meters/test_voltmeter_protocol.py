@@ -211,7 +211,11 @@ def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(volt
     async def scene():
         async with voltmeter_host() as host:
             meter = meter_on(host.port.link, deadline_s=1.5)
-            for upset in (host.power_cycle, lambda: host.core.change(host._now(), elements=("READ", "CHAN"))):
+            for upset in (
+                host.power_cycle,
+                lambda: host.core.change(host._now(), elements=("READ", "CHAN")),
+                lambda: host.core.change(host._now(), trigger_source="EXT"),
+            ):
                 await meter.open()
                 upset()
                 with pytest.raises((DeadlineError, ProtocolError)):

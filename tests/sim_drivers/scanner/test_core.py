@@ -41,7 +41,11 @@ PUBLISHED = {
 
 def core_of(make):
     first = 1 if make in ("keithley2000-scan", "dmm6500") else 101
-    return ScannerCore(make, lambda channel, _now: 0.01 * (channel - first + 1), np.random.default_rng(1))
+    return ScannerCore(make, lambda channel, _now: 0.01 * (channel - first + 1), rng())
+
+
+def rng():
+    return np.random.default_rng(1)
 
 
 def ask(core, text, now_s=0.0):
@@ -93,6 +97,52 @@ def test_a_new_configuration_takes_back_what_was_said_of_the_format():
     assert ask(core, "FORM:READ:CHAN?")[0][1] == "0"
     assert len(ask(core, "READ?", 1.0)[0][1].split(",")) == 4
     assert ask(core, "ROUT:SCAN?", 9.0)[0][1] == "#218(@101,102,103,104)"
+
+
+def scanning(*more):
+    core = core_of("keithley2000-scan")
+    for line in (*PUBLISHED["keithley2000-scan"][:-1], *more):
+        ask(core, line)
+    return core
+
+
+@pytest.mark.parametrize(("count", "channels"), [(1, [1]), (2, [1, 2]), (6, [1, 2, 3, 4, 1, 2])])
+def test_a_trigger_takes_as_many_channels_as_samples_are_asked_for(count, channels):
+    answer = ask(scanning(f"SAMP:COUN {count}"), "READ?", 1.0)[0][1]
+    assert [int(text) for text in answer.split(",")[1::2]] == channels
+
+
+@pytest.mark.parametrize("source", ["BUS", "EXT", "MAN"])
+def test_a_scan_waits_for_its_trigger(source):
+    core = scanning(f"TRIG:SOUR {source}")
+    assert ask(core, "READ?", 1.0) == []
+    ask(core, "*TRG", 2.0)
+    assert len(ask(core, "FETC?", 3.0)) == (source == "BUS")
+
+
+def test_another_trigger_source_silences_an_agilent_until_it_is_configured_anew():
+    core = core_of("agilent34970a")
+    ask(core, "CONF:VOLT:DC 0.1,DEF,(@101:104)")
+    ask(core, "TRIG:SOUR EXT")
+    assert ask(core, "READ?", 1.0) == []
+    ask(core, "CONF:VOLT:DC 0.1,DEF,(@101:104)", 2.0)
+    assert ask(core, "TRIG:SOUR?", 2.0)[0][1] == "IMM"
+    assert len(ask(core, "READ?", 2.0)) == 1
+
+
+def test_an_open_channel_of_a_2000_keeps_about_what_the_one_before_it_had():
+    core = ScannerCore("keithley2000-scan", lambda channel, _now: {1: 0.05, 4: 0.01}.get(channel), rng())
+    for line in PUBLISHED["keithley2000-scan"][:-1]:
+        ask(core, line)
+    _, open_v, still_open_v, _ = [float(text) for text in ask(core, "READ?", 1.0)[0][1].split(",")[::2]]
+    assert 0.051 < open_v < still_open_v < 0.06
+
+
+def test_an_open_channel_of_a_meter_with_10_megohm_reads_nothing():
+    core = ScannerCore("agilent34970a", lambda channel, _now: {101: 0.05}.get(channel), rng())
+    ask(core, "*RST")
+    ask(core, "CONF:VOLT:DC 0.1,DEF,(@101:104)")
+    assert float(ask(core, "READ?", 1.0)[0][1].split(",")[1]) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_the_function_of_channels_is_told_in_quotes():

@@ -218,6 +218,20 @@ def test_a_restart_between_two_scans_is_a_lost_link_and_opening_mends_it(run, me
     run(meter, act)
 
 
+@pytest.mark.parametrize("meter", ["keithley2000-scan", "agilent34970a"])
+def test_a_trigger_source_that_was_changed_at_the_meter_ends_the_readings_and_opening_mends_it(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        bench.core.change(bench.now(), trigger_source="EXT")
+        assert {face.flaw for face in (await bench.cube.read()).faces} == {"late"}
+        with pytest.raises(LinkLostError, match=r"TRIG:SOUR\? is answered by EXT, not IMM"):
+            await bench.cube.read()
+        await bench.cube.open()
+        assert {face.flaw for face in (await bench.cube.read()).faces} == {None}
+
+    run(meter, act)
+
+
 @every_make
 def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, meter):
     async def act(bench):
