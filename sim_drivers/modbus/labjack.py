@@ -1,5 +1,6 @@
 """A simulated LabJack T7 or T8: the registers of its analogue inputs, as LabJack's own list has them."""
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -27,6 +28,7 @@ _GROUND = 199
 _LONGEST_SETTLING_US = 50000.0
 # A sensor's low side is held to ground by a resistor, over which the current of the input drops so much (assumed).
 _ABOVE_GROUND_V = 0.002
+_NO_READING = -9999.0
 # How far beyond its range the converter still measures.
 _BEYOND = 1.05
 _STEPS = 2.0**15
@@ -38,7 +40,8 @@ class SimulatedLabjack(NoBits):
     Parameters
     ----------
     input_v
-        The voltage [V] at an input against the next one (T7) or of its own pair (T8), at a monotonic time.
+        The voltage [V] at an input against the next one (T7) or of its own pair (T8), at a monotonic time; NaN
+        while it cannot measure.
     product
         Its type, 7 or 8.
     """
@@ -121,6 +124,8 @@ class SimulatedLabjack(NoBits):
         range_v, reach_v = self._range_v[each], self._range_v[each] * _BEYOND
         step_v = range_v / _STEPS
         value_v = self._input_v(each, self.now_s)
+        if math.isnan(value_v):
+            return _NO_READING
         if self.product == T7 and self._negative[each] == _GROUND:
             value_v += _ABOVE_GROUND_V
         return min(max(round(value_v / step_v) * step_v, -reach_v), reach_v)

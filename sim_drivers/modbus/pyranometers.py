@@ -1,10 +1,12 @@
 """Simulated pyranometers: the registers of each make, and what the makes are known to do that a driver has to bear."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from drivers.cube.pyranometers.settings import MakeName, RegisterMapSettings
 from drivers.modbus.pdu import (
+    DEVICE_FAILURE,
     ILLEGAL_ADDRESS,
     ILLEGAL_FUNCTION,
     ILLEGAL_VALUE,
@@ -16,7 +18,9 @@ from drivers.modbus.server import RefusedRequestError, SilentError
 
 _HUKSEFLUX_MOST = 5
 _DELTA_OHM_BOOT_S = 10.0
-_SMP_CLEAR_ERROR, _SMP_ERROR = 10, 1 << 3
+_SMP_CLEAR_ERROR, _SMP_VOID, _SMP_ERROR = 10, 1 << 0, 1 << 3
+_DELTA_OHM_NO_MEASUREMENT = 1 << 0
+_NO_NUMBER = words_for(math.nan, "float32")
 _BOTH = (READ_HOLDING, READ_INPUT)
 
 
@@ -28,7 +32,7 @@ class SimulatedPyranometer:
     address, serial
         Who it is.
     irradiance
-        What falls on it [W/m2] at a monotonic time.
+        What falls on it [W/m2] at a monotonic time; NaN while it cannot measure.
 
     Attributes
     ----------
@@ -62,6 +66,10 @@ class SimulatedPyranometer:
         """Return everything that can be read."""
         raise NotImplementedError
 
+    def blind_registers(self) -> dict[int, int]:
+        """Return everything that can be read while it cannot measure; what a make says then is often not known."""
+        raise RefusedRequestError(DEVICE_FAILURE)
+
     def power_cycle(self, now_s: float) -> None:
         """Switch it off and on."""
         self._on_since_s = now_s
@@ -75,7 +83,8 @@ class SimulatedPyranometer:
         """Return registers."""
         if function not in self.functions:
             raise RefusedRequestError(ILLEGAL_FUNCTION)
-        known = self.registers(self._irradiance(self.now_s))
+        w_m2 = self._irradiance(self.now_s)
+        known = self.blind_registers() if math.isnan(w_m2) else self.registers(w_m2)
         try:
             return tuple(known[each] & 0xFFFF for each in range(register, register + count))
         except KeyError:
@@ -111,6 +120,10 @@ class SimulatedSmp(SimulatedPyranometer):
             | dict(enumerate(errors, 26))
             | dict(enumerate((2023, self.serial, 108, 5, self.address), 41))
         )
+
+    def blind_registers(self) -> dict[int, int]:
+        """Return the registers with the flag of void data."""
+        return self.registers(0.0) | {3: self.status | _SMP_VOID}
 
     def read_bits(self, function: int, first: int, count: int) -> tuple[bool, ...]:  # noqa: ARG002
         """Return the flags of the status behind one that is always off and one that is always on."""
@@ -186,6 +199,10 @@ class SimulatedApogee(SimulatedPyranometer):
         floats = (*words_for(w_m2, "float32"), *words_for(w_m2 / 40.0, "float32"), *[0] * 8)
         return dict(enumerate(floats)) | {40: words_for(w_m2 * 10.0, "int16")[0]}
 
+    def blind_registers(self) -> dict[int, int]:
+        """Return a float that is no number."""
+        return self.registers(0.0) | dict(enumerate(_NO_NUMBER))
+
 
 class SimulatedEko(SimulatedPyranometer):
     """EKO MS-60S."""
@@ -193,6 +210,10 @@ class SimulatedEko(SimulatedPyranometer):
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return the irradiance."""
         return dict(enumerate((0, 0, *words_for(w_m2, "float32"))))
+
+    def blind_registers(self) -> dict[int, int]:
+        """Return a float that is no number."""
+        return self.registers(0.0) | dict(enumerate(_NO_NUMBER, 2))
 
 
 class SimulatedDeltaOhm(SimulatedPyranometer):
@@ -205,6 +226,10 @@ class SimulatedDeltaOhm(SimulatedPyranometer):
         if self.now_s - self._on_since_s < _DELTA_OHM_BOOT_S:
             raise SilentError
         return {0: 0, 1: 250, 2: words_for(w_m2, "int16")[0], 3: self.status}
+
+    def blind_registers(self) -> dict[int, int]:
+        """Return the registers with the bit of the measurement."""
+        return self.registers(0.0) | {3: self.status | _DELTA_OHM_NO_MEASUREMENT}
 
 
 class SimulatedMapped(SimulatedPyranometer):
@@ -229,11 +254,20 @@ class SimulatedMapped(SimulatedPyranometer):
             known |= self._mapped(used, irradiance(self.now_s))
         return known
 
+    def blind_registers(self) -> dict[int, int]:
+        """Return the same: each map has a sensor of its own."""
+        return self.registers(math.nan)
+
     def _mapped(self, used: RegisterMapSettings, w_m2: float) -> dict[int, int]:
         known: dict[int, int] = {}
+        status = self.status
+        if math.isnan(w_m2) and used.number_type != "float32":
+            if used.status_register is None:
+                raise RefusedRequestError(DEVICE_FAILURE)
+            status, w_m2 = status | used.status_bits, 0.0
         if used.status_register is not None:
             low, high = sorted((used.status_register, used.register_number))
-            known = {**dict.fromkeys(range(low, high), 0), used.status_register: self.status}
+            known = {**dict.fromkeys(range(low, high), 0), used.status_register: status}
         if used.serial_register is not None:
             serial = words_for(self.serial, used.serial_type, used.word_order)
             known |= dict(enumerate(serial, used.serial_register))

@@ -1,6 +1,7 @@
 """Four inputs of a LabJack: on a server that is not ours, on the simulated one, and what is no LabJack."""
 
 import asyncio
+import math
 
 import pytest
 from pymodbus.server import ModbusTcpServer
@@ -96,6 +97,12 @@ def test_opening_anew_closes_what_was_open_and_a_scan_loses_no_time_between_inpu
 def test_beyond_its_range_there_is_no_value():
     faces = on_simulated(read, range_v=0.01).faces
     assert [face.flaw for face in faces] == ["over-range", "over-range", None, "over-range"]
+
+
+def test_an_input_that_cannot_be_measured_gives_no_value(monkeypatch):
+    monkeypatch.setitem(VOLTS, 2, math.nan)
+    faces = on_simulated(read).faces
+    assert [face.flaw for face in faces] == [None, "over-range", None, None]
 
 
 @pytest.mark.parametrize(("name", "value", "error"), [("product", 4, IdentityError), ("address", 2, LinkLostError)])

@@ -34,6 +34,38 @@ def test_every_make_is_read_by_day_and_by_night(on_rig, make):
     assert (day.unit, day.notes, day.rounded) == ("W/m2", (), True)
 
 
+A_MAP = {"function": 4, "register_number": 7, "scale": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"make": "smp"}, "reports void data"),
+        ({"make": "hukseflux"}, "has failed"),
+        ({"make": "hukseflux-pv"}, "has failed"),
+        ({"make": "apogee"}, "sends no number"),
+        ({"make": "eko-ms60s"}, "sends no number"),
+        ({"make": "delta-ohm"}, "reports status bits 0x0001"),
+        ({"make": "map", "map": A_MAP | {"number_type": "float32"}}, "sends no number"),
+        ({"make": "map", "map": A_MAP | {"number_type": "int16", "status_register": 9}}, "reports status bits 0xffff"),
+        ({"make": "map", "map": A_MAP | {"number_type": "int16"}}, "has failed"),
+    ],
+)
+def test_a_sensor_that_cannot_measure_gives_no_value_and_says_why(on_rig, keys, why):
+    async def blind(rig):
+        rig.light[1] = math.nan
+        reading = (await rig.scans())[0]
+        rig.light[1] = LIGHT[1]
+        return reading, (await rig.scans(8))[0]
+
+    reading, after = on_rig(blind, **keys)
+    assert flaws(reading) == (None, "missing", None, None)
+    assert math.isnan(reading.south.value)
+    assert len(reading.notes) == 1
+    assert why in reading.notes[0]
+    assert values(after) == pytest.approx(LIGHT, abs=0.06)
+
+
 def test_four_makes_on_one_line_with_a_map_of_the_file(on_rig):
     keys = {
         "make": "map",
