@@ -26,6 +26,7 @@ NO_SUCH_CHANNEL = -200170
 LINES_RESERVED = -200587
 INVALID_TASK = -200088
 TASK_RUNS = -200479
+TASK_RUNS_NOT = -200846
 TEXTS = {
     DEVICE_GONE: "The specified device is not present or is not active in the system.",
     INVALID_DEVICE: "Device identifier is invalid.",
@@ -33,6 +34,7 @@ TEXTS = {
     LINES_RESERVED: "Specified resource is reserved by another task.",
     TASK_RUNS: "Specified operation cannot be performed while the task is running.",
     INVALID_TASK: "Task specified is invalid or does not exist.",
+    TASK_RUNS_NOT: "Write cannot be performed when the task is not started, or several samples are written at once.",
 }
 
 _VERSION = {0x1272: 26, 0x1923: 5, 0x2F22: 0}
@@ -52,6 +54,7 @@ class _Task:
     lines: tuple[int, ...] = ()
     channels: tuple[str, ...] = ()
     valid: bool = True
+    runs: bool = False
 
 
 class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stubs have no types
@@ -163,7 +166,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         match = _LINES.fullmatch(request.lines.strip())
         if match is None:
             await _fail(context, NO_SUCH_CHANNEL)
-        if task.lines:
+        if task.lines or task.runs:
             await _fail(context, TASK_RUNS)
         if match[1] != DEVICE or not self.plugged:
             await _fail(context, INVALID_DEVICE)
@@ -182,11 +185,13 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         return messages.CreateDOChanResponse()
 
     async def StartTask(self, request: Any, context: Any) -> Any:
-        await self._task(request, context)
+        task = await self._task(request, context)
+        task.runs = True
         return messages.StartTaskResponse()
 
     async def StopTask(self, request: Any, context: Any) -> Any:
-        await self._task(request, context)
+        task = await self._task(request, context)
+        task.runs = False
         return messages.StopTaskResponse()
 
     async def GetTaskAttributeString(self, request: Any, context: Any) -> Any:
@@ -208,18 +213,22 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
 
     async def WriteDigitalLines(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
-        levels = dict(zip(task.lines, request.write_array, strict=False))
-        await self._write(task, sum(bool(level) << line for line, level in levels.items()), context)
+        if len(request.write_array) != len(task.lines):
+            await _fail(context, TASK_RUNS_NOT)
+        levels = zip(task.lines, request.write_array, strict=True)
+        await self._write(task, sum(bool(level) << line for line, level in levels), request, context)
         return messages.WriteDigitalLinesResponse(samps_per_chan_written=1)
 
     async def WriteDigitalU32(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
-        await self._write(task, sum(request.write_array), context)
+        if len(task.channels) != 1 or len(request.write_array) != 1:
+            await _fail(context, TASK_RUNS_NOT)
+        await self._write(task, request.write_array[0], request, context)
         return messages.WriteDigitalU32Response(samps_per_chan_written=1)
 
     async def WriteDigitalScalarU32(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
-        await self._write(task, request.value, context)
+        await self._write(task, request.value, request, context)
         return messages.WriteDigitalScalarU32Response()
 
     async def GetErrorString(self, request: Any, _context: Any) -> Any:
@@ -235,7 +244,9 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
             await _fail(context, DEVICE_GONE)
         return task
 
-    async def _write(self, task: _Task, bits: int, context: Any) -> None:
+    async def _write(self, task: _Task, bits: int, request: Any, context: Any) -> None:
+        if not (task.runs or request.auto_start):
+            await _fail(context, TASK_RUNS_NOT)
         if self.delay_s:
             await asyncio.sleep(self.delay_s)
             if not task.valid:

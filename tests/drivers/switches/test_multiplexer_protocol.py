@@ -173,6 +173,29 @@ def test_lines_that_another_program_holds_are_named_and_free_again_when_it_ends(
     asyncio.run(scene())
 
 
+def test_the_mock_server_takes_no_value_for_a_task_that_does_not_run_and_no_two_at_once():
+    def write(server, value, *, start):
+        with grpc.insecure_channel(f"127.0.0.1:{server.port}") as channel:
+            options = nidaqmx.GrpcSessionOptions(channel, "hasty")
+            with nidaqmx.Task("hasty", grpc_options=options) as task:
+                task.do_channels.add_do_chan("Dev1/port0/line0:2", line_grouping=LineGrouping.CHAN_FOR_ALL_LINES)
+                if start:
+                    task.start()
+                task.write(value, auto_start=False)
+
+    async def scene():
+        async with ni_server() as server:
+            await asyncio.to_thread(write, server, 5, start=True)
+            assert selected(server) == 5
+            for value, start in ((3, False), ([3, 4], True)):
+                with pytest.raises(nidaqmx.errors.DaqError) as caught:
+                    await asyncio.to_thread(write, server, value, start=start)
+                assert caught.value.error_code == -200846
+            assert selected(server) == 5
+
+    asyncio.run(scene())
+
+
 def test_a_wrong_name_and_a_missing_driver_are_one_sentence():
     async def scene():
         async with ni_server() as server:
