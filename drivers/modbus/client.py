@@ -49,6 +49,8 @@ class ModbusBus:
     async def open(self, within_s: float = 15.0) -> None:
         """Connect; raises `ConnectError`."""
         await self._path.open(within_s)
+        # Whoever had the line before may have got a reply just now.
+        self._quiet_since_s = self._now()
 
     async def close(self) -> None:
         """Release the line; never raises."""

@@ -51,6 +51,7 @@ class SimulatedLabjack(NoBits):
         self.silent = False
         self.delay_s = 0.0
         self.corrupt = 0
+        self.deaf_s = 0.0
         self.now_s = 0.0
         self.product = product
         self.serial = 470012345

@@ -8,6 +8,8 @@ from drivers.modbus.server import RegisterTable, answer
 
 # From the end of a question to the beginning of its answer.
 _TURNAROUND_S = 0.005
+# 8 data bits, parity, start and stop at 19200 baud.
+_BYTE_S = 11 / 19200
 
 
 class SimulatedDevice(RegisterTable, Protocol):
@@ -17,6 +19,7 @@ class SimulatedDevice(RegisterTable, Protocol):
     silent: bool
     delay_s: float
     corrupt: int
+    deaf_s: float
     now_s: float
 
     def power_cycle(self, now_s: float) -> None:
@@ -44,6 +47,8 @@ class DeviceLineCore:
         self.sensors = list(dict.fromkeys(sensors))
         self.questions = 0
         self._framing: ServerFraming = framing or RtuServer()
+        self._is_one_pair = framing is None
+        self._replies_s: list[tuple[float, float]] = []
 
     def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         """Take in bytes and return the replies that they cause, each with the time [s] at which it begins."""
@@ -63,10 +68,17 @@ class DeviceLineCore:
         first, second = self.sensors[one], self.sensors[other]
         first.address, second.address = second.address, first.address
 
+    def _hears(self, sensor: SimulatedDevice, now: float) -> bool:
+        """Tell whether a question reaches a sensor: on one pair none does that comes into a reply or soon after it."""
+        if not (self._is_one_pair and sensor.deaf_s):
+            return True
+        self._replies_s = [each for each in self._replies_s if now < each[1] + sensor.deaf_s]
+        return not any(begin_s <= now for begin_s, _ in self._replies_s)
+
     def _answers(self, asked: Asked, now: float) -> list[tuple[float, bytes]]:
         replies = []
         for sensor in self.sensors:
-            if sensor.address != asked.request.unit or sensor.silent:
+            if sensor.address != asked.request.unit or sensor.silent or not self._hears(sensor, now):
                 continue
             sensor.now_s = now
             pdu = answer(sensor, asked.request.pdu)
@@ -79,5 +91,6 @@ class DeviceLineCore:
             replies.append((now + _TURNAROUND_S + sensor.delay_s, frame))
         if len(replies) > 1:
             # Both drive the wires at once.
-            return [(replies[0][0], bytes(x & y for x, y in zip(replies[0][1], replies[1][1], strict=False)))]
+            replies = [(replies[0][0], bytes(x & y for x, y in zip(replies[0][1], replies[1][1], strict=False)))]
+        self._replies_s += [(due_s, due_s + len(frame) * _BYTE_S) for due_s, frame in replies]
         return replies

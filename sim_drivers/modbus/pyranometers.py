@@ -21,6 +21,7 @@ _DELTA_OHM_BOOT_S = 10.0
 _SMP_CLEAR_ERROR, _SMP_VOID, _SMP_ERROR = 10, 1 << 0, 1 << 3
 _DELTA_OHM_NO_MEASUREMENT = 1 << 0
 _NO_NUMBER = words_for(math.nan, "float32")
+_DEAF_S = 0.03
 _BOTH = (READ_HOLDING, READ_INPUT)
 
 
@@ -44,6 +45,8 @@ class SimulatedPyranometer:
         How much later it answers than it should.
     corrupt
         How many of its next replies are garbled on the way.
+    deaf_s
+        For how long after a reply on its pair it misses a question.
     now_s
         The time of the question that it is just asked.
     """
@@ -58,6 +61,7 @@ class SimulatedPyranometer:
         self.silent = False
         self.delay_s = 0.0
         self.corrupt = 0
+        self.deaf_s = _DEAF_S
         self.now_s = 0.0
         self._irradiance = irradiance
         self._on_since_s = -1e9

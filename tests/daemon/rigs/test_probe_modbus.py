@@ -24,9 +24,7 @@ class Bus:
 
     def __init__(self, *sensors, **keys):
         self.core = DeviceLineCore(sensors)
-        self.settings = Settings.model_validate(
-            {"instruments": {"cube": {"driver": "modbus-pyranometers", "gap_s": 0.0, **keys}}}
-        )
+        self.settings = Settings.model_validate({"instruments": {"cube": {"driver": "modbus-pyranometers", **keys}}})
         self.said = []
 
     def run(self, work):

@@ -1,0 +1,30 @@
+"""Simulated sensors on one pair of wires: which questions they hear."""
+
+import pytest
+
+from drivers.modbus.framing import RtuClient, TcpClient, TcpServer
+from drivers.modbus.pdu import READ_INPUT, read_registers
+from sim_drivers.modbus.line import DeviceLineCore
+from sim_drivers.modbus.pyranometers import SimulatedSmp
+
+# The reply to a question for seven registers, on the wires from 5 ms after it.
+REPLY_ENDS_S = 0.005 + 19 * 11 / 19200
+
+
+def answers_after(pause_s, client, server=None):
+    """Return how many replies the other sensor gives to a question that comes so long after the first."""
+    line = DeviceLineCore([SimulatedSmp(unit, unit, lambda _now_s: 300.0) for unit in (1, 2)], server)
+    frames = [client.begin(read_registers(unit, READ_INPUT, 0, 7)) for unit in (1, 2)]
+    assert len(line.feed(frames[0], 10.0)) == 1
+    return len(line.feed(frames[1], 10.0 + pause_s))
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "heard"), [(0.001, 1), (0.01, 0), (REPLY_ENDS_S + 0.029, 0), (REPLY_ENDS_S + 0.031, 1)]
+)
+def test_a_question_into_a_reply_or_straight_after_it_is_missed(pause_s, heard):
+    assert answers_after(pause_s, RtuClient()) == heard
+
+
+def test_a_box_on_the_network_keeps_the_pause_itself():
+    assert answers_after(0.01, TcpClient(), TcpServer()) == 1
