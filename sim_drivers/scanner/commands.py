@@ -162,8 +162,12 @@ def _tsp() -> CommandTable:
         buffer_named(meter, name)
         meter.clear_buffer()
 
-    def initiate(meter: ScannerInstrument, cursor_s: float) -> None:
-        meter.scan(cursor_s)
+    def wait(meter: ScannerInstrument, _cursor_s: float) -> None:
+        meter.wait()
+
+    def completed(meter: ScannerInstrument, _cursor_s: float) -> str:
+        meter.wait()
+        return "1"
 
     def data(meter: ScannerInstrument, first: str, last: str, name: str, *elements: str) -> str:
         buffer_named(meter, name)
@@ -187,7 +191,9 @@ def _tsp() -> CommandTable:
     scans = _plain(lambda meter, _: str(meter.scans))
     _define(table, "ROUTe:SCAN:COUNt:SCAN", act=_with(1, set_scans), ask=scans)
     _define(table, "TRACe:CLEar", act=_with(1, clear))
-    _define(table, "INITiate[:IMMediate]", act=_plain(initiate))
+    _define(table, "INITiate[:IMMediate]", act=_plain(ScannerInstrument.begin_scan))
+    _define(table, "*WAI", act=_plain(wait))
+    _define(table, "*OPC", ask=_plain(completed))
     _define(table, "TRACe:DATA", ask=data_build)
     _define(table, "SYSTem:CARD1:IDN", ask=_plain(lambda meter, _: meter.card if 1 in meter.slots else ""))
     _define(table, "SYSTem:CARD2:IDN", ask=_plain(lambda meter, _: meter.card if 2 in meter.slots else ""))

@@ -83,6 +83,7 @@ class ScannerInstrument(VoltmeterCore):
         self._held_v, self._held_at_s = 0.0, now
         self._channel: int | None = None
         self._buffer_of_scan: tuple[tuple[str, int], ...] = ()
+        self._scanned_s = now
         super().__init__(
             self._at_the_terminals, random, line_frequency_hz=line_frequency_hz, identity=IDENTITIES[make], now=now
         )
@@ -115,6 +116,22 @@ class ScannerInstrument(VoltmeterCore):
         self._buffer_of_scan = self._over(order, cursor_s)
         return self._buffer_of_scan
 
+    def begin_scan(self, cursor_s: float) -> None:
+        """Scan while the commands behind this one go on."""
+        if cursor_s < self._scanned_s:
+            raise ScpiError(-213)
+        self.scan(cursor_s)
+        self._scanned_s, self._cursor_s = self._cursor_s, cursor_s
+
+    def wait(self) -> None:
+        """Let what follows wait for the end of the scan."""
+        self._cursor_s = max(self._cursor_s, self._scanned_s)
+
+    def abort(self) -> None:
+        """Go back to idle at once."""
+        super().abort()
+        self._scanned_s = self._now
+
     def _measure(self, cursor_s: float) -> None:
         if not self.scanning:
             super()._measure(cursor_s)
@@ -143,8 +160,8 @@ class ScannerInstrument(VoltmeterCore):
         self._buffer_of_scan = ()
 
     def buffered(self, first: int, last: int) -> tuple[tuple[str, int], ...]:
-        """Return readings of the buffer, counted from 1; `ScpiError` for those that are not there."""
-        if not 1 <= first <= last <= len(self._buffer_of_scan):
+        """Return readings of the buffer, counted from 1; `ScpiError` for those that are not there, or not yet."""
+        if self._cursor_s < self._scanned_s or not 1 <= first <= last <= len(self._buffer_of_scan):
             raise ScpiError(-222)
         return self._buffer_of_scan[first - 1 : last]
 

@@ -99,6 +99,28 @@ def test_a_new_configuration_takes_back_what_was_said_of_the_format():
     assert ask(core, "ROUT:SCAN?", 9.0)[0][1] == "#218(@101,102,103,104)"
 
 
+@pytest.mark.parametrize(("between", "answers"), [("", 0), ("*WAI;", 1), ("*OPC?;", 1)])
+def test_a_scan_of_a_daq6510_goes_on_behind_the_line_unless_it_is_waited_for(between, answers):
+    core = core_of("daq6510")
+    for line in PUBLISHED["daq6510"][:-3]:
+        ask(core, line)
+    line = f':INIT;{between}:TRAC:DATA? 1,4,"defbuffer1",READ,CHAN'
+    assert len(ask(core, line, 1.0)) == answers
+    assert ask(core, "SYST:ERR?", 9.0)[0][1].startswith("0," if answers else "-222")
+
+
+def test_a_scan_under_way_is_not_begun_again_unless_it_is_aborted():
+    core = core_of("daq6510")
+    for line in PUBLISHED["daq6510"][:-3]:
+        ask(core, line)
+    ask(core, "INIT", 1.0)
+    ask(core, "INIT", 1.01)
+    assert ask(core, "SYST:ERR?", 1.02)[0][1].startswith("-213")
+    ask(core, "ABOR", 1.03)
+    ask(core, "INIT", 1.04)
+    assert ask(core, "SYST:ERR?", 1.05)[0][1].startswith("0,")
+
+
 def scanning(*more):
     core = core_of("keithley2000-scan")
     for line in (*PUBLISHED["keithley2000-scan"][:-1], *more):
