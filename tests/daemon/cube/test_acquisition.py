@@ -239,7 +239,7 @@ def test_an_acquisition_that_is_ended_leaves_its_instruments_to_others(run):
 def test_missed_scans_are_left_out_and_the_rhythm_stays(run):
     async def scenario(rig):
         await scans(rig, 2)
-        rig.core.reply_delay_s = 1.9
+        rig.core.reply_delay_s = 1.4
         await scans(rig, 1)
         rig.core.reply_delay_s = 0.0
         await scans(rig, 5)

@@ -229,6 +229,31 @@ def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(volt
     asyncio.run(scene())
 
 
+@pytest.mark.parametrize("pressed", [{"filter_on": True}, {"range_v": 10.0}, {"nplc": 0.1}, {"function": "RES"}])
+def test_what_is_pressed_at_the_front_panel_is_found_within_two_minutes(pressed):
+    async def scene():
+        now = asyncio.get_running_loop().time
+        core = VoltmeterCore(lambda _now: 0.0123, np.random.default_rng(3))
+        meter = Keithley2000(InMemoryLine("voltmeter", core, now))
+        await meter.open()
+        core.change(now(), **pressed)
+        begun_s = now()
+        with pytest.raises(LinkLostError, match="is answered by"):
+            await read_at_the_default_rhythm(meter)
+        assert now() - begun_s < 120.0
+        await meter.open()
+        await read_at_the_default_rhythm(meter)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
+async def read_at_the_default_rhythm(meter):
+    for _ in range(100):
+        await meter.read_voltage()
+        await asyncio.sleep(1.25)
+
+
 def test_who_is_not_there_silent_held_or_another_model_is_one_sentence(voltmeter_host, tmp_path):
     async def scene():
         with pytest.raises(ConnectError, match=r"there is no .*nowhere"):

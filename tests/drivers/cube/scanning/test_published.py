@@ -107,7 +107,7 @@ def test_answers_as_others_have_published_them_are_understood(meter, answers):
     assert [face.value for face in reading.faces[:3]] == [0.0042715, 0.0013213, 0.003653]
     assert [face.flaw for face in reading.faces] == [None, None, None, "over-range"]
     # One trigger, one reply.
-    assert line.sent[-1] == DIALECTS[meter].scan
+    assert line.sent.count(DIALECTS[meter].scan) == 1
 
 
 def published(answers, meter="agilent34970a", **settings):

@@ -233,6 +233,24 @@ def test_a_trigger_source_that_was_changed_at_the_meter_ends_the_readings_and_op
 
 
 @every_make
+def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter):
+    async def act(bench):
+        await bench.cube.open()
+        bench.core.press_range(1.0, bench.now())
+        with pytest.raises(LinkLostError, match=r"RANG\?.* is answered by"):
+            await read_often(bench.cube)
+        await bench.cube.open()
+        await read_often(bench.cube)
+
+    run(meter, act)
+
+
+async def read_often(cube):
+    for _ in range(20):
+        await cube.read()
+
+
+@every_make
 def test_a_garbled_reply_gives_no_wrong_value_and_is_over_with_the_next(run, meter):
     async def act(bench):
         await bench.cube.open()
