@@ -85,8 +85,10 @@ ANSWER = rtu(2, 4, 2, 0, 7)
         b"\x00\xff" * 20,
         rtu(2, 4, 2, 0, 9)[:-1] + b"\x00",
         b"\x02\x04\x02\x00",
+        # There are adapters that hear themselves.
+        RtuClient().begin(ASKED),
     ],
-    ids=["of another device", "of another length", "of another function", "noise", "wrong checksum", "cut off"],
+    ids=["of another device", "of another length", "of another function", "noise", "wrong checksum", "cut off", "echo"],
 )
 def test_what_does_not_belong_to_the_question_is_passed_over(before):
     framing = RtuClient()
