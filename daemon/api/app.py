@@ -185,10 +185,10 @@ class Api:
     def _command(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def command(request: Request) -> Response:
             content = await self._bodies.read(request.receive, LONGEST_BODY)
-            if content is None:
+            if content is None and name != "stop":
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
             try:
-                command = parse(name, content, "HTTP").meant_for(request.query_params.get("tracker"))
+                command = parse(name, content or b"", "HTTP").meant_for(request.query_params.get("tracker"))
                 return JSONResponse(await self._operators.carry_out(command))
             except BodyError as error:
                 raise HTTPException(400, str(error)) from None

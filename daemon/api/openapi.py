@@ -182,6 +182,9 @@ def _health() -> dict[str, Any]:
 def _command(name: str) -> dict[str, Any]:
     body = {"content": _of(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
     answers = {"200": {"description": "carried out", "content": _of(CommandPage)}} | _refusals(*_REFUSALS)
+    if name == "stop":
+        # It is obeyed whatever its body is.
+        del answers["400"], answers["413"], answers["429"]
     return {
         "post": {
             "summary": _DOES[name],

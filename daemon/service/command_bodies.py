@@ -110,6 +110,8 @@ def body_of(name: str) -> type[CommandBody]:
 def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
     """Return the body of a command; raises `ValueError` with one sentence for one that is not understood.
 
+    A stop is never refused for its body: what is not understood of it counts as left out.
+
     Parameters
     ----------
     name, found
@@ -131,6 +133,8 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
             wrong[key] = "line"
     if not wrong:
         return body
+    if name == "stop":
+        return model.model_validate({key: value for key, value in own.items() if key not in wrong})
     lines = (*CommandBody.model_fields, *more)
     for key, kind in wrong.items():
         if kind == "extra_forbidden":

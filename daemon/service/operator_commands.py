@@ -231,7 +231,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     name
         One of `NAMES`.
     content
-        Empty, or a JSON object; for ``mode`` also the bare name of one.
+        Empty, or a JSON object; for ``mode`` also the bare name of one; for ``stop`` anything.
     way
         Over which it came, such as ``HTTP``: who asked, where the body does not say.
 
@@ -240,7 +240,13 @@ def parse(name: str, content: bytes, way: str) -> Command:
     BodyError
         The body is not understood, in one sentence.
     """
-    found = _object(name, content)
+    try:
+        found = _object(name, content)
+    except BodyError:
+        # Of several trackers all stand still then: nobody can tell which was meant.
+        if name != "stop":
+            raise
+        found = {}
     more = _LINES_OF.get(way, ())
     try:
         body = check(name, found, more)
@@ -254,7 +260,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
         why=body.why or NO_REASON,
         by=body.by or way,
         identifier=body.id or None,
-        time_utc_s=_utc_s(found["time"]) if "time" in found else None,
+        time_utc_s=_utc_s(found["time"]) if "time" in found and name != "stop" else None,
         tracker=body.tracker or None,
         a_deg=place[0],
         b_deg=place[1],
@@ -280,6 +286,8 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return the pairs as they are meant; of a name that stands twice nobody knows which value is."""
+    # What no encoding has, half a letter, is for nobody to check.
+    pairs = [(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs]
     found = dict(pairs)
     if len(found) < len(pairs):
         twice = next(name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number]))

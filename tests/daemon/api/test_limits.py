@@ -70,6 +70,33 @@ def test_idle_and_half_sent_connections_keep_out_no_command_and_no_reader(serve,
     assert 0 < len(lines_of(caplog)) <= 18
 
 
+@pytest.mark.parametrize(
+    "body", [b"halt!", b'{"why": "%s"}' % (b"x" * 5000), b"x" * 10_000_000], ids=["no JSON", "too long", "megabytes"]
+)
+def test_a_stop_is_obeyed_whatever_its_body_is(serve, body):
+    async def scenario(rig, call):
+        await under_way(rig)
+        reply = await call.post("stop", body)
+        assert (reply.status, reply.json["done"]) == (200, True)
+        assert rig.control.wishes.stop.why == "an operator asked"
+
+    serve(scenario)
+
+
+def test_a_stop_whose_body_never_comes_whole_is_obeyed_and_one_without_the_token_is_not(serve):
+    async def scenario(rig, call):
+        await under_way(rig)
+        for headers in ({}, BEARER):
+            assert rig.control.wishes.stop is None
+            _, writer = await call.open("POST", "/api/stop", b"{", headers, length=100)
+            await asyncio.sleep(1)
+            writer.close()
+            await asyncio.sleep(1)
+        assert rig.control.wishes.stop is not None
+
+    serve(scenario)
+
+
 @pytest.mark.parametrize("content", [b"", HALF_A_HEAD, HALF_A_BODY], ids=["nothing", "half a head", "half a body"])
 def test_what_is_not_finished_within_seconds_is_closed(serve, content):
     async def scenario(rig, call):

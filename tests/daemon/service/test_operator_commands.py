@@ -56,17 +56,18 @@ def test_a_number_beyond_every_float_is_for_the_limits_to_refuse():
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
     [
-        ("stop", b"halt!", "the body is not JSON"),
-        ("stop", b"\xff\xfe", "the body is not JSON"),
-        ("stop", b"[" * 4000, "the body is not JSON"),
-        ("stop", b"[1]", 'the body is not a JSON object, such as {"why": "maintenance"}'),
-        ("stop", b"x" * 4097, "the body is longer than 4096 bytes"),
-        ("stop", b'{"when": 1}', "the body has 'when', but may have only why, by, id, tracker"),
-        ("stop", b'{"why": "a", "why": "b"}', "the body has 'why' twice"),
+        ("stow", b"halt!", "the body is not JSON"),
+        ("stow", b"\xff\xfe", "the body is not JSON"),
+        ("stow", b"[" * 4000, "the body is not JSON"),
+        ("stow", b"[1]", 'the body is not a JSON object, such as {"why": "maintenance"}'),
+        ("stow", b"x" * 4097, "the body is longer than 4096 bytes"),
+        ("stow", b'{"when": 1}', "the body has 'when', but may have only why, by, id, tracker"),
+        ("stow", b'{"why": "a", "why": "b"}', "the body has 'why' twice"),
         ("goto", b'{"a_deg": 1, "b_deg": 2, "a_deg": 3}', "the body has 'a_deg' twice"),
-        ("stop", b'{"why": {"x": 1, "x": 2}}', "the body has 'x' twice"),
+        ("stow", b'{"why": {"x": 1, "x": 2}}', "the body has 'x' twice"),
+        ("stow", b'{"\\ud800": 1}', r"the body has '\\ud800', but may have only why, by, id, tracker"),
         ("goto", b'{"c_deg": 1}', "the body has 'c_deg', but may have only a_deg, b_deg, why, by, id, tracker"),
-        ("stop", b'{"id": null}', '"id" must be one line of text with at most 200 letters'),
+        ("stow", b'{"id": null}', '"id" must be one line of text with at most 200 letters'),
         (
             "goto",
             b'{"a_deg": true, "b_deg": 60}',
@@ -82,6 +83,35 @@ def test_what_cannot_be_meant_is_one_sentence(name, content, sentence):
         parse(name, content, "HTTP")
     assert str(refused.value) == sentence
     assert refused.value.wrong
+
+
+@pytest.mark.parametrize("way", ["HTTP", "MQTT"])
+@pytest.mark.parametrize(
+    ("content", "kept"),
+    [
+        (b"halt!", {}),
+        (b"\xff\xfe", {}),
+        (b"[" * 4000, {}),
+        (b"[1]", {}),
+        (b'{"why": "%s"}' % (b"x" * 4097), {}),
+        (b'{"why": "a", "why": "b"}', {}),
+        (b'{"when": 1, "why": "gust"}', {"why": "gust"}),
+        (b'{"id": null, "by": "ana@lab"}', {"by": "ana@lab"}),
+        (b'{"tracker": ["east"], "id": "7"}', {"identifier": "7"}),
+        (b'{"time": "yesterday", "tracker": "east"}', {"tracker": "east"}),
+        (b'{"\\ud800": 1, "why": "gust"}', {"why": "gust"}),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_a_stop_is_obeyed_whatever_comes_with_it_and_what_is_understood_is_kept(way, content, kept):
+    command = parse("stop", content, way)
+    assert command.wanted == "stop"
+    assert {name: getattr(command, name) for name in ("why", "by", "identifier", "tracker")} == {
+        "why": "an operator asked",
+        "by": way,
+        "identifier": None,
+        "tracker": None,
+    } | kept
 
 
 @pytest.mark.parametrize("name", ["stop", "stow", "maintenance", "hold"])
