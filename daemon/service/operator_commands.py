@@ -107,6 +107,8 @@ class Command:
         """Return what one tracker did; raises `CommandError` where the command is refused."""
         if self.wanted == "goto":
             return await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
+        if self.wanted == "auto" and self.time_utc_s is not None:
+            return await operator.auto(self.why, self.by, self.time_utc_s)
         answer: Answer = await getattr(operator, self.wanted)(self.why, self.by)
         return answer
 

@@ -18,6 +18,9 @@ FILE_NAME = "operator.json"
 PROGRAM = "heliocube"
 """Who holds the tracker where no person does: the service itself, after a change of its release or of its name."""
 
+# Many a program dates what it asks for by the second.
+_WHOLE_SECONDS_S = 1.0
+
 # What each wish makes of the tracker, as a sentence begins.
 _DONE_TO_IT = {
     "maintenance": "in maintenance",
@@ -94,6 +97,14 @@ class Wishes(BaseModel):
     def held_by_program(self) -> str | None:
         """Return why the service itself holds the tracker until a person has looked, in words, or None."""
         return self.describe("hold") if self.hold is not None and self.hold.by == PROGRAM else None
+
+    def later_than(self, utc_s: float) -> str | None:
+        """Return in words what was asked for after an instant [s of UTC] and stands, or None."""
+        for name in type(self).model_fields:
+            wish: Wish | None = getattr(self, name)
+            if wish is not None and wish.since_utc_s is not None and wish.since_utc_s > utc_s + _WHOLE_SECONDS_S:
+                return self.describe(name)
+        return None
 
     def gone_in(self, later: "Wishes") -> Iterator[str]:
         """Yield in words what stands here and no longer, or another one, in `later`."""

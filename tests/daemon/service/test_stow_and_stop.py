@@ -1,12 +1,16 @@
 """Wind stows, a person stops and holds, and no way to move goes past the limits, whatever is under way."""
 
 import asyncio
+import json
 import math
 from pathlib import Path
 
 import pytest
 
+from daemon.base.clock import iso_utc
 from daemon.base.records import Mode, ModeChange, Move, MoveOutcome, Target
+from daemon.service.operator import CommandError
+from daemon.service.operator_commands import Operators, parse
 from drivers.errors import DeviceError, RefusedError
 from tests.support.motion import commands_sent
 from tests.support.phases import at_rest, quiet, tracking, under_way
@@ -190,3 +194,25 @@ def test_before_the_positioner_is_there_every_order_is_refused(run_rig):
             await rig.control.stop("test")
 
     run_rig(lambda rig: (setattr(rig.cables.positioner, "link_up", False), scenario(rig))[1])
+
+
+@pytest.mark.parametrize("asked", ["stop", "maintenance", "hold"])
+def test_an_auto_that_was_given_before_what_it_would_end_ends_nothing(run_rig, asked):
+    async def scenario(rig):
+        await tracking(rig)
+        operators = Operators(rig.service.trackers, 1.0)
+        await operators.carry_out(parse(asked, b'{"by": "ana@lab"}', "HTTP"))
+        since_utc_s = getattr(rig.control.wishes, asked).since_utc_s
+
+        def auto(off_s):
+            dated = {"id": "1", "time": iso_utc(since_utc_s + off_s)}
+            return operators.carry_out(parse("auto", json.dumps(dated).encode(), "MQTT"))
+
+        with pytest.raises(CommandError, match=r"given before what it would end, .* is .* by ana@lab since"):
+            await auto(-2.0)
+        assert getattr(rig.control.wishes, asked) is not None
+        # A program may date by the second.
+        await auto(-0.9)
+        assert getattr(rig.control.wishes, asked) is None
+
+    run_rig(scenario)
