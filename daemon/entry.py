@@ -1,11 +1,13 @@
 """Where the program begins: straight to the service for what cannot wait, to the command line for all else."""
 
 import io
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-from daemon.base.errors import UserError
+from daemon.base.errors import ExitCode, UserError
 
 _URGENT = ("stop", "stow")
 _OPTIONS = {
@@ -20,6 +22,9 @@ _OPTIONS = {
 
 def main() -> None:
     """Carry out `heliocube stop` and `heliocube stow` before any large library is loaded, and the rest as usual."""
+    if sys.stdout is None:
+        # Closed by whoever started it; what is opened next would get its number.
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as we run
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A reason or a name may have letters that the terminal has not.
         sys.stdout.reconfigure(errors="replace")
@@ -27,12 +32,28 @@ def main() -> None:
     given = _plainly_given(rest) if command in _URGENT else None
     if command not in _URGENT:
         _refuse_a_damaged_installation()
-    if given is None:
-        from daemon.commands.main import main as command_line  # noqa: PLC0415 - the large libraries
+    with _until_the_answer_is_written():
+        if given is None:
+            from daemon.commands.main import main as command_line  # noqa: PLC0415 - the large libraries
 
-        command_line()
-    else:
-        _at_once(command, given)
+            command_line()
+        else:
+            _at_once(command, given)
+
+
+@contextmanager
+def _until_the_answer_is_written() -> Iterator[None]:
+    """Leave with a sentence and a code of its own where standard output takes no more, as on a full disk."""
+    try:
+        yield
+    finally:
+        try:
+            sys.stdout.flush()
+        except OSError as error:
+            # Python would try again at its end what is left.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.stderr.write(f"heliocube: the answer cannot be written to standard output: {error.strerror}\n")
+            sys.exit(ExitCode.UNWRITTEN)
 
 
 def _refuse_a_damaged_installation() -> None:

@@ -19,6 +19,8 @@ class ExitCode(IntEnum):
     """Nothing answers there, or something that is not heliocube."""
     REFUSED = 6
     """The service answers, and does not do it: the token is not its own, or the tracker may not move like that now."""
+    UNWRITTEN = 7
+    """Standard output takes no more, so nobody has read what came of it; what was asked may have been done."""
     INTERRUPTED = 130
     """Ctrl-C ended it; what was done by then is kept where the last line says so. The same as of any program."""
 

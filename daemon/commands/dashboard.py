@@ -74,7 +74,9 @@ def dashboard_beside(api: str, listen: str) -> Iterator[None]:
     ) as child:
         assert child.stdin is not None  # noqa: S101 - narrowing; both are pipes
         assert child.stdout is not None  # noqa: S101 - as above
-        typer.echo(child.stdout.readline(), nl=False)
+        # The service does without one who reads, too.
+        with contextlib.suppress(OSError):
+            typer.echo(child.stdout.readline(), nl=False)
         try:
             yield
         finally:

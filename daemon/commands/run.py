@@ -126,9 +126,14 @@ def run_service(settings: Settings, role: Role, for_s: float | None, console: Co
             runner.run(_run(service, for_s, speed, releases, companions))
     moving = [each.name for each in service.trackers if not each.left_standing]
     stands = f"; motion is NOT known to be stopped: {', '.join(moving)}" if moving else "; motion is stopped"
-    # The terminal, or whatever reads, may be gone; rich makes a SystemExit of a pipe that is closed.
+    _print(console, f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}")
+
+
+def _print(console: Console, text: str) -> None:
+    """Print a line, but let nothing end for it: the terminal, the disk or whatever reads may be gone."""
+    # Of a pipe that is closed rich makes a SystemExit.
     with contextlib.suppress(OSError, SystemExit):
-        console.print(f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}", highlight=False)
+        console.print(text, highlight=False, soft_wrap=True)
 
 
 def lacking(settings: Settings, role: Role) -> list[str]:
@@ -209,7 +214,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
     """Keep every record of the service, if the settings say where; what waits is written at the end."""
     settings, site = service.settings.store, service.settings.site
     if settings.directory is None:
-        console.print("nothing is kept: no store.directory is set", highlight=False)
+        _print(console, "nothing is kept: no store.directory is set")
         yield None
         return
 
@@ -267,7 +272,7 @@ def _api(
         if settings.token_file is None:
             # A journal is read by more people than a terminal.
             where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
-        console.print(f"local interface at {server.url}; {where}", highlight=False, soft_wrap=True)
+        _print(console, f"local interface at {server.url}; {where}")
     return server
 
 

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import termios
+from pathlib import Path
 
 import pytest
 
@@ -101,6 +102,16 @@ def test_under_nohup_the_service_outlives_its_terminal():
         _, err = process.communicate(timeout=240)
     assert process.returncode == 0
     assert "motion stopped" in err
+
+
+def test_where_nothing_can_be_printed_the_service_works_all_the_same(tmp_path):
+    told = tmp_path / "told"
+    with Path("/dev/full").open("w") as full, told.open("w") as err:
+        code = forks.start(["run", "--speed", "30", "--for", "5"], full, err, cwd=tmp_path).wait(240)
+    assert code == 7
+    assert "motion stopped" in told.read_text()
+    assert "Traceback" not in told.read_text()
+    assert told.read_text().endswith("cannot be written to standard output: No space left on device\n")
 
 
 def test_a_port_in_use_is_one_sentence(tmp_path):

@@ -2,6 +2,8 @@ import fcntl
 import json
 import os
 import struct
+import subprocess
+import sys
 import termios
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,6 +15,7 @@ from typer.main import get_command
 
 from daemon.commands.answers import print_json, wrapped
 from daemon.commands.main import app
+from tests.support import ROOT, forks
 
 # What runs until it is ended, leads a person through something, writes files of known names, or answers in JSON anyway.
 WITHOUT = {
@@ -126,3 +129,23 @@ def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_pa
         ]
         monkeypatch.setenv("COLUMNS", "40")
         assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"
+
+
+@pytest.mark.parametrize("words", ["--version", "config check FILE", "config check FILE --json", "gain --lat 45"])
+def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
+    file, told = tmp_path / "heliocube.toml", tmp_path / "told"
+    file.touch()
+    given = [file if word == "FILE" else word for word in words.split()]
+    with Path("/dev/full").open("w") as full, told.open("w") as err:
+        code = forks.start(given, full, err).wait(90)
+    why = "heliocube: the answer cannot be written to standard output: No space left on device\n"
+    assert (code, told.read_text()) == (7, why)
+
+
+def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
+    program = "from daemon.entry import main; main()"
+    words = [sys.executable, "-c", program, "gain", "--lat", "45", "--format", "csv"]
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", *words], stderr=subprocess.PIPE, text=True, timeout=90, cwd=ROOT
+    )
+    assert (done.returncode, done.stderr) == (0, "")

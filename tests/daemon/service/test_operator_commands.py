@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -246,12 +247,21 @@ def test_a_stop_that_was_cut_off_without_an_answer_is_asked_for_again_and_a_goto
     assert heard == ["/api/stop"] * 3 + ["/api/goto"]
 
 
-def _program(tmp_path, listener, *command, **environment):
+def test_a_stop_whose_answer_cannot_be_written_is_given_all_the_same(tmp_path):
+    listener, heard = answering(b'HTTP/1.1 200 x\r\n\r\n{"state": "done", "text": "standing"}')
+    with listener, Path("/dev/full").open("w") as full:
+        done = _program(tmp_path, listener, "stop", stdout=full)
+    assert (len(heard), done.returncode) == (1, 7)
+    assert done.stderr == "heliocube: the answer cannot be written to standard output: No space left on device\n"
+
+
+def _program(tmp_path, listener, *command, stdout=subprocess.PIPE, **environment):
     """Give a command to what listens there, and return how the program ended."""
     config = _config(tmp_path, listener.getsockname()[1])
     return subprocess.run(
         [sys.executable, "-c", "from daemon.entry import main; main()", *command],
-        capture_output=True,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
         text=True,
         cwd=ROOT,
         env={"HELIOCUBE_CONFIG": str(config), "HELIOCUBE_TOKEN": "t" * 43, "PATH": ""} | environment,
