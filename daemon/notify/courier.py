@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import logging
 from collections.abc import Callable, Collection, Coroutine, Sequence
 from datetime import datetime, time
@@ -23,6 +24,8 @@ from daemon.notify.recipients import Recipient
 log = logging.getLogger("heliocube.notify")
 
 _ANSWER_WITHIN_S = 10.0
+# Of a state; the command line reads no more of one either.
+_LONGEST_ANSWER = 16 << 20
 _Way = Callable[[], Coroutine[Any, Any, None]]
 
 
@@ -142,13 +145,24 @@ class Courier:
         try:
             # The client's own limit is for each piece of an answer, of which there may be no end.
             async with asyncio.timeout(_ANSWER_WITHIN_S):
-                reply = await self._client.get(f"http://{service.reachable}/api/state", timeout=_ANSWER_WITHIN_S)
-            reply.raise_for_status()
-            return watch.answered(reply.json(), self._clock.monotonic())
+                state = await self._state(service)
+            return watch.answered(state, self._clock.monotonic())
         except (httpx.HTTPError, TimeoutError) as error:
             return watch.failed(_reason(error), self._clock.monotonic())
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return watch.failed("what answers there is not heliocube", self._clock.monotonic())
+
+    async def _state(self, service: Address) -> Any:
+        # As it is: a little that is compressed may be gigabytes.
+        plain, content = {"Accept-Encoding": "identity"}, bytearray()
+        url = f"http://{service.reachable}/api/state"
+        async with self._client.stream("GET", url, headers=plain, timeout=_ANSWER_WITHIN_S) as reply:
+            reply.raise_for_status()
+            async for part in reply.aiter_raw():
+                content += part
+                if len(content) > _LONGEST_ANSWER:
+                    raise ValueError("too long for a state")
+        return json.loads(content)
 
     async def _tell(self, recipient: Recipient, backlog: Backlog) -> None:
         due = backlog.due(self._clock.monotonic(), self._local())
@@ -181,9 +195,14 @@ class Courier:
 async def beat(address: str) -> str | None:
     """Ask the address of the heartbeat once, and return what is wrong with it, or None."""
     try:
-        async with httpx.AsyncClient(timeout=_ANSWER_WITHIN_S, follow_redirects=True) as client:
-            (await client.get(address)).raise_for_status()
-    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        async with (
+            asyncio.timeout(_ANSWER_WITHIN_S),
+            httpx.AsyncClient(timeout=_ANSWER_WITHIN_S, follow_redirects=True) as client,
+            client.stream("GET", address) as reply,
+        ):
+            # Whatever it says besides is nobody's to read.
+            reply.raise_for_status()
+    except (httpx.HTTPError, httpx.InvalidURL, TimeoutError) as error:
         return _reason(error)
     return None
 
