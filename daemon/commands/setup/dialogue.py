@@ -172,14 +172,14 @@ class SetupDialogue:
         folder = self._kept.answers.get(BENCH)
         if self._kept.answers.get(RIG) != A_BENCH or folder is None:
             return
-        file = Path(str(folder)).expanduser() / FILE_NAME
+        file = _at_home(str(folder)) / FILE_NAME
         found = _values_of(file)
         if found.get("instruments.bench") is not True:
             raise UserError(f"{file} was not written by a bench: start one with 'heliocube bench --dir {folder}'")
         self._of_bench = found
 
     def _check_key(self, name: str) -> None:
-        path = self._file.parent / Path(self.key_file()).expanduser()
+        path = self._file.parent / _at_home(self.key_file())
         if name != NEW_KEY:
             load_key(path)
         elif path.exists():
@@ -203,6 +203,14 @@ def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
         items = [item for item in re.split(r"[\s,]+", said) if item]
         return [int(item) for item in items] if all(item.isdecimal() for item in items) else items
     return said
+
+
+def _at_home(said: str) -> Path:
+    """Return a path with the home that its ~ means; raises `UserError` where nobody has that name."""
+    try:
+        return Path(said).expanduser()
+    except RuntimeError:
+        raise UserError(f"{keys.shown(said)}: there is no such user; write the whole path") from None
 
 
 def _chosen(step: SetupStep, said: str) -> str:

@@ -86,6 +86,7 @@ def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer)
         ([], "both of them", "say both, cube or tracker"),
         (["tracker"], "r2", "say real or bench"),
         (["tracker", "bench"], "/nowhere", "is the bench running"),
+        (["tracker", "bench"], "~nosuch/b", '"~nosuch/b": there is no such user; write the whole path'),
         (["tracker", "real"], "", "this has no default: it takes text"),
         (["tracker", "real", "Roof"], "", "this has no default: it takes a number from -90 to 90 deg"),
         (["tracker", "real", "Roof"], "91", "must be a number from -90 to 90 deg"),
@@ -167,6 +168,8 @@ def test_the_key_of_the_other_machine_is_looked_at(file):
     walk(dialogue, POZSOL, until="key")
     with pytest.raises(UserError, match="does not exist"):
         dialogue.take("carried.key")
+    with pytest.raises(UserError, match="there is no such user; write the whole path"):
+        dialogue.take("~nosuch/carried.key")
     write_key(file.parent / "carried.key", generate_key())
     dialogue.take("carried.key")
     assert dialogue.key_file() == "carried.key"
