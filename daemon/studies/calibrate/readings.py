@@ -1,5 +1,6 @@
 """Readings to calibrate by: from CSV, or from the store of the service."""
 
+import csv
 import sqlite3
 import zlib
 from contextlib import closing
@@ -57,11 +58,11 @@ class ReferenceReadings:
 
 def read_reference(path: Path) -> ReferenceReadings:
     """Read a CSV with the columns time and ghi; raises `UserError` that names the file, the line and the cell."""
-    frame, utc_s, lines = _table(path)
+    frame, utc_s = _table(path)
     name = next((name for name in _REFERENCE_NAMES if name in frame), None)
     if name is None:
         raise UserError(f"{path} has no column ghi; found: {', '.join(map(str, frame.columns))}")
-    ghi = _numbers(path, frame[name], lines)
+    ghi = _numbers(path, frame[name])
     there = np.isfinite(ghi)
     if not there.any():
         raise UserError(f"{path} has no reading in its column {name}")
@@ -75,7 +76,7 @@ def read_csv(path: Path) -> FaceReadings:
     reading.
     Raises `UserError` that names the file, the line and the cell.
     """
-    frame, utc_s, lines = _table(path)
+    frame, utc_s = _table(path)
     for ending in (_MV, _W_M2):
         names = [face + ending for face in FACES]
         if set(names) <= set(frame.columns):
@@ -86,7 +87,7 @@ def read_csv(path: Path) -> FaceReadings:
             f"{path} needs the columns {wanted}, or the same ending in {_W_M2}; found: "
             f"{', '.join(map(str, frame.columns))}"
         )
-    faces = np.stack([_numbers(path, frame[name], lines) for name in names], axis=-1)
+    faces = np.stack([_numbers(path, frame[name]) for name in names], axis=-1)
     for place, face in enumerate(FACES):
         if f"{face}_quality" in frame:
             faces[frame[f"{face}_quality"].to_numpy() != "ok", place] = np.nan
@@ -123,7 +124,7 @@ def span_text(utc_s: Array) -> str:
     return f"{iso_utc(float(utc_s[0]))[:16]}Z to {iso_utc(float(utc_s[-1]))[:16]}Z"
 
 
-def _table(path: Path) -> tuple[pd.DataFrame, Array, list[int]]:
+def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig", skipinitialspace=True)
     except FileNotFoundError:
@@ -137,30 +138,44 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array, list[int]]:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
     if frame.empty:
         raise UserError(f"{path} has a header and no data")
-    lines = [number + 2 for number in range(len(frame))]
     times = pd.to_datetime(frame["time"], format="ISO8601", utc=True, errors="coerce")
     bad = np.flatnonzero(times.isna())
     if bad.size:
-        raise UserError(
-            f"{path}, line {lines[bad[0]]}: '{frame['time'].iloc[bad[0]]}' is no time such as 2022-03-01T12:00:00Z"
-        )
+        line, text = _line_of(path, bad[0]), frame["time"].iloc[bad[0]]
+        raise UserError(f"{path}, line {line}: '{text}' is no time such as 2022-03-01T12:00:00Z")
     utc_s = np.array([time.replace(tzinfo=UTC).timestamp() for time in times.dt.tz_localize(None)], dtype=np.float64)
     back = np.flatnonzero(np.diff(utc_s) <= 0.0)
     if back.size:
         raise UserError(
-            f"{path}, line {lines[back[0] + 1]}: the time does not come after the one before; sort the file"
+            f"{path}, line {_line_of(path, back[0] + 1)}: the time does not come after the one before; sort the file"
         )
-    return frame, utc_s, lines
+    return frame, utc_s
 
 
-def _numbers(path: Path, column: "pd.Series[str]", lines: list[int]) -> Array:
+def _line_of(path: Path, row: int) -> int:
+    """Return the number of the line that a row of a table stands in; lines that are blank are no rows."""
+    lines = pd.read_csv(
+        path,
+        sep="\0",
+        names=["text"],
+        dtype=str,
+        keep_default_na=False,
+        encoding="utf-8-sig",
+        quoting=csv.QUOTE_NONE,
+        skip_blank_lines=False,
+    )
+    # The first one is the header.
+    return int(np.flatnonzero(lines["text"].str.strip() != "")[row + 1]) + 1
+
+
+def _numbers(path: Path, column: "pd.Series[str]") -> Array:
     text = column.str.strip()
     numbers = pd.to_numeric(text.mask(text.str.lower() == "nan", ""), errors="coerce").to_numpy(dtype=np.float64)
     missing = (text == "").to_numpy() | (text.str.lower() == "nan").to_numpy()
     bad = np.flatnonzero(~missing & ~(np.abs(numbers) < _LARGEST))
     if bad.size:
         raise UserError(
-            f"{path}, line {lines[bad[0]]}: {column.name} is '{column.iloc[bad[0]]}', not a number within "
+            f"{path}, line {_line_of(path, bad[0])}: {column.name} is '{column.iloc[bad[0]]}', not a number within "
             f"+-{_LARGEST:g}; leave the cell empty where the value is missing"
         )
     return numbers

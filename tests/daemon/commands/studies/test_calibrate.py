@@ -231,6 +231,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"reference": "time,ghi\n2022-03-11T12:00Z,much\n"}, "line 2: ghi is 'much', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,inf\n"}, "line 2: ghi is 'inf', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,nan\n"}, "has no reading in its column ghi"),
+        ({"reference": "\n \ntime,ghi\n\n2022-03-11T12:00Z,1\n\n\n2022-03-11T12:01Z,much\n"}, "line 8: ghi is 'much'"),
         ({"reference": "time,ghi\nnoon,1\n"}, "line 2: 'noon' is no time such as"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,1\n2022-03-11T12:00Z,2\n"}, "line 3: the time does not come after"),
         ({"reference": "time,ghi\n2021-03-11T12:00Z,1\n2021-03-11T12:01Z,2\n"}, "reference and sensors do not overlap"),
