@@ -1,6 +1,7 @@
 """The command line: `heliocube`."""
 
 import contextlib
+import errno
 import os
 import sys
 from importlib.metadata import version
@@ -13,7 +14,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from daemon.base.clock import iso_utc
-from daemon.base.errors import InterruptedEarlyError, UserError
+from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
 from daemon.commands.answers import JsonOption, print_json, say
@@ -331,6 +332,12 @@ def main() -> None:
     except UserError as error:
         say(f"heliocube: {error}", err=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        # Every command looks at paths that a person has named; what may be looked at is not for each of them to know.
+        if error.filename is None or error.errno not in (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG):
+            raise
+        say(f"heliocube: {error.filename} cannot be used: {error.strerror}; name another place", err=True)
+        sys.exit(ExitCode.MISTYPED)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,10 @@ for words in json.load(sys.stdin):
 print(json.dumps(found))
 """
 THERE = "is there already: --force overwrites it, or name another "
+LONG = "x" * 300
 WRONG = {
+    f"gain --lat 48 --weather {LONG}": f"{LONG} cannot be used: File name too long; name another place",
+    f"gain --lat 48 --format csv --out {LONG}": f"{LONG} cannot be used: File name too long; name another place",
     "run --weather nonsense": "no weather file at nonsense, and it is none of the built-in skies clear",
     "run --law nonsense": "nonsense",
     "run --site 100,200": "not on Earth",
@@ -111,7 +114,7 @@ def refused(tmp_path_factory):
     return {" ".join(each): (told, heavy) for each, told, heavy in json.loads(done.stdout)}
 
 
-@pytest.mark.parametrize("words", WRONG)
+@pytest.mark.parametrize("words", WRONG, ids=lambda words: words[:60])
 def test_it_is_one_sentence_at_once(refused, words):
     told, heavy = refused[words]
     assert WRONG[words] in told
