@@ -2,6 +2,8 @@
 
 import json
 import re
+import struct
+from datetime import datetime
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
@@ -192,6 +194,28 @@ def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_sa
     page.sees(".day .log", "the end of 2022-09-18")
     assert page.page.get_by_label("Day", exact=True).input_value() == "2022-09-18"
     page.sees(".day .summary", "more records than fit here: modes end early.")
+
+
+def test_what_a_day_has_already_is_not_asked_for_again(open_page):
+    page = open_page("now")
+    # In 32 bits it is 70000.0 s after the begin.
+    last_s = 70000.0035
+    head = {"rows": 1, "columns": ["time_s", *(f"{face}_w_m2" for face in ("east", "south", "west", "zenith"))]}
+    begun, later = [], []
+
+    def scans(route):
+        begin_s = datetime.fromisoformat(parse_qs(urlsplit(route.request.url).query)["from"][0]).timestamp()
+        (later if begun else begun).append(begin_s)
+        found = json.dumps(head | {"start": begin_s, "more": False}).encode() + b"\n"
+        route.fulfill(body=found + struct.pack("<5f", last_s, 1.0, 2.0, 3.0, 4.0))
+
+    page.page.route("**/read/history/scans?*", scans)
+    page.show("day")
+    page.sees(".day .log", "Starting → tracking")
+    page.page.evaluate("const now = performance.now.bind(performance); performance.now = () => now() + 60000")
+    with page.page.expect_response("**/read/history/scans?*", timeout=browsers.WITHIN_MS):
+        pass
+    assert begun[0] + last_s < later[0] < begun[0] + last_s + 0.01
 
 
 def test_ten_trackers_are_seen_at_once_and_stowed_by_one_button(browser, tmp_path):

@@ -8,6 +8,8 @@ import { KIND, TITLE } from "./hero.js";
 import { Plots } from "./plots.js";
 
 const FRESH_MS = 30000;
+// Late in a day the times of numbers are off by up to 4 ms, by the 32 bits that they come in.
+const PAST_MS = 5;
 const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], ["zenith", "--ink"]];
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
@@ -115,7 +117,7 @@ export function day() {
     try {
       const { service, entry } = context;
       const replies = await Promise.all([
-        ...KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, (day[kind].time.at(-1) ?? day.from / 1000) * 1000 + 1, day.to, entry.name)),
+        ...KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, day[kind].time.length ? day[kind].time.at(-1) * 1000 + PAST_MS : day.from, day.to, entry.name)),
         ...KINDS_OF_LINES.map((kind) => lines(service.name, kind, day[kind].length ? Date.parse(day[kind].at(-1).time) + 1 : day.from, day.to, entry.name)),
       ]);
       if (held === day) {
