@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import socket
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -37,13 +38,34 @@ class _Server(uvicorn.Server):
 
 
 class _Connection(H11Protocol):
-    """A connection that is closed where no whole request comes: those that say nothing would keep everybody out."""
+    """A connection that those that say nothing keep nobody out of.
+
+    It is closed where no whole request comes; and a new one that is one too many costs the one that has been waited for
+    for longest.
+    """
 
     _limit: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._wait()
+        everybody = [one for one in self.connections if isinstance(one, _Connection) and one.is_open]
+        if len(everybody) >= _CONNECTIONS:
+            others = (one for one in everybody if one.is_waited_for and one is not self)
+            min(others, key=_Connection.due_s, default=self).transport.abort()
+
+    @property
+    def is_open(self) -> bool:
+        return not self.transport.is_closing()
+
+    @property
+    def is_waited_for(self) -> bool:
+        """Whether the next request has not come, or not whole."""
+        return self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY
+
+    def due_s(self) -> float:
+        """Return until when a whole request is waited for [s]."""
+        return math.inf if self._limit is None else self._limit.when()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._end_wait()
@@ -62,7 +84,7 @@ class _Connection(H11Protocol):
             self._limit.cancel()
 
     def _look(self) -> None:
-        if self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY:
+        if self.is_waited_for:
             self.transport.abort()
 
 

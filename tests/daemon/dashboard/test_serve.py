@@ -22,6 +22,37 @@ async def until_its_end(reader):
         await reader.read()
 
 
+@pytest.mark.parametrize("content", [b"", PAGE, HALF_A_BODY], ids=["nothing", "half a head", "half a body"])
+def test_a_flood_of_connections_that_say_nothing_keeps_out_neither_who_comes_nor_who_listens(content):
+    async def scenario():
+        bound = bind("127.0.0.1:0")
+        address = bound.getsockname()
+        serving = asyncio.create_task(
+            serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), Notifier({}, os.getpid()))
+        )
+        listening = await asyncio.open_connection(*address)
+        listening[1].write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        await listening[0].readuntil(b"event: hello")
+        reading = asyncio.create_task(until_its_end(listening[0]))
+        held = []
+        for _ in range(300):
+            held.append(await asyncio.open_connection(*address))
+            held[-1][1].write(content)
+        came_s = asyncio.get_running_loop().time()
+        reader, writer = await asyncio.open_connection(*address)
+        writer.write(PAGE + b"Connection: close\r\n\r\n")
+        assert (await reader.read()).startswith(b"HTTP/1.1 200 ")
+        assert asyncio.get_running_loop().time() - came_s < 1.0
+        assert not reading.done()
+        for _, one in [*held, (reader, writer), listening]:
+            one.close()
+        signal.raise_signal(signal.SIGTERM)
+        await asyncio.gather(serving, reading)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
 @pytest.mark.parametrize(
     ("first", "content"),
     [(b"", b""), (b"", PAGE), (b"", HALF_A_BODY), (PAGE + b"\r\n", PAGE)],
