@@ -176,6 +176,17 @@ def _last_site(connection: sqlite3.Connection) -> Site:
     return Site(*row)
 
 
+def _refuse_real(path: Path) -> None:
+    if not path.exists():
+        return
+    with closing(open_for_reading(path)) as connection:
+        real = connection.execute("SELECT 1 FROM runs WHERE NOT simulated LIMIT 1").fetchone()
+    if real is not None:
+        raise UserError(
+            f"--store: {path} has records of real instruments: name another folder for those of a simulation"
+        )
+
+
 @contextmanager
 def keeping(
     settings: Settings, names: Sequence[str], directory: Path, start_utc_s: float
@@ -187,8 +198,9 @@ def keeping(
     Raises
     ------
     UserError
-        The folder is no store's, or the disk fails.
+        The folder is no store's, or one with records of real instruments, or the disk fails.
     """
+    _refuse_real(directory / FILE_NAME)
     site = settings.site
     clock = LoopClock(lambda: 0.0, start_utc_s)
     stores: dict[str, Store] = {}

@@ -14,6 +14,7 @@ import pytest
 
 from daemon.commands.main import main
 from daemon.store.schema import open_for_writing
+from tests.support.stored_day import stored_days
 
 pytestmark = pytest.mark.slow
 
@@ -297,6 +298,14 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     ratio = float(cube[-1]["irradiance_w_m2"]) / float(chrono[-1]["irradiance_w_m2"])
     tilt = np.radians(57.0)
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
+
+
+def test_a_store_with_records_of_real_instruments_takes_none_of_a_simulation(compare, tmp_path):
+    file = stored_days(tmp_path / "real", simulated=False) / "heliocube.sqlite"
+    before = file.read_bytes()
+    code, _, err = compare("simulate", "--start", "2022-10-12T10:00", "--days", "0.02", "--store", tmp_path / "real")
+    assert (code, file.read_bytes() == before) == (2, True)
+    assert "has records of real instruments: name another folder" in " ".join(err.split())
 
 
 def test_one_store_has_both_trackers_with_their_own_laws_curves_and_poses(compare, few_points, tmp_path):
