@@ -1,4 +1,4 @@
-"""Noticing that the machine's clock has been set, and not trusting the sun's position until it has settled."""
+"""Noticing that the machine's clock has been set, and not trusting the sun's position until the time is known again."""
 
 import math
 from collections.abc import Callable
@@ -8,14 +8,13 @@ from daemon.base.clock import Clock
 
 _STEP_S = 2.0
 _DISTRUST_S = 30.0
-_SETTLE_S = 900.0
-# What synchronises the clock needs some time after a start of the machine.
+# What synchronises the clock needs some time after a start of the machine, and to notice that somebody has set it.
 _SYNCHRONISE_WITHIN_S = 120.0
 _ASK_EVERY_S = 60.0
 
 _NEVER = (
-    "the clock of this machine has not been synchronised since it started, and the sun's position comes from it:"
-    " see 'timedatectl' and the network"
+    "the clock of this machine has not been synchronised since it was started or set, and the sun's position comes from"
+    " it: see 'timedatectl' and the network"
 )
 
 
@@ -29,7 +28,14 @@ class ClockWatch:
     alarms
         Told while the clock is in doubt; None for nobody.
     synchronised
-        Whether anything has synchronised the clock; None where that cannot be known.
+        Whether anything has synchronised the clock since it was set last; None where that cannot be known.
+
+    Attributes
+    ----------
+    trusted
+        Whether the time of day may be used to find the sun, by the last look.
+    corrections
+        How many times another time was believed than until then: what was found by the sun before is worth nothing.
     """
 
     def __init__(
@@ -38,41 +44,59 @@ class ClockWatch:
         self._clock = clock
         self._alarms = alarms
         self._synchronised = synchronised
-        self._offset_s = clock.utc() - clock.monotonic()
-        self._distrust_until_s = -math.inf
-        self._why = ""
+        self._offset_s = self._believed_s = clock.utc() - clock.monotonic()
         self._ask_s = clock.monotonic() + _SYNCHRONISE_WITHIN_S
         self._never = False
+        self.trusted = True
+        self.corrections = 0
 
     def step_s(self) -> float | None:
         """Return by how much UTC has stepped since the last call [s], or None if it has not.
 
-        Slow corrections (slewing) add up unnoticed; a step of more than 30 s makes the sun's position doubtful for the
-        next 15 minutes, in which a wrong time would be set right again.
+        Slow corrections (slewing) add up unnoticed; a step of more than 30 s makes the sun's position doubtful. That a
+        clock has run on since proves nothing: it is trusted again when it is back where it would be without the step,
+        or synchronised.
         """
         now_s = self._clock.monotonic()
         offset_s = self._clock.utc() - now_s
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
         if abs(step_s) > _DISTRUST_S:
-            self._distrust_until_s = now_s + _SETTLE_S
-            self._why = (
-                f"the clock was set by {step_s:+z.0f} s: the sun's position is not used before it has kept time for"
-                f" {_SETTLE_S / 60:.0f} minutes; check the time"
-            )
-        self._report(now_s)
+            self.trusted = False
+            self._ask_s = now_s + _SYNCHRONISE_WITHIN_S
+        self._ask(now_s)
+        if self.trusted or abs(offset_s - self._believed_s) <= _DISTRUST_S:
+            self.trusted, self._believed_s = True, offset_s
+        self._report()
         return step_s if abs(step_s) >= _STEP_S else None
 
     @property
-    def trusted(self) -> bool:
-        """Whether the time of day may be used to find the sun."""
-        return self._clock.monotonic() >= self._distrust_until_s
+    def believed_utc_s(self) -> float:
+        """UTC [s] as it was believed last: while the clock is in doubt, what it would show had nobody set it."""
+        return self._clock.monotonic() + self._believed_s
 
-    def _report(self, now_s: float) -> None:
-        if now_s >= self._ask_s:
-            self._never = self._synchronised() is False
-            # Once synchronised, a clock of this machine keeps time well enough for the sun.
-            self._ask_s = now_s + _ASK_EVERY_S if self._never else math.inf
-        if self._alarms is not None:
-            never = _NEVER if self._never else None
-            self._alarms.set("clock", self._why if now_s < self._distrust_until_s else never)
+    def _ask(self, now_s: float) -> None:
+        if now_s < self._ask_s:
+            return
+        synchronised = self._synchronised()
+        self._never = synchronised is False
+        if synchronised is True and not self.trusted:
+            self.trusted = True
+            self.corrections += 1
+        # Once synchronised, a clock of this machine keeps time well enough for the sun.
+        self._ask_s = now_s + _ASK_EVERY_S if self._never or not self.trusted else math.inf
+
+    def _report(self) -> None:
+        if self._alarms is None:
+            return
+        if self.trusted:
+            self._alarms.set("clock", _NEVER if self._never else None)
+        else:
+            self._alarms.set("clock", _doubt(self._offset_s - self._believed_s))
+
+
+def _doubt(off_s: float) -> str:
+    return (
+        f"the clock was set by {off_s:+z.0f} s, and nothing tells that it is right: the sun's position is not used"
+        " until it is synchronised (see 'timedatectl') or set back; if the time is right, restart the service"
+    )

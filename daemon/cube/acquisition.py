@@ -44,7 +44,7 @@ class Acquisition:
     publish
         Called with events worth telling.
     sun_elevation_deg
-        Of UTC [s]; dark offsets are learnt only when the sun is well below the horizon.
+        Of UTC [s], NaN where it is not known; dark offsets are learnt only when the sun is well below the horizon.
     simulated, calibration
         Mark every scan; the identifier is empty where the gains are the settings' own.
     face_watch

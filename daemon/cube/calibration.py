@@ -191,7 +191,7 @@ class DarkOffsets:
     Parameters
     ----------
     sun_elevation_deg
-        Of UTC [s].
+        Of UTC [s]; NaN where it is not known, and then nothing is learnt.
     """
 
     def __init__(self, sun_elevation_deg: Callable[[float], float]) -> None:

@@ -55,7 +55,7 @@ class FaceWatch:
     """Judges the faces every minute of daylight, on the mean of the last five.
 
     A face in doubt three times, one after another, is not believed until it has been lit and without doubts ten times.
-    The night, and a clock in doubt, change nothing.
+    The night, and a clock in doubt, change nothing; a clock that was put right lets all be judged anew.
 
     Parameters
     ----------
@@ -65,23 +65,29 @@ class FaceWatch:
         The service's time.
     alarms
         Told which face is not believed, and why.
+    clock_watch
+        Tells whether the time of day may be used.
     """
 
-    def __init__(self, site: SiteSettings, cube: CubeSettings, clock: Clock, alarms: Alarms) -> None:
+    def __init__(
+        self,
+        site: SiteSettings,
+        cube: CubeSettings,
+        clock: Clock,
+        alarms: Alarms,
+        clock_watch: ClockWatch | None = None,
+    ) -> None:
         self._sun_direction = SunDirection(site.place())
         self._normals = face_normals(cube, site.latitude_deg)
         self._clock = clock
-        self._clock_watch = ClockWatch(clock)
+        self._clock_watch = ClockWatch(clock) if clock_watch is None else clock_watch
         self._alarms = alarms
-        self._bad = [0] * len(FACES)
-        self._good = [0] * len(FACES)
-        self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
         self._since: dict[str, str] = {}
         self._blocks: deque[tuple[Array, Array]] = deque(maxlen=BLOCKS)
         # The light is known from the faces of an upright cube only.
         self._is_upright = bool(np.abs(self._normals - FACE_NORMALS).max() < _UPRIGHT)
         self._minutes: deque[tuple[Array, Array]] = deque(maxlen=MINUTES)
-        self._contradictions = Contradictions()
+        self._forget()
         self._begin()
 
     def implausible(self, face: int) -> bool:
@@ -106,8 +112,20 @@ class FaceWatch:
             self._blocks.append((np.array([self._w_m2, self._mv]), np.array(self._counts)))
         self._begin()
         self._clock_watch.step_s()
-        if len(self._blocks) == BLOCKS and self._clock_watch.trusted:
+        if self._clock_watch.corrections != self._corrections:
+            self._forget()
+        if not self._clock_watch.trusted:
+            self._minutes.clear()
+        elif len(self._blocks) == BLOCKS:
             self._judge()
+
+    def _forget(self) -> None:
+        """Judge from the beginning: what was found until now was found by a sun that stood elsewhere."""
+        self._corrections = self._clock_watch.corrections
+        self._bad, self._good = [0] * len(FACES), [0] * len(FACES)
+        self._whys: list[Doubt] = [Doubt.NONE] * len(FACES)
+        self._minutes.clear()
+        self._contradictions = Contradictions()
 
     def _begin(self) -> None:
         self._w_m2, self._mv, self._counts = [0.0] * 4, [0.0] * 4, [0] * 4

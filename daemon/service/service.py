@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from pathlib import Path
 from random import Random
@@ -11,6 +12,7 @@ from typing import Any
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import CUBE_FILE_NAME, AlarmFile
 from daemon.base.clock import Clock
+from daemon.base.clock_watch import ClockWatch
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
 from daemon.base.records import Bus, Event, Scan
@@ -122,6 +124,9 @@ class Service:
         if rig.cube is None:
             raise ValueError("the cube's role needs a cube")
         cube = calibrated_cube(settings.cube, self.calibration) if self.calibration else settings.cube
+        # Beside trackers it is they who tell of the clock that they share.
+        alarms = self.cube_alarms if self.role is Role.CUBE else None
+        clock_watch = ClockWatch(self.clock, alarms, rig.clock_synchronised)
         self.acquisition = Acquisition(
             cube,
             rig.cube,
@@ -129,10 +134,10 @@ class Service:
             self._random,
             self._send,
             self.bus.publish,
-            self.sun_elevation_deg,
+            lambda utc_s: self.sun_elevation_deg(utc_s) if clock_watch.trusted else math.nan,
             rig.simulated,
             self.calibration.identifier if self.calibration else "",
-            FaceWatch(settings.site, cube, self.clock, self.cube_alarms),
+            FaceWatch(settings.site, cube, self.clock, self.cube_alarms, clock_watch),
             self.cube_alarms,
         )
 

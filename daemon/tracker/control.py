@@ -227,8 +227,7 @@ class Control(Doors):
         """Judge the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock()
-        if self._clock_watch.trusted:
-            self._turn_days(self._clock.utc())
+        self._turn_days(self._clock_watch.believed_utc_s)
         self._freeze()
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
@@ -241,7 +240,7 @@ class Control(Doors):
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
         self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)
-        self._reminders.watch(self._motion.outage, mode, why)
+        self._reminders.watch(self._motion.outage, mode, why, sun_known=self._clock_watch.trusted)
         self._folder.retry()
         self._alarms.set("not-kept", self._folder.trouble)
         self._alarms.set("law-failed", self.pointing.failed_why)

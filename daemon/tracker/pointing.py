@@ -258,7 +258,7 @@ def ask(
     """Ask a law where the tracker is to be, by the window's mean at this UTC [s]."""
     answer = aim(chosen.law, mean, whereabouts.heading, utc_s, sun_known=sun_known)
     if chosen.law.needs_sun and not sun_known:
-        why = "the clock was set a short while ago: the sun's position is in doubt"
+        why = "the clock was set: the sun's position is in doubt"
         return LawAnswer(replace(answer, target=None), _standing(whereabouts.pose, why))
     # It may have failed at this very question.
     name = chosen.law.name if isinstance(chosen.law, GuardedLaw) else chosen.name

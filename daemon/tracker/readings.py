@@ -106,7 +106,7 @@ class Readings:
         seen = mean if data is Data.FRESH else None
         night_why = self._judge_night(seen) if sun_known else self._night_as_it_was(seen)
         if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
-            return Data.BAD, _why_too_dark(seen.zenith_w_m2), None
+            return Data.BAD, _why_too_dark(seen.zenith_w_m2, sun_known=sun_known), None
         return data, why, night_why
 
     def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
@@ -175,10 +175,11 @@ class Readings:
         return "it was night before the clock was set" if self._night else None
 
 
-def _why_too_dark(zenith_w_m2: float) -> str:
+def _why_too_dark(zenith_w_m2: float, *, sun_known: bool) -> str:
     if math.isnan(zenith_w_m2):
         return "neither the zenith face nor the clock tells day from night"
-    return f"the zenith face reads {zenith_w_m2:.1f} W/m2 in daylight"
+    when = "in daylight" if sun_known else "while the clock does not tell day from night"
+    return f"the zenith face reads {zenith_w_m2:.1f} W/m2 {when}"
 
 
 class Window:

@@ -58,7 +58,7 @@ class Reminders:
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
             self._alarms.set("hold-forgotten", text)
 
-    def watch(self, outage: Outage, mode: Mode, why: str) -> None:
+    def watch(self, outage: Outage, mode: Mode, why: str, *, sun_known: bool) -> None:
         """Raise what lasts: a positioner that does not answer, readings that are not good."""
         now_s = self._clock.monotonic()
         down_s = -math.inf if outage.since is None else now_s - outage.since
@@ -69,7 +69,8 @@ class Reminders:
         elif self._fallback_s is None:
             self._fallback_s = now_s
         lasts = self._fallback_s is not None and now_s - self._fallback_s >= _WITHOUT_READINGS_S
-        self._alarms.set("no-readings", f"tracking by the ephemeris for a quarter of an hour: {why}" if lasts else None)
+        does = "tracking by the ephemeris" if sun_known else "standing, since the clock is in doubt too,"
+        self._alarms.set("no-readings", f"{does} for a quarter of an hour: {why}" if lasts else None)
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
         now_s, wish = self._clock.monotonic(), wishes.maintenance

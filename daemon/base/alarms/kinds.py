@@ -161,8 +161,10 @@ _ALL = (
         "clock",
         Severity.WARNING,
         "the time of day was set by a large step, or never synchronised",
-        "the sun's position is in doubt and is not used for a quarter of an hour, or until the clock is synchronised",
-        "see to time synchronisation: `timedatectl`, the network, the NTP server",
+        "after a step the sun's position is not used: the tracker goes by the cube alone, or stays where it is, until"
+        " the clock is synchronised or set back, or the service is started anew",
+        "see to time synchronisation: `timedatectl`, the network, the NTP server; without any, set the time right and"
+        " start the service anew",
     ),
     _kind(
         "hold-forgotten",

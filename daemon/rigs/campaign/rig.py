@@ -109,9 +109,12 @@ class HandledRig:
         Standard deviation [V] of what disturbs the cables of the sensors.
     hold_why
         Why the service is to hold its trackers from the start, or None.
+    synchronised
+        What the kernel says of the PC's clock; None: nothing.
     """
 
     hold_why: str | None = None
+    synchronised: bool | None = None
 
     def __init__(
         self,
@@ -185,6 +188,7 @@ class HandledRig:
                 ),
                 lambda: self.wind_m_s,
                 simulated=True,
+                clock_synchronised=lambda: self.synchronised,
             ),
             self.clock,
             Random(1),  # noqa: S311 - jitter

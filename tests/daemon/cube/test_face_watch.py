@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from daemon.base.alarms.alarms import Alarms
+from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import Mode, Quality
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
@@ -136,25 +137,29 @@ def test_a_clock_that_was_set_to_noon_at_night_accuses_nobody(run_rig):
 class Hand:
     """A clock that stands where it is put."""
 
-    def __init__(self, utc_s):
+    def __init__(self, utc_s, off_s=0.0):
         self.utc_s = utc_s
+        self.off_s = off_s
 
     def monotonic(self):
         return self.utc_s
 
     def utc(self):
-        return self.utc_s
+        return self.utc_s + self.off_s
 
 
 class WatchedDay:
     """Faces of a day with a cloud every twenty minutes, scan by scan, before a watch."""
 
-    def __init__(self, start_utc_s, **faces):
-        self.clock = Hand(start_utc_s)
+    def __init__(self, start_utc_s, off_s=0.0, **faces):
+        self.clock = Hand(start_utc_s, off_s)
+        self.synchronised = None
         settings = Settings()
         self.site = settings.site.place()
         self.alarms = Alarms(self.clock, lambda _record: None)
-        self.watch = FaceWatch(settings.site, settings.cube.model_copy(update=faces), self.clock, self.alarms)
+        clock_watch = ClockWatch(self.clock, synchronised=lambda: self.synchronised)
+        cube = settings.cube.model_copy(update=faces)
+        self.watch = FaceWatch(settings.site, cube, self.clock, self.alarms, clock_watch)
         self.random = np.random.default_rng(1)
         self.order = [0, 1, 2, 3]
         self.share = [1.0] * 4
@@ -300,6 +305,31 @@ def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_th
     day.share = [1.0] * 4
     day.minutes(60)
     assert day.doubted() == []
+
+
+@pytest.mark.parametrize("hours", [9.0, -12.0, -3.0, 2.0 / 3.0])
+def test_a_clock_that_is_set_wrong_for_hours_condemns_no_face(hours):
+    day = WatchedDay(MORNING_UTC_S - 3600.0)
+    assert day.minutes(40) == [None] * 4
+    day.clock.off_s = hours * 3600.0
+    assert day.minutes(4 * 60) == [None] * 4
+    day.clock.off_s = 0.0
+    assert day.minutes(60) == [None] * 4
+
+
+def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronised_and_judged_anew():
+    day = WatchedDay(MORNING_UTC_S, off_s=-4 * 3600.0)
+    day.minutes(60)
+    assert day.doubted()
+    day.clock.off_s = 0.0
+    day.minutes(60)
+    assert day.doubted(), "nothing tells that the new time is right"
+    day.synchronised = True
+    day.minutes(2)
+    assert day.doubted() == []
+    assert day.minutes(60) == [None] * 4
+    assert day.alarms.active == ()
+    assert day.minutes(15, frozen=3, at_w_m2=1800.0)[3] is not None
 
 
 def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():

@@ -6,6 +6,7 @@ import itertools
 import pytest
 
 from daemon.base.records import Decision, Event, Move
+from daemon.service.rig import Role
 from tests.support.phases import at_rest, tracking
 from tests.support.rig import HandWeather
 
@@ -30,16 +31,42 @@ def test_a_step_of_the_clock_moves_nothing_and_changes_no_rhythm(run_rig, step_s
     assert any("the clock was set by" in event.text for event in rig.of(Event))
 
 
-def test_after_a_step_the_chronometric_law_waits(run_rig):
+def test_a_cube_on_a_machine_of_its_own_tells_of_its_clock(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(100)
+        rig.clock.step_s = 7200.0
+        await asyncio.sleep(100)
+        assert "clock" in [alarm.name for alarm in rig.service.cube_alarms.active]
+        rig.synchronised = True
+        await asyncio.sleep(200)
+        assert not rig.service.cube_alarms.active
+
+    no_way = {"transport": "mqtt", "insecure": True}
+    run_rig(scenario, role=Role.CUBE, bridge=no_way, mqtt={"enabled": True, "host": "127.0.0.1"})
+
+
+def test_the_dark_is_not_learned_from_a_day_that_a_wrong_clock_calls_a_night(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(300)
+        before = rig.control.state.scan.zenith.irradiance_w_m2
+        rig.clock.step_s = 12 * 3600.0
+        await asyncio.sleep(3600)
+        assert rig.control.state.scan.zenith.irradiance_w_m2 == pytest.approx(before, rel=0.1)
+
+    run_rig(scenario, weather=HandWeather(dni=0, dhi=4), cube={"dark_correction": True}, rest_look_s=5.0)
+
+
+def test_after_a_step_the_chronometric_law_waits_until_the_clock_is_set_right(run_rig):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
         await asyncio.sleep(10)
         rig.clock.step_s = 7200.0
         moves = len(rig.of(Move))
-        await asyncio.sleep(880)
+        await asyncio.sleep(3600)
         assert len(rig.of(Move)) == moves
+        rig.clock.step_s = 0.0
         await asyncio.sleep(400)
-        assert len(rig.of(Move)) > moves, "a clock that has settled is believed"
+        assert len(rig.of(Move)) > moves
 
     run_rig(scenario, law={"name": "chronometric"})

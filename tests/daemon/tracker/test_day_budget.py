@@ -124,6 +124,20 @@ def test_a_step_of_the_clock_opens_no_new_days_budget(run_rig, law):
     run_rig(scenario, motion={"moves_per_day": 2}, law={"name": law, "moves_per_day": 2})
 
 
+def test_while_the_clock_is_in_doubt_a_day_ends_by_the_time_that_was_believed(run_rig):
+    async def scenario(rig):
+        await asyncio.sleep(30)
+        rig.clock.step_s = -5 * 3600.0
+        rig.control.budget.book(10.0)
+        await asyncio.sleep(300)
+        assert rig.control.budget.used.moves == 1
+        await asyncio.sleep(900)
+        assert rig.control.budget.used.moves == 0
+
+    # By the mean sun midnight is at 23:51 here.
+    run_rig(scenario, start="2022-10-12T23:40")
+
+
 def test_a_day_is_the_suns_and_not_utcs(run_rig):
     async def scenario(rig):
         settings, alarms_ = rig.service.settings.motion, rig.tracker.alarms

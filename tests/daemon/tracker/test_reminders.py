@@ -45,8 +45,8 @@ class Desk:
         self.reminders.remind(wishes or Wishes(), sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
-    def watched(self, mode=Mode.TRACKING):
-        self.reminders.watch(self.outage, mode, "no good scan")
+    def watched(self, mode=Mode.TRACKING, *, sun_known=True):
+        self.reminders.watch(self.outage, mode, "no good scan", sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def told(self, wishes):
@@ -74,6 +74,7 @@ def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time
         desk.later(1.0)
         told = {"no-readings": "tracking by the ephemeris for a quarter of an hour: no good scan"}
         assert desk.watched(Mode.FALLBACK) == told
+        assert "standing" in desk.watched(Mode.FALLBACK, sun_known=False)["no-readings"]
         assert desk.watched() == {}
 
 

@@ -1,4 +1,4 @@
-"""Whether a tracker that goes by the clock believes one that was just set wrong."""
+"""Whether a tracker that goes by the clock believes one that was set wrong."""
 
 import math
 from collections.abc import Callable
@@ -6,12 +6,12 @@ from collections.abc import Callable
 from daemon.base.records import Mode, ModeChange
 from daemon.rigs.campaign.plant import Plant
 
-CLOCK_SETTLES_S = 890.0
 CLOCK_STEP_S = 30.0
+_NOTICED_WITHIN_S = 1.0
 
 
 class ClockSteps:
-    """Knows when the clock was set last.
+    """Knows when the clock was set, and how far it was off then.
 
     Parameters
     ----------
@@ -21,20 +21,19 @@ class ClockSteps:
 
     def __init__(self, fails: Callable[[str, str], None]) -> None:
         self._fails = fails
-        self._stepped_s = -math.inf
-        self._off_s = 0.0
+        self._set = [(-math.inf, 0.0)]
 
     def note(self, off_s: float, now_s: float) -> None:
-        """Take note by how much the clock is off; to set it to what it shows anyway changes nothing."""
-        if off_s != self._off_s:
-            self._off_s, self._stepped_s = off_s, now_s
+        """Take note by how much the clock is off from now on."""
+        self._set.append((now_s, off_s))
 
     def check(self, plant: Plant, target: tuple[float, float], now_s: float, begun_s: float) -> None:
         """Look at a target [deg] that is sent by the clock, of a service that began at `begun_s`."""
         clock, control = plant.clock, plant.control
-        # A process that began after the step has never known another time.
-        known = self._stepped_s > begun_s
-        wrong = known and abs(clock.step_s) > CLOCK_STEP_S and 1.0 < now_s - self._stepped_s < CLOCK_SETTLES_S
+        # A process that began after a step has never known another time, and believes that one.
+        began_off_s = next(off_s for at_s, off_s in reversed(self._set) if at_s <= begun_s)
+        known = min(abs(clock.step_s), abs(clock.step_s - began_off_s)) > CLOCK_STEP_S
+        wrong = known and now_s - self._set[-1][0] > _NOTICED_WITHIN_S
         # To be parked when it is night in truth takes no clock.
         parked = control.mode is Mode.NIGHT and plant.service.sun_elevation_deg(clock.utc() - clock.step_s) < 0.0
         if wrong and not parked and not _ordered_before(plant):

@@ -1,13 +1,16 @@
-"""Whether a clock that was just set wrong is held against a move, and one that was not is left alone."""
+"""Whether a clock that was set wrong is held against a move, and one that was not is left alone."""
+
+import pytest
 
 from daemon.base.records import Mode
 from tests.daemon.studies.campaign.watch.scripted import promises
 
 
-def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
+@pytest.mark.parametrize("later_s", [60, 3000])
+def test_a_move_by_a_clock_that_was_set_wrong_is_seen_however_late(plant, later_s):
     plant.clock.step_s = 43200.0
     plant.watch.steps.note(43200.0, plant.now_s)
-    plant.wait(60)
+    plant.wait(later_s)
     plant.control.mode = Mode.NIGHT
     plant.order(1, 60)
     assert promises(plant) == ["clock"]
@@ -18,17 +21,16 @@ def test_a_move_by_a_clock_that_was_just_set_wrong_is_seen(plant):
     assert promises(plant) == [], "it is night in truth"
 
 
-def test_a_clock_that_is_set_to_the_wrong_time_it_shows_already_is_no_news(plant):
+def test_a_service_that_has_never_known_another_time_is_not_blamed_for_it(plant):
     plant.clock.step_s = 40.0
     plant.watch.steps.note(40.0, plant.now_s)
-    plant.wait(800)
-    plant.watch.steps.note(40.0, plant.now_s)
+    plant.watch.service_begins()
     plant.wait(200)
     plant.control.mode = Mode.FALLBACK
-    plant.order(1, 60)
-    assert promises(plant) == []
-    plant.watch.steps.note(0.0, plant.now_s)
-    plant.watch.steps.note(40.0, plant.now_s)
-    plant.wait(60)
-    plant.order(2, 60)
-    assert promises(plant) == ["clock"]
+    for off_s, blamed in ((40.0, False), (7200.0, True), (50.0, False), (0.0, False)):
+        plant.clock.step_s = off_s
+        plant.watch.steps.note(off_s, plant.now_s)
+        plant.wait(60)
+        plant.order(1 + off_s / 1e4, 60)
+        assert promises(plant) == ["clock"] * blamed
+        plant.watch.violations.clear()
