@@ -10,27 +10,27 @@ from daemon.base import kernel_clock
 class Libc:
     """A C library whose kernel answers as told."""
 
-    def __init__(self, state, status):
-        self._state, self._status = state, status
+    def __init__(self, state, maxerror_us):
+        self._state, self._maxerror_us = state, maxerror_us
 
     def adjtimex(self, found):
-        found._obj.status = self._status
+        found._obj.maxerror = self._maxerror_us
         return self._state
 
 
 @pytest.mark.parametrize(
-    ("platform", "state", "status", "expected"),
+    ("platform", "state", "maxerror_us", "expected"),
     [
-        ("linux", 0, 0x2001, True),
-        ("linux", 5, 0x0040, False),
-        ("linux", 5, 0x2041, False),
-        ("linux", -1, 0x0040, None),
-        ("win32", 5, 0x0040, None),
+        ("linux", 0, 25_000, True),
+        ("linux", 5, 15_999_999, True),
+        ("linux", 5, 16_000_000, False),
+        ("linux", -1, 16_000_000, None),
+        ("win32", 5, 16_000_000, None),
     ],
 )
-def test_unsynchronised_is_one_bit_of_the_status(monkeypatch, platform, state, status, expected):
+def test_unsynchronised_is_a_clock_whose_error_has_no_bound(monkeypatch, platform, state, maxerror_us, expected):
     monkeypatch.setattr(kernel_clock.sys, "platform", platform)
-    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Libc(state, status))
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: Libc(state, maxerror_us))
     assert kernel_clock.synchronised() is expected
 
 
