@@ -160,6 +160,7 @@ class Tracker:
         self.left_standing = False
         self._moving: asyncio.Future[None] | None = None
         self._hung_why: str | None = None
+        self._seems_hung = False
         self.curves: IvAcquisition | None = None
         if instruments.load is not None:
             self.curves = IvAcquisition(
@@ -307,9 +308,13 @@ class Tracker:
         """Give the positioner up if a call of its driver does not return; called every few seconds."""
         telemetry = self.motion.telemetry
         if self._moving is None or self._moving.done() or telemetry is None:
+            self._seems_hung = False
             return
         silent_s = self.clock.monotonic() - telemetry.time_monotonic_s
-        if silent_s > max(_HUNG_AFTER_S, _LOOKS_MISSED * self.motion.looks_every_s):
+        longest_s = max(_HUNG_AFTER_S, _LOOKS_MISSED * self.motion.looks_every_s)
+        before, self._seems_hung = self._seems_hung, silent_s > longest_s
+        # Right after the whole process stood still, this may come before the first look: the next call decides.
+        if before and self._seems_hung:
             self._hung_why = f"a call of its driver has not returned for {silent_s:.0f} s"
             self._moving.cancel()
 

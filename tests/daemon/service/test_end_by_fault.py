@@ -8,7 +8,7 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Event, Move, MoveOutcome
 from drivers.errors import DriverHungError
-from tests.support.phases import under_way
+from tests.support.phases import quiet, under_way
 
 
 @pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
@@ -69,3 +69,16 @@ def test_a_driver_of_which_too_many_calls_never_return_ends_the_service_at_rest_
 
     with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends, and has to be"):
         run_rig(scenario)
+
+
+def test_a_process_that_stood_still_for_minutes_takes_no_driver_for_one_that_hangs(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        for _ in range(8):
+            # Each time at another moment between two checks.
+            await asyncio.sleep(31.17)
+            asyncio.get_running_loop().skip(200.0)
+            await asyncio.sleep(1.0)
+            await rig.until(lambda: rig.motion.connected, 60, "the connection")
+
+    run_rig(scenario)
