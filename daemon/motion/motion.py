@@ -202,6 +202,13 @@ class Motion(MotionState):
         if self._wanted is not None and self._retries.due_s(stow=self._wanted[1]) > self._clock.monotonic():
             self._wanted = None
 
+    def forget_order(self) -> None:
+        """Drop what was ordered last, and stop a move to there; a reference run goes on."""
+        self._wanted = None
+        if self.target is not None:
+            self._runs.interrupt()
+            self._wake.set()
+
     def rest(self) -> None:
         """Ask for whatever moves to be stopped, by the task that moves it."""
         self._wanted = None

@@ -89,7 +89,8 @@ class Runs:
         """End the run that is on, if there is one, with a halt."""
         self._interrupted = self.target is not None or self._guard.homing
 
-    def _is_interrupted(self) -> bool:
+    def is_interrupted(self) -> bool:
+        """Whether the run that is on is being ended."""
         return self._interrupted
 
     async def move(self, target: Target, *, stow: bool) -> None:
@@ -149,7 +150,7 @@ class Runs:
             if not guard.watch.settled:
                 # What is left of the last move begins any moment, and a target that finds an axis turning is lost.
                 await guard.halt()
-            if self._is_interrupted():
+            if self.is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
@@ -161,7 +162,7 @@ class Runs:
                 await guard.halt()
                 outcome, why = MoveOutcome.REFUSED, error.message
                 await self._wake_up()
-                if self._is_interrupted():
+                if self.is_interrupted():
                     outcome, why = MoveOutcome.INTERRUPTED, target.why
             if outcome in (MoveOutcome.ARRIVED, MoveOutcome.INTERRUPTED) or self._hopeless():
                 break
@@ -177,7 +178,7 @@ class Runs:
     async def _pause(self) -> None:
         """Let time pass between two attempts and watch meanwhile: what stands may begin to move by itself."""
         until_s = self._clock.monotonic() + _BETWEEN_ATTEMPTS_S
-        while self._clock.monotonic() < until_s and self._guard.stray is None and not self._is_interrupted():
+        while self._clock.monotonic() < until_s and self._guard.stray is None and not self.is_interrupted():
             await wait_at_most(self._wake, min(self._poll_every_s, _BETWEEN_ATTEMPTS_S))
             await self._guard.poll(moving=True)
 

@@ -47,6 +47,11 @@ class MotionState:
         return self._runs.target
 
     @property
+    def heading(self) -> Target | None:
+        """Of the move that is on and goes on; None for one that is being ended."""
+        return None if self._runs.is_interrupted() else self._runs.target
+
+    @property
     def last_move(self) -> Move | None:
         """The move that ended last."""
         return self._runs.last_move

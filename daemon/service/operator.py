@@ -323,8 +323,7 @@ class Operator:
         where = f"A {motion.pose.a_deg:+z.1f}, B {motion.pose.b_deg:.1f} deg"
         if motion.homing:
             return f"homing, now at {where}; {mode}"
-        if motion.target is not None:
-            target = motion.target
+        if (target := motion.heading) is not None:
             return f"moving to A {target.a_deg:+z.1f}, B {target.b_deg:.1f} deg, now at {where}; {mode}"
         return f"{'moving' if motion.stands_since_s is None else 'standing'} at {where}; {mode}"
 

@@ -198,7 +198,7 @@ class Control(Doors):
 
     @property
     def _whereabouts(self) -> Whereabouts:
-        return Whereabouts(self._motion.pose, self._motion.target)
+        return Whereabouts(self._motion.pose, self._motion.heading)
 
     async def run(self) -> None:
         """Tick every few seconds, and at once on request, until cancelled."""
@@ -366,7 +366,7 @@ class Control(Doors):
 
     def _order_within_budget(self, target: Target) -> bool:
         """Order a move of a law within the day's limits; the law's own plan holds in fallback too."""
-        heading = self._motion.target or self._motion.pose
+        heading = self._motion.heading or self._motion.pose
         if heading is None:
             return self._order(target)
         distance_deg = abs(heading.a_deg - target.a_deg) + abs(heading.b_deg - target.b_deg)

@@ -123,6 +123,9 @@ class Doors:
     def auto(self) -> None:
         """Release everything that persons asked for: the one way out of stop and maintenance."""
         self._orders.release()
+        if self.mode in (Mode.HOLD, Mode.SNOW):
+            # Where nothing is decided anew, a move to where a person wanted it would go on.
+            self._motion.forget_order()
         self._freeze()
         self._keep_wishes()
 

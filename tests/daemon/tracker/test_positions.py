@@ -5,12 +5,12 @@ import asyncio
 import pytest
 
 from daemon.base.records import Event, Mode
-from daemon.service.operator import CommandError
+from daemon.service.operator import CommandError, Seen
 from solar.frames import Limits
 from tests.daemon.tracker.days import SLOW, at, operator, pass_quietly
 from tests.daemon.tracker.test_optimal import ClearDays
-from tests.support.motion import alarms
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.motion import alarms, moves_for
+from tests.support.phases import at_rest, homed, quiet, tracking, under_way
 
 
 @pytest.mark.parametrize("command", ["hold", "goto", "snow"])
@@ -155,5 +155,38 @@ def test_where_an_operator_wanted_to_go_before_a_fault_is_forgotten_with_it(run_
         await rig.until_mode(Mode.HOLD, 30)
         await asyncio.sleep(60)
         assert tuple(rig.truth()) == pytest.approx(stands, abs=0.1)
+
+    run_rig(scenario)
+
+
+@pytest.mark.parametrize("command", ["goto", "snow"])
+@pytest.mark.parametrize("decided_s", [0.0, 600.0])
+def test_auto_ends_the_way_to_where_a_person_wanted_it_though_nothing_is_decided_then(run_rig, command, decided_s):
+    async def scenario(rig):
+        await quiet(rig)
+        if not decided_s:
+            rig.cables.voltmeter.link_up = False
+            await asyncio.sleep(20)
+        person = operator(rig)
+        answer = await (person.goto(30, 60, "a look") if command == "goto" else person.snow("it snows"))
+        assert answer.seen is Seen.UNDER_WAY
+        answer = await person.auto("enough")
+        assert "moving to" not in answer.text
+        assert await moves_for(rig, 20) < 2.0
+        assert rig.mode is (Mode.TRACKING if decided_s else Mode.STARTING)
+
+    run_rig(scenario, motion={"minimum_interval_s": decided_s})
+
+
+def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.control.goto(30, 60, "a look")
+        rig.control.tick()
+        await asyncio.sleep(3)
+        rig.control.home()
+        rig.control.auto()
+        await homed(rig)
+        assert rig.motion.doubt is None
 
     run_rig(scenario)
