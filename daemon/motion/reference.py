@@ -38,6 +38,25 @@ def _said_once(texts: Iterable[str]) -> str:
     return "; ".join(part for part in parts if not any(part in other for other in parts if other != part))
 
 
+def _file_in(folder: StateFolder) -> StateFile[_Kept]:
+    return StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
+
+
+def _load(file: StateFile[_Kept]) -> _Kept:
+    try:
+        return file.load() or _Kept()
+    except UnreadableStateError as error:
+        log.warning("%s: the reference is in doubt until it is homed or cleared", error)
+        text = f"{error}, so nobody knows what was in doubt before the restart: home it"
+        return _Kept(doubts={"unreadable": text})
+
+
+def kept_doubts(folder: StateFolder) -> tuple[str, ...]:
+    """Return what is in doubt in a folder of which no service is at work, a sentence each; nothing is written there."""
+    kept = _load(_file_in(folder))
+    return (*kept.incidents.values(), *kept.doubts.values(), *((NOT_FINISHED,) if kept.homing else ()))
+
+
 class Doubts:
     """Doubts and incidents by kind, and the faults that were last seen.
 
@@ -60,9 +79,9 @@ class Doubts:
     """
 
     def __init__(self, folder: StateFolder) -> None:
-        self._file = StateFile(folder, FILE_NAME, _Kept, log, "what is in doubt")
+        self._file = _file_in(folder)
         self._file.reserve()
-        kept = self._load()
+        kept = _load(self._file)
         self._doubts = dict(kept.doubts)
         self._incidents = dict(kept.incidents)
         self._faults = tuple(kept.faults)
@@ -156,14 +175,6 @@ class Doubts:
         if texts.get(kind) != text:
             texts[kind] = text
             self._save()
-
-    def _load(self) -> _Kept:
-        try:
-            return self._file.load() or _Kept()
-        except UnreadableStateError as error:
-            log.warning("%s: the reference is in doubt until it is homed or cleared", error)
-            text = f"{error}, so nobody knows what was in doubt before the restart: home it"
-            return _Kept(doubts={"unreadable": text})
 
     def _sum_up(self) -> None:
         # Asked for at every look at the positioner, some 200,000 times a day, and the same for most of it.

@@ -16,6 +16,7 @@ from daemon.base.state import StateFolder
 from daemon.motion import reference
 from daemon.received import today
 from daemon.tracker import budget, law_file, stow_watch, wishes
+from daemon.tracker.stow_watch import SafetyFile
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 
 log = logging.getLogger("heliocube.service")
@@ -26,6 +27,8 @@ STARTED_NAME = "started.json"
 # The trackers of one service write it one after the other.
 _STARTED_TOGETHER_S = 30.0
 _FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
+_IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
+_REMEDY = "give that name back in a table [[tracker]] and restart, or look at the tracker, then 'heliocube auto'"
 
 
 def hand_on(directory: Path, trackers: Sequence[str]) -> None:
@@ -53,7 +56,7 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
 
 
 def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
-    """Return what is asked in folders of trackers that are not in the configuration any more, in words, or None.
+    """Return what is in force in folders of trackers that are not in the configuration any more, in words, or None.
 
     Parameters
     ----------
@@ -66,26 +69,32 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
         it was another one, and whoever started it without them knew of them.
     """
     found = []
-    for folder in sorted(path.parent for path in directory.glob(f"*/{wishes.FILE_NAME}")):
+    for folder in sorted({path.parent for name in _IN_FORCE for path in directory.glob(f"*/{name}")}):
         # Another service may have its folder here: it is at work there itself.
         if folder.name not in trackers and _is_newer(folder, own) and not (folder / ".tracker-in-use").exists():
-            # Nothing is to be written there, and so no room kept.
-            asked = WishFile(StateFolder(folder, reserve=lambda _path: None)).load()
-            if asked.held_by_program:
-                # Its own reason may name such folders, and would be told once more with each name.
-                asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
-            found += [f"in {folder} '{folder.name}' is still {text}" for text in asked.gone_in(Wishes())]
-    if not found:
-        return None
-    remedy = "give that name back in a table [[tracker]] and restart, or look at the tracker, then 'heliocube auto'"
-    return f"no tracker is named so any more, but {'; '.join(found)}: {remedy}"
+            found += _in_force(folder)
+    return f"no tracker is named so any more, but {'; '.join(found)}: {_REMEDY}" if found else None
 
 
 def _is_newer(gone: Path, own: Path) -> bool:
     """Whether a tracker that is gone was started after the last start with the other one."""
     if not (own / STARTED_NAME).exists():
         return True
-    started = gone / STARTED_NAME
     # A folder of an older release has no such file.
-    last = started if started.exists() else gone / wishes.FILE_NAME
-    return last.stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
+    lasts = [gone / name for name in (STARTED_NAME, *_IN_FORCE) if (gone / name).exists()]
+    return lasts[0].stat().st_mtime > (own / STARTED_NAME).stat().st_mtime + _STARTED_TOGETHER_S
+
+
+def _in_force(folder: Path) -> list[str]:
+    # Nothing is to be written there, and so no room kept.
+    state = StateFolder(folder, reserve=lambda _path: None)
+    asked = WishFile(state).load()
+    if asked.held_by_program:
+        # Its own reason may name such folders, and would be told once more with each name.
+        asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
+    storm = SafetyFile(state).load()
+    seen = (*((storm,) if storm else ()), *reference.kept_doubts(state))
+    return [
+        *(f"in {folder} '{folder.name}' is still {text}" for text in asked.gone_in(Wishes())),
+        *(f"{folder} keeps of '{folder.name}': {text}" for text in seen),
+    ]

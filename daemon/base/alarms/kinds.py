@@ -176,8 +176,8 @@ _ALL = (
     _kind(
         "release-changed",
         Severity.WARNING,
-        "another release of heliocube runs than at the last start, or a tracker that was stopped, stowed or held has"
-        " another name or no table any more; and nobody had asked for anything",
+        "another release of heliocube runs than at the last start, or a tracker that was stopped, stowed, held or in"
+        " doubt has another name or no table any more; and nobody had asked for anything",
         "the tracker is held where it stands, but for a stow",
         "`heliocube self-check`, a look at the tracker, then `heliocube auto`",
     ),

@@ -9,6 +9,8 @@ import pytest
 from daemon.base.records import Mode
 from daemon.service.operator import Operator
 from daemon.store.place import claimed
+from tests.support.motion import drive_b
+from tests.support.phases import quiet
 
 
 def test_a_stop_holds_for_every_tracker_that_is_named_later_and_for_none_after_that(run_rig, tmp_path):
@@ -135,3 +137,36 @@ def test_another_service_whose_folder_is_inside_holds_nobody(run_rig, tmp_path):
         await rig.until_mode(Mode.TRACKING, 120)
 
     run_rig(works, store={"directory": tmp_path})
+
+
+@pytest.mark.parametrize("what", ["storm", "doubt", "motion", "unreadable"])
+def test_a_storm_and_doubts_of_one_that_is_gone_hold_a_tracker_that_is_new_and_no_other(run_rig, tmp_path, what):
+    store, safety = {"directory": tmp_path}, {"stow_at_least_s": 60.0}
+    words = {"storm": "wind 20", "doubt": "has restarted", "motion": "without an order", "unreadable": "cannot be read"}
+
+    async def both(rig):
+        await quiet(rig)
+        if what == "storm":
+            rig.wind_m_s = 20.0
+            await rig.until_mode(Mode.STOW, 10)
+        elif what == "doubt":
+            rig.unit.power_cycle(rig.clock.monotonic())
+            await rig.until_mode(Mode.FAULT, 15)
+        else:
+            drive_b(rig, 85.0)
+            await rig.until_mode(Mode.FAULT, 15)
+            await asyncio.sleep(10)
+
+    async def renamed(rig):
+        new, known = rig.service.trackers
+        await rig.until(lambda: known.control.mode is Mode.TRACKING, 600, "the work of the one that is known")
+        assert new.control.mode is Mode.HOLD
+        assert f"{tmp_path / 'east'} keeps of 'east': " in new.control.why
+        assert words[what] in new.control.why
+        await Operator(new, 1.0).auto("ana")
+        await rig.until(lambda: new.control.mode is Mode.TRACKING, 120, "its work")
+
+    run_rig(both, store=store, safety=safety, tracker=[{"name": "east"}, {"name": "west"}])
+    if what == "unreadable":
+        (tmp_path / "east" / "motion.json").write_text("{")
+    run_rig(renamed, store=store, safety=safety, tracker=[{"name": "east-roof"}, {"name": "west"}])
