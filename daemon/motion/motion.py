@@ -173,7 +173,9 @@ class Motion(MotionState):
         conflicts = self.identity.setup_conflicts if self.identity else ()
         obstacle = self.unexplained or "; ".join(conflicts) or (None if self.connected else "no telemetry")
         if obstacle:
-            raise RefusedError("positioner", f"cannot be homed: {obstacle}")
+            # What is cleared goes to work, by whatever count it has.
+            wait = "; 'heliocube hold' before it lets the tracker wait to be homed" if self.unexplained else ""
+            raise RefusedError("positioner", f"cannot be homed: {obstacle}{wait}")
         self._home_wanted = True
         self._wanted = None
         self._runs.interrupt()

@@ -58,7 +58,8 @@ _ALL = (
         Severity.CRITICAL,
         "an axis moved without an order, away from its target, or against a stop",
         "the axes are stopped and nothing moves any more, not even to stow",
-        "somebody may be at the axes: look who or what it was, then `heliocube clear`",
+        "somebody may be at the axes: look who or what it was, then `heliocube clear`; where the angles of `status` are"
+        " not those of the arms, `heliocube hold` before that and `heliocube home` after it",
         latched=True,
     ),
     _kind(

@@ -4,7 +4,9 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Target
+from daemon.base.records import Mode, Target
+from daemon.service.operator import CommandError, Operator
+from tests.support.motion import moves_for
 from tests.support.phases import at_rest, quiet
 
 MET = "met its end switch where its count was"
@@ -86,5 +88,27 @@ def test_near_its_upper_limit_an_axis_does_not_leave_a_switch_that_may_be_stuck(
         await homed(rig)
         assert rig.truth().b_deg == pytest.approx(stood, abs=0.1)
         assert rig.motion.doubt, "without a way the run has shown nothing"
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.inject("b_slip", rig.clock.monotonic())
+        await rig.until(lambda: rig.motion.unexplained, 10, "what shows of it")
+        person = Operator(rig.tracker, 1.0)
+        with pytest.raises(CommandError, match=r"'heliocube clear'; 'heliocube hold' before it lets the tracker wait"):
+            await person.home("the angles are not those of the arms")
+        await person.hold("the angles are not those of the arms")
+        assert (await person.clear("nobody is there")).done
+        assert await moves_for(rig, 400) == 0.0, "it would have been moved by the wrong count"
+        for _ in range(2):
+            await homed(rig)
+        assert rig.motion.doubt is None
+        await knows_where_it_stands(rig)
+        assert rig.mode is Mode.HOLD
+        await person.auto("done")
+        await rig.until_mode(Mode.TRACKING, 30)
 
     run_rig(scenario, motion={"rehome": "operator"})
