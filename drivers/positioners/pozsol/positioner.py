@@ -24,7 +24,7 @@ from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.end_switches import off_switch
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
-from drivers.positioners.pozsol.refusals import likely_cause, why_not_standing
+from drivers.positioners.pozsol.refusals import likely_cause, misfit, why_not_standing
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
@@ -296,18 +296,8 @@ class PozsolPositioner:
 
     def _require_fit(self, what: str) -> Telemetry:
         seen = self._read()
-        if seen.faults or seen.homing:
-            raise RefusedError(_DEVICE, f"is not given {what}: {likely_cause(seen)}")
-        shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
-        for axis, (angle_deg, position) in shown.items():
-            setup = self._axes["a" if axis == "a" else "b"]
-            if not setup.fits(angle_deg, position):
-                raise RefusedError(
-                    _DEVICE,
-                    f"is not given {what}: it shows {angle_deg:.1f} deg at position {position:g} of axis"
-                    f" {axis.upper()}, where instruments.positioner.{axis}_axis makes"
-                    f" {setup.geometry.position(angle_deg):.1f} of that angle; is the geometry that of this unit?",
-                )
+        if why := likely_cause(seen) if seen.faults or seen.homing else misfit(seen, self._axes):
+            raise RefusedError(_DEVICE, f"is not given {what}: {why}")
         return seen
 
     async def _leave_switch(self, axis: AxisName, stops: int) -> None:
@@ -316,12 +306,17 @@ class PozsolPositioner:
         if (whole := off_switch(setup, here, self._watch.reference.may_stand_at(axis))) is None:
             return
         await self._send(_TARGET[axis], whole, stops)
-        await self._confirm(
-            lambda seen: abs(position_of(axis, seen) - whole - setup.zero_offset) <= setup.units(_NEAR_DEG),
-            f"to leave the end switch of axis {axis.upper()}",
+        what = f"to leave the end switch of axis {axis.upper()}"
+        seen = await self._confirm(
+            lambda seen: (
+                bool(seen.faults) or abs(position_of(axis, seen) - whole - setup.zero_offset) <= setup.units(_NEAR_DEG)
+            ),
+            what,
             stops,
             _LEFT_WITHIN_S,
         )
+        if seen.faults:
+            raise RefusedError(_DEVICE, f"did not take {what}: {likely_cause(seen)}")
         await self._stand(stops)
 
     async def _stand(self, stops: int, *, give_way: bool = True) -> None:

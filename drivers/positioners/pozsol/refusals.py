@@ -1,6 +1,9 @@
 """Why the unit does not do what it is told, in words, as far as its telemetry shows it."""
 
-from drivers.interfaces import Telemetry
+from collections.abc import Mapping
+
+from drivers.interfaces import AxisName, Telemetry
+from drivers.positioners.pozsol.geometry import AxisSetup
 
 _LOWEST_SUPPLY_V = 20.0
 
@@ -11,6 +14,20 @@ def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
         aims = f"A {seen.position_a:g} to {seen.destination_a:g}, B {seen.position_b:g} to {seen.destination_b:g}"
         return f"takes no stop: it stands, but is still to go from {aims}"
     return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:.1f} deg"
+
+
+def misfit(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
+    """Return at which axis angle and position do not go together, or None."""
+    shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
+    for axis, setup in axes.items():
+        angle_deg, position = shown[axis]
+        if not setup.fits(angle_deg, position):
+            return (
+                f"it shows {angle_deg:.1f} deg at position {position:g} of axis {axis.upper()}, where"
+                f" instruments.positioner.{axis}_axis makes {setup.geometry.position(angle_deg):.1f} of that angle;"
+                " is the geometry that of this unit?"
+            )
+    return None
 
 
 def likely_cause(seen: Telemetry) -> str:

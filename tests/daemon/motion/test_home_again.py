@@ -7,7 +7,7 @@ import pytest
 from daemon.base.records import Mode, Target
 from daemon.service.operator import CommandError, Operator
 from tests.support.motion import moves_for
-from tests.support.phases import at_rest, quiet
+from tests.support.phases import at_rest, quiet, told
 
 MET = "met its end switch where its count was"
 
@@ -110,5 +110,19 @@ def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_r
         assert rig.mode is Mode.HOLD
         await person.auto("done")
         await rig.until_mode(Mode.TRACKING, 30)
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
+def test_a_fault_while_an_axis_leaves_its_switch_ends_the_run_as_soon_as_it_shows(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        stood = await stuck_on_its_way(rig)
+        rig.motion.home()
+        await rig.until(lambda: rig.truth().b_deg > stood + 0.5, 120, "axis B leaving its switch")
+        rig.unit.inject("b_overcurrent", rig.clock.monotonic())
+        await rig.until(lambda: not rig.motion.homing, 8, "the end of the run")
+        assert "it reports b_overcurrent" in told(rig)[-1]
+        assert "homing was not finished" in rig.motion.doubt
 
     run_rig(scenario, motion={"rehome": "operator"})
