@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from daemon.base.records import Pose, Target
 from daemon.config.sections import MotionSettings
-from daemon.motion.watch import jitter
+from daemon.motion.watch import elsewhere, jitter
 from drivers.interfaces import Telemetry
 from drivers.settings import PositionerSettings
 from solar.frames import Limits
@@ -17,7 +17,6 @@ _SPARE_S = 20.0
 _STANDS_AFTER_S = 0.3
 # An axis that is near enough may yet be taken up by the positioner after the other one, to go all the way.
 _TAKES_UP_S = 3.0
-_AIMS_ELSEWHERE = 1.0
 
 
 class Progress(StrEnum):
@@ -66,7 +65,7 @@ class MoveWatch:
                 _Way("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
             )
         self._start_s = now_s
-        self._jitter = jitter(expected)
+        self._jitter, self._elsewhere = jitter(expected), elsewhere(expected)
         self._positions: tuple[float, float] | None = None
         self._moved_s = now_s
 
@@ -89,7 +88,8 @@ class MoveWatch:
             if way.overshot(place):
                 return Progress.OVERSHOT, f"{way.name} stands at {place:.1f} deg, beyond its target {way.target:.1f}"
         if self._there(angles):
-            stands = still and now_s - self._moved_s >= (_TAKES_UP_S if _aims_elsewhere(telemetry) else _STANDS_AFTER_S)
+            after_s = _TAKES_UP_S if self._aims_elsewhere(telemetry) else _STANDS_AFTER_S
+            stands = still and now_s - self._moved_s >= after_s
             return (Progress.ARRIVED if stands else Progress.GOING), ""
         where = f"A {angles[0]:.1f}, B {angles[1]:.1f} deg"
         if now_s - self._moved_s > _STALLED_AFTER_S:
@@ -99,6 +99,10 @@ class MoveWatch:
         if now_s - self._start_s > budget_s:
             return Progress.TIMED_OUT, f"not there after {now_s - self._start_s:.0f} s, at {where}"
         return Progress.GOING, ""
+
+    def _aims_elsewhere(self, telemetry: Telemetry) -> bool:
+        left = telemetry.destination_a - telemetry.position_a, telemetry.destination_b - telemetry.position_b
+        return not all(abs(way) <= self._elsewhere for way in left)
 
     def _there(self, angles: tuple[float, float]) -> bool:
         wanted = (self._target.a_deg, self._target.b_deg)
@@ -132,13 +136,6 @@ def _ways_of_positions(first: Telemetry, names: tuple[str, str], tolerance_deg: 
     return (
         _Way(names[0], start_a, aim_a, min(start_a, aim_a), max(start_a, aim_a), tolerance_deg),
         _Way(names[1], start_b, aim_b, min(start_b, aim_b), max(start_b, aim_b), tolerance_deg),
-    )
-
-
-def _aims_elsewhere(telemetry: Telemetry) -> bool:
-    return (
-        abs(telemetry.position_a - telemetry.destination_a) > _AIMS_ELSEWHERE
-        or abs(telemetry.position_b - telemetry.destination_b) > _AIMS_ELSEWHERE
     )
 
 

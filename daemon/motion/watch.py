@@ -27,6 +27,11 @@ def jitter(expected: PositionerSettings) -> float:
     return max(_JITTER[expected.position_unit], _FLICKER * expected.resolution())
 
 
+def elsewhere(expected: PositionerSettings) -> float:
+    """Return how far a position, in its unit, is from a place at least to be elsewhere."""
+    return max(_STRAY[expected.position_unit], _STEPS * expected.resolution())
+
+
 @dataclass(frozen=True, slots=True)
 class Stray:
     """Something in telemetry that no order explains.
@@ -57,7 +62,7 @@ class Watch:
 
     def __init__(self, expected: PositionerSettings) -> None:
         self._jitter = jitter(expected)
-        self._stray = max(_STRAY[expected.position_unit], _STEPS * expected.resolution())
+        self._stray = elsewhere(expected)
         self._axes_are_angles = expected.axes_are_angles
         self._names = expected.axis_names
         self.forget()

@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from daemon.base.records import Pose, Target
 from daemon.config.sections import MotionSettings
 from daemon.motion.move_watch import MoveWatch, Progress
@@ -42,11 +44,18 @@ def test_a_move_has_arrived_when_it_is_there_and_still():
     assert move.judge(look(20.3, 60.2), 3)[0] is Progress.ARRIVED
 
 
-def test_an_axis_near_enough_that_the_unit_will_yet_take_up_has_not_arrived():
+@pytest.mark.parametrize("pending", [2.0, 0.85, -0.45, math.nan])
+def test_an_axis_near_enough_that_the_unit_will_yet_take_up_has_not_arrived(pending):
     move = follow()
-    assert move.judge(look(20.3, 60.2, pending=2.0), 1)[0] is Progress.GOING
-    assert move.judge(look(20.3, 60.2, pending=2.0), 3)[0] is Progress.GOING
-    assert move.judge(look(20.3, 60.2, pending=2.0), 5)[0] is Progress.ARRIVED, "it never does"
+    assert move.judge(look(20.3, 60.2, pending=pending), 1)[0] is Progress.GOING
+    assert move.judge(look(20.3, 60.2, pending=pending), 3)[0] is Progress.GOING
+    assert move.judge(look(20.3, 60.2, pending=pending), 5)[0] is Progress.ARRIVED, "it never does"
+
+
+def test_what_an_axis_rests_beside_its_destination_is_not_waited_for():
+    move = follow()
+    move.judge(look(20.3, 60.2, pending=0.35), 1)
+    assert move.judge(look(20.3, 60.2, pending=0.35), 2)[0] is Progress.ARRIVED
 
 
 def test_standing_still_short_of_the_target_is_a_stall():

@@ -190,3 +190,15 @@ def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run
         assert rig.motion.doubt is None
 
     run_rig(scenario)
+
+
+@pytest.mark.parametrize("more_deg", [0.2, 0.3])
+def test_nothing_moves_any_more_once_a_goto_has_arrived_with_an_axis_that_was_near_before(run_rig, more_deg):
+    async def scenario(rig):
+        await quiet(rig)
+        for a_deg, b_deg in ((-20.0, 45.0), (-17.0, 45.1), (-14.0, 45.1 + more_deg)):
+            await operator(rig).goto(a_deg, b_deg, "a look")
+            await at_rest(rig)
+        assert await moves_for(rig, 15) == 0.0
+
+    run_rig(scenario)
