@@ -28,6 +28,8 @@ T = TypeVar("T")
 _BETWEEN_ATTEMPTS_S = 1.0
 # A positioner gives up a run by itself before that, and says why.
 _HOMING_WITHIN_S = 900.0
+# No unit takes so long to tell that an axis which stands has ended its run; a motor that is blocked gets hot.
+_HOMING_STANDS_S = 60.0
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 
 
@@ -305,7 +307,7 @@ class Runs:
         before = await guard.poll(moving=True)
         guard.watch.expect_homing(axis, before)
         await guard.attended(self._unless_interrupted(partial(self._positioner.home, axis)))
-        deadline_s = self._clock.monotonic() + _HOMING_WITHIN_S
+        begun_s = self._clock.monotonic()
         while True:
             telemetry = await guard.poll(moving=True)
             self._interrupted = self._interrupted or telemetry.button_pressed
@@ -316,8 +318,12 @@ class Runs:
                 raise _HomingFailedError(text)
             if not telemetry.homing:
                 break
-            if self._clock.monotonic() > deadline_s:
+            now_s, stands_since_s = self._clock.monotonic(), guard.watch.stands_since_s
+            if now_s - begun_s > _HOMING_WITHIN_S:
                 raise _HomingFailedError(f"axis {axis.upper()} has not ended its reference run in time")
+            if stands_since_s is not None and now_s - max(stands_since_s, begun_s) > _HOMING_STANDS_S:
+                text = f"axis {axis.upper()} has not moved for {_HOMING_STANDS_S:g} s, nor ended its reference run"
+                raise _HomingFailedError(text)
             await wait_at_most(self._wake, self._poll_every_s)
         # A doubt about both axes stays until the other one has been homed as well.
         known = before.reference_doubt.split("; ")

@@ -74,11 +74,31 @@ def test_a_reference_run_that_does_not_end_is_given_up_after_a_quarter_of_an_hou
     async def scenario(rig):
         rig.unit.homes_s = 1e6
         rig.motion.home()
-        await asyncio.sleep(890.0)
+        for at in range(89):
+            await asyncio.sleep(10.0)
+            rig.unit.put(at % 2, 60.0)
         assert rig.motion.homing
         await asyncio.sleep(20.0)
         assert not rig.motion.homing
         assert rig.told[-1] == "homing failed: axis A has not ended its reference run in time"
+
+    run_motion(scenario)
+
+
+def test_a_reference_run_on_which_the_axis_stands_is_given_up_after_a_minute():
+    async def scenario(rig):
+        rig.unit.homes_s = 1e6
+        rig.motion.home()
+        for at in range(3):
+            await asyncio.sleep(50.0)
+            rig.unit.put(at + 1.0, 60.0)
+        await asyncio.sleep(58.0)
+        assert rig.motion.homing
+        await asyncio.sleep(5.0)
+        assert not rig.motion.homing
+        assert rig.told[-1] == "homing failed: axis A has not moved for 60 s, nor ended its reference run"
+        assert rig.unit.sent[-1] == "halt"
+        assert "the reference is in doubt: home it" in rig.motion.doubt
 
     run_motion(scenario)
 
