@@ -41,7 +41,7 @@ class Parking:
         self._order(target)
 
     def _heads_for(self, target: Target) -> bool:
-        heading = self._motion.heading
+        heading = self._motion.target
         return heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg)
 
     def _stands_at(self, target: Target) -> bool:

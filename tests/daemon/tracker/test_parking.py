@@ -18,7 +18,7 @@ def at(a_deg, b_deg):
 def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None):
     """Return at which of these times a move is ordered."""
     found = []
-    motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, heading=target, homing=homing)
+    motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, homing=homing)
     parking = Parking(motion, 0.8, found.append)
     orders = []
     for now_s in times_s:
@@ -47,7 +47,7 @@ def test_the_place_need_not_be_the_zero_of_an_axis_and_an_unknown_pose_is_there_
     stow = Target(-30.0, 80.0, "stow")
     for pose, orders in ((at(-30.0, 80.0), []), (at(30.0, 80.0), [stow]), (at(-40.0, 80.0), [stow]), (None, [stow])):
         found = []
-        Parking(SimpleNamespace(pose=pose, target=None, heading=None, homing=False), 0.8, found.append).park(stow, 0.0)
+        Parking(SimpleNamespace(pose=pose, target=None, homing=False), 0.8, found.append).park(stow, 0.0)
         assert found == orders
 
 

@@ -192,6 +192,21 @@ def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run
     run_rig(scenario)
 
 
+def test_a_reference_run_that_was_asked_for_late_on_a_long_way_is_made_before_the_rest_of_it(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.control.goto(48, 80, "a look")
+        rig.control.tick()
+        await asyncio.sleep(70)
+        assert rig.motion.target is not None
+        rig.control.home()
+        rig.control.tick()
+        await homed(rig)
+        await rig.until(lambda: rig.motion.target is not None, 10, "the rest of the way")
+
+    run_rig(scenario)
+
+
 @pytest.mark.parametrize("more_deg", [0.2, 0.3])
 def test_nothing_moves_any_more_once_a_goto_has_arrived_with_an_axis_that_was_near_before(run_rig, more_deg):
     async def scenario(rig):
