@@ -26,7 +26,9 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 REMEMBERED_HOURS = 128
 REMEMBERED_DAYS = 16
+REMEMBERED_WHOLE_DAYS = 1000
 
+_WORTH_A_DAY = 4
 _STEPS = 8
 _CLOSE_S = 1.0
 _FARTHEST_S = 3600.0
@@ -190,10 +192,36 @@ def _geocentric(utc_s: Array) -> Array:
 
 
 def _at_hours(hours: NDArray[np.int64]) -> Array:
-    """Geocentric quantities at whole hours since 1970, shape (4, n); from memory if they are the hours of a day."""
+    """Geocentric quantities at whole hours since 1970, shape (4, n), from memory if they were asked for before."""
     if hours.size > REMEMBERED_HOURS // 4:
-        return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
+        days, position = np.unique(hours // 24, return_inverse=True)
+        # All hours of a day for the sake of one or two would take longer.
+        if hours.size < days.size * _WORTH_A_DAY:
+            return _geocentric_exact(hours.astype(np.float64) * HOUR_S)
+        return _at_days(days)[:, position, hours % 24]
     return np.stack([_at_hour(hour) for hour in hours.tolist()], axis=-1)
+
+
+_whole_days: dict[int, Array] = {}
+
+
+def _at_days(days: NDArray[np.int64]) -> Array:
+    """Geocentric quantities at all hours of days since 1970, shape (4, n, 24).
+
+    A calibration asks for the same days a hundred times, and a study once for each law.
+    """
+    known = {day: _whole_days.get(day) for day in days.tolist()}
+    missing = [day for day, found in known.items() if found is None]
+    if missing:
+        hours = np.array(missing, dtype=np.float64)[:, None] * 24.0 + np.arange(24.0)
+        exact = _geocentric_exact(hours.ravel() * HOUR_S).reshape(4, len(missing), 24)
+        new = {day: exact[:, at].copy() for at, day in enumerate(missing)}
+        if len(_whole_days) + len(new) > REMEMBERED_WHOLE_DAYS:
+            _whole_days.clear()
+        if len(new) <= REMEMBERED_WHOLE_DAYS:
+            _whole_days.update(new)
+        known |= new
+    return np.stack([found for found in known.values() if found is not None], axis=1)
 
 
 @lru_cache(maxsize=REMEMBERED_HOURS)

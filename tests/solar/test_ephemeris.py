@@ -7,6 +7,7 @@ from pvlib.irradiance import get_extra_radiation
 from pvlib.solarposition import get_solarposition
 from scipy.optimize import brentq
 
+from solar import ephemeris
 from solar.ephemeris import (
     Site,
     SunDirection,
@@ -41,6 +42,18 @@ def test_positions_agree_with_pvlib_at_any_time_of_eighty_years(site):
     assert np.abs(across * np.cos(np.radians(sun.geometric_elevation_deg))).max() < 1e-5
     assert np.abs(sun.elevation_deg - expected["apparent_elevation"]).max() < 1e-5
     assert np.abs(sun.geometric_elevation_deg - expected["elevation"]).max() < 1e-5
+
+
+@pytest.mark.parametrize("remembered", [0, 5, 1000])
+def test_whole_days_are_the_same_from_memory_in_part_and_anew(monkeypatch, remembered):
+    monkeypatch.setattr(ephemeris, "REMEMBERED_WHOLE_DAYS", remembered)
+    monkeypatch.setattr(ephemeris, "_whole_days", {})
+    begin_s = utc("2021-06-01")
+    for first, last in ((4, 7), (5, 9), (2, 20), (3, 8), (3, 8)):
+        instants = begin_s + np.arange(first * 86400.0, last * 86400.0, 1111.0)
+        expected = get_solarposition(pd.to_datetime(instants, unit="s", utc=True), *SIRTA, delta_t=None)
+        assert np.abs(sun_position(instants, *SIRTA).azimuth_deg - expected["azimuth"]).max() < 1e-4
+        assert len(ephemeris._whole_days) <= remembered
 
 
 def test_the_position_of_the_algorithms_own_example_is_reproduced():
