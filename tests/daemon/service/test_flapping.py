@@ -50,7 +50,7 @@ def test_a_bad_contact_for_hours_is_told_in_at_most_40_lines_and_40_events(run_r
         assert len(during) <= MOST, "\n".join(during)
 
     with caplog.at_level(logging.INFO):
-        load = {"driver": "chroma63600" if name == "load" else "none", "period_s": 15, "points": 10}
+        load = {"driver": "chroma63600" if name == "load" else "none", "period_s": 25, "points": 10}
         # Hours of scans are no business of a contact that is not the cube's.
         run_rig(scenario, **(CALM if name == "voltmeter" else CALMER), load=load)
 

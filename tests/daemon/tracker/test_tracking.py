@@ -96,8 +96,8 @@ def test_night_falls_and_morning_comes(run_rig):
             conditions.dhi_w_m2[:] = 300.0 * up
             return conditions
 
-    seldom = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
-    rig = run_rig(through_the_night, start="2022-10-12T16:30", weather=Day(), rest_look_s=5.0, **seldom)
+    seldom = {"cube": {"scan_every_s": 60}, "safety": {"scan_stale_s": 130}}
+    rig = run_rig(through_the_night, start="2022-10-12T16:30", weather=Day(), rest_look_s=30.0, **seldom)
     modes = [change.after for change in rig.of(ModeChange)]
     assert modes == [Mode.TRACKING, Mode.NIGHT, Mode.TRACKING]
     dark = next(change.time_utc_s for change in rig.of(ModeChange) if change.after is Mode.NIGHT)
