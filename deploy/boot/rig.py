@@ -33,6 +33,7 @@ mean_s = 6.0
 decide_every_s = 6.0
 [motion]
 minimum_interval_s = 0.0
+deadband_deg = 3.0
 [safety]
 scan_stale_s = 5.0
 stow_at_least_s = 4.0
@@ -52,7 +53,11 @@ topic = "{WIND_TOPIC}"
 motor_speed_mm_s = 12.8
 sensor_noise_mv = 0.005
 """
-"""A scan a second and a decision every six; motors four times as fast as the unit's."""
+"""A scan a second and a decision every six; motors four times as fast as the unit's.
+
+The sun takes ten minutes to need a move: one between a look at the axes and the end of a process would pass for one
+that came after it.
+"""
 
 
 def _bench_unit() -> str:
