@@ -11,7 +11,7 @@ from boot.machine import Machine
 from boot.records import ROLES, Records
 from boot.restarts import BACK_WITHIN_S, Restarts
 from boot.rig import UNITS, Rig
-from boot.tree import CHECKOUT, PACKAGES, Tree
+from boot.tree import CHECKOUT, ENVIRONMENTS, PACKAGES, Tree
 
 _LEAVES = ("etc/heliocube", "var/lib/heliocube")
 # Not ours: what the run itself has put there, and what the system keeps about every package and user.
@@ -35,21 +35,24 @@ class Packages:
 
     def build(self) -> str:
         """Build both; where the commit before cannot be had, this one under an older number stands for it."""
+        self._tree.link_environments()
         count, commit = _git("rev-list", "--count", "HEAD"), _git("rev-parse", "--short=8", "HEAD")
         self._new = self._build(ROOT, f"0.0+test{count or 1}.{commit or 'checkout'}")
         size_mb = (self._tree.packages / self._new).stat().st_size / 1e6
         words = f"{self._new}, {size_mb:.0f} MB uncompressed"
         if count and (earlier := self._earlier()):
             self._old = self._build(earlier, f"0.0+test{int(count) - 1}")
+            self._tree.keep_environments()
             return f"{words}, and that of the commit before"
         self._old = self._build(ROOT, "0.0+test0")
+        self._tree.keep_environments()
         return f"{words}; the commit before has no package, so this one under an older number stands for it"
 
     def _build(self, sources: Path, version: str) -> str:
         said = self._tree.run(
             # A disk, on which the package's files can be links to those that are kept.
             *("env", f"TMPDIR={PACKAGES}", "sh", f"{CHECKOUT}/deploy/deb/build", "--fast", "--out", PACKAGES),
-            *("--keep", f"{PACKAGES}/kept", "--version", version),
+            *("--keep", f"{PACKAGES}/{ENVIRONMENTS}", "--version", version),
             sources=sources,
         )
         return Path(said.strip().splitlines()[-1]).name

@@ -12,6 +12,8 @@ from boot.host import ROOT, LeftOut, NotSeen, own_cgroups, run
 
 DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
 CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
+# In the folder of the packages, where links to its files can be made, and in the cache.
+ENVIRONMENTS = "environments"
 # What the package is made of; either of the first two holds all that `runtime` does.
 LOCKS = ("notify", "archive", "build")
 
@@ -22,7 +24,8 @@ class Tree:
     Parameters
     ----------
     cache
-        Where what takes long is kept from run to run: the Debian without heliocube, and the wheels of the locks.
+        Where what takes long is kept from run to run: the Debian without heliocube, the wheels of the locks, and what
+        they are unpacked and compiled to.
 
     Attributes
     ----------
@@ -93,6 +96,27 @@ class Tree:
         )
         mark.write_text(key)
         return "wheels fetched"
+
+    def link_environments(self) -> None:
+        """Let the build find what an earlier run has unpacked and compiled; their names say what is in them."""
+        if (self.cache / ENVIRONMENTS).is_dir():
+            run("cp", "-al", self.cache / ENVIRONMENTS, self.packages / ENVIRONMENTS)
+
+    def keep_environments(self) -> None:
+        """Keep for the next run what this one has made, in place of what was kept before."""
+        before, new = self.cache / ENVIRONMENTS, self.packages / ENVIRONMENTS
+        known = {path.name for path in before.iterdir()} if before.is_dir() else set()
+        made = [path for path in new.iterdir() if path.name not in known]
+        if not made:
+            return
+        kept = Path(tempfile.mkdtemp(prefix="building-", dir=self.cache))
+        for path in made:
+            run("cp", "-al", path, kept)
+        shutil.rmtree(before, ignore_errors=True)
+        # Another run may have been sooner.
+        with contextlib.suppress(OSError):
+            kept.rename(before)
+        shutil.rmtree(kept, ignore_errors=True)
 
     def run(self, *command: str, sources: Path = ROOT) -> str:
         """Run a command in the tree before its boot, without a network; it sees a checkout and the wheels."""
