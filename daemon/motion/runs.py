@@ -233,9 +233,12 @@ class Runs:
     async def clear(self, shown: tuple[str, ...]) -> None:
         """Clear the positioner's marks, and forgive what a person was shown of them and of the doubts."""
         guard = self._guard
+        doubt = "" if guard.telemetry is None else guard.telemetry.reference_doubt
+        # One that came while the person's order waited was not shown, and steers the next reference run.
+        clear = partial(self._positioner.clear_faults, forgive=not doubt or doubt in shown)
         guard.clearing = True
         try:
-            before = await guard.attended(self._positioner.clear_faults())
+            before = await guard.attended(clear())
             guard.doubts.forgive(shown, before)
         except RefusedError as error:
             self._report(f"nothing was cleared: {error.message}")

@@ -75,6 +75,27 @@ def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig):
     run_rig(scenario, motion={"rehome": "operator"})
 
 
+def test_a_clear_that_was_given_before_the_contradiction_showed_forgives_nothing_of_it(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.power_cycle(rig.clock.monotonic())
+        await rig.until(lambda: rig.motion.doubt, 15, "the mark of the restart")
+        began_deg = rig.truth().b_deg
+        rig.motion.home()
+        await rig.until(lambda: rig.truth().b_deg < began_deg - 1.0, 200, "axis B on its way")
+        rig.unit.inject("b_switch_closed", rig.clock.monotonic())
+        rig.motion.clear_faults()
+        await ended(rig)
+        await asyncio.sleep(5)
+        assert f"axis B {MET}" in rig.motion.doubt
+        stood = rig.truth().b_deg
+        await homed(rig)
+        assert 4.0 < rig.truth().b_deg - stood < 7.0, "it was driven off the switch"
+        assert "may be stuck" in rig.motion.doubt
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
 def test_near_its_upper_limit_an_axis_does_not_leave_a_switch_that_may_be_stuck(run_rig):
     async def scenario(rig):
         await quiet(rig)
