@@ -70,6 +70,20 @@ export class Live {
     for (const entry of found) if (count.get(entry.label) > 1) entry.label += ` (${entry.service.name})`;
     return found;
   }
+
+  // The tracker of a key among these, or what can be said of it while its service names none: what is meant for one
+  // tracker must never go to another. Of a service that was chosen before it had named its trackers, its first.
+  entry(key, trackers) {
+    const found = trackers.find((each) => each.key === key || each.service.name === key);
+    if (found) return found;
+    const [address, name = null] = key.split("/");
+    const service = { name: address, up: null, ...this.services.get(address) };
+    let why = service.why;
+    if (this.version !== null && !this.services.has(address)) why = "is no longer one of this dashboard's: choose another tracker";
+    else if (service.state) why = `has no tracker ${name} any more: choose another`;
+    if (why !== service.why) Object.assign(service, { up: false, why, state: null });
+    return { key, service, name, tracker: null, label: name ? `${name}, ${address}` : address };
+  }
 }
 
 // How long ago in the service's time its state was taken [s].

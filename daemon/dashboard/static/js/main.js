@@ -16,7 +16,9 @@ const THEMES = ["auto", "light", "dark"];
 
 const live = new Live(() => requestUpdate());
 const orders = new Orders(byId("outcome"), () => requestUpdate());
-let chosen = localStorage.getItem("tracker");
+// Each tab has its own; a new one begins with the last of any.
+let chosen = sessionStorage.getItem("tracker") ?? localStorage.getItem("tracker");
+if (chosen !== null) sessionStorage.setItem("tracker", chosen);
 let view = null;
 let waiting = false;
 
@@ -31,7 +33,9 @@ function requestUpdate() {
 
 function context() {
   const trackers = live.trackers;
-  const entry = trackers.find(({ key }) => key === chosen) ?? trackers[0] ?? { service: { name: "", up: null }, label: "", tracker: null, name: null };
+  // The first is chosen by itself, once, and stays so when it is lost.
+  if (chosen === null && trackers[0]?.service.state) pick(trackers[0].key);
+  const entry = chosen === null ? trackers[0] ?? { service: { name: "", up: null }, label: "", tracker: null, name: null } : live.entry(chosen, trackers);
   const { service, tracker } = entry;
   const state = service.state ?? null;
   const time = serviceNow(service);
@@ -50,8 +54,10 @@ function update() {
 
 function head({ trackers, entry, service, state, now: time, old }) {
   const picker = byId("tracker");
-  picker.parentElement.hidden = trackers.length < 2;
-  fill(picker, trackers.map(({ key, label }) => [key, label]), () => trackers.map(({ key, label }) => h("option", { value: key }, label)));
+  // A tracker whose service has not named any stands in place of the service.
+  const choices = trackers.includes(entry) ? trackers : [...trackers.filter((each) => each.key !== service.name || each.service.state), ...(entry.key ? [entry] : [])];
+  picker.parentElement.hidden = choices.length < 2;
+  fill(picker, choices.map(({ key, label }) => [key, label]), () => choices.map(({ key, label }) => h("option", { value: key }, label)));
   if (picker.value !== entry.key && entry.key) picker.value = entry.key;
   setText(byId("clock"), state ? `${localTime(time)} local · ${utcTime(time)} UTC${utcDay(time) === utcDay(Date.now()) ? "" : ` · ${utcDay(time)}`}` : "");
   setText(byId("who"), orders.session.by ?? "Log in");
@@ -80,7 +86,7 @@ function choose() {
 
 function pick(key) {
   chosen = key;
-  localStorage.setItem("tracker", key);
+  for (const storage of [sessionStorage, localStorage]) storage.setItem("tracker", key);
 }
 
 function theme() {

@@ -1,0 +1,75 @@
+"""Orders from a real browser: to whom they go, what answers them, and what is said where no answer comes."""
+
+import pytest
+
+from tests.support.addresses import free_port
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from tests.system import browser as browsers  # noqa: E402 - it needs playwright
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(browsers.CHROMIUM is None, reason="chromium is not installed: no browser for the dashboard"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsers.chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
+        yield found
+
+
+@pytest.fixture
+def context(browser):
+    with browser.new_context(viewport=browsers.DESKTOP) as found:
+        yield found
+
+
+def chosen(page):
+    return page.page.locator("#tracker").evaluate("picker => picker.selectedOptions[0]?.text")
+
+
+def test_what_is_meant_for_a_tracker_that_is_not_to_be_had_goes_to_no_other(context, site, tmp_path):
+    gone = f"127.0.0.1:{free_port()}"
+    dashboard, url = browsers.run_dashboard(tmp_path, site.api, gone)
+    try:
+        page = browsers.Page(context, url, "control")
+        page.sees(".hero h1", "Tracking")
+        for key, label, why in (
+            (f"{gone}/t7", f"t7, {gone}", f"The service at {gone} is not running"),
+            (f"{site.api}/t7", f"t7, {site.api}", f"The service at {site.api} has no tracker t7 any more"),
+            ("10.0.0.9:1/t7", "t7, 10.0.0.9:1", "The service at 10.0.0.9:1 is no longer one of this dashboard's"),
+        ):
+            page.page.evaluate("key => sessionStorage.setItem('tracker', key)", key)
+            page.page.reload()
+            page.sees(".hero .why", why)
+            page.sees(".hero h1", "No connection")
+            assert chosen(page) == label
+            assert page.page.locator("#stow").get_attribute("aria-label") == f"Stow {label}"
+            playwright.expect(page.page.locator("#stow:enabled, .order:enabled, .goto :enabled")).to_have_count(2)
+        page.page.evaluate("key => sessionStorage.setItem('tracker', key)", site.api)
+        page.page.reload()
+        page.sees(".hero h1", "Tracking")
+        assert page.page.locator("#tracker").input_value() == f"{site.api}/tracker"
+        assert page.complaints == []
+    finally:
+        dashboard.stop()
+
+
+def test_a_tab_keeps_its_tracker_whatever_another_tab_chooses(context, site):
+    first = browsers.Page(context, site.url)
+    first.sees(".hero h1", "Tracking")
+    other = browsers.Page(context, site.url)
+    other.sees(".hero h1", "Tracking")
+    first.page.evaluate("localStorage.setItem('tracker', '127.0.0.1:1/t7')")
+    for page in (first, other):
+        page.page.reload()
+        page.sees(".hero h1", "Tracking")
+        assert page.page.locator("#tracker").input_value() == f"{site.api}/tracker"
