@@ -25,6 +25,7 @@ from daemon.dashboard.upstream import Fleet, Upstream
 STATIC = Path(__file__).with_name("static")
 COOKIE = "heliocube"
 
+_NO_OBJECT = "the body is not a JSON object"
 _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
 _LONGEST_BODY = 4096
 _LONGEST_READ = 1 << 20
@@ -164,6 +165,7 @@ class Dashboard:
         if service is None:
             raise HTTPException(404, "the dashboard has no such service")
         reply = await self._order(session, service, str(name), given)
+        _said(reply)
         return Response(reply.content, status_code=reply.status_code, media_type="application/json")
 
     async def _stow_all(self, request: Request) -> Response:
@@ -176,12 +178,10 @@ class Dashboard:
     async def _stow(self, session: Session, service: Upstream, given: Mapping[str, Any]) -> dict[str, Any]:
         try:
             reply = await self._order(session, service, "stow", given)
-            found = reply.json()
-            accepted = reply.status_code == httpx.codes.OK
-            text = str(found.get("text") or found.get("error"))
+            accepted, text = reply.status_code == httpx.codes.OK, _said(reply)
         except HTTPException as error:
             accepted, text = False, error.detail
-        except (httpx.HTTPError, ValueError):
+        except httpx.HTTPError:
             accepted, text = False, "the service does not answer"
         return {"service": service.name, "accepted": accepted, "text": text}
 
@@ -189,9 +189,10 @@ class Dashboard:
         token = session.tokens.get(service.name)
         if token is None:
             raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
-        body = {**given, "by": session.by}
+        content = _encoded({**given, "by": session.by})
+        headers = {**_bearer(token), "Content-Type": "application/json"}
         return await self._fleet.client.post(
-            f"{service.url}/api/{name}", json=body, headers=_bearer(token), timeout=_COMMAND_S
+            f"{service.url}/api/{name}", content=content, headers=headers, timeout=_COMMAND_S
         )
 
     def _require(self, request: Request) -> Session:
@@ -205,8 +206,25 @@ def _bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
+def _said(reply: httpx.Response) -> str:
+    """Return the sentence of a service's answer."""
+    try:
+        found = reply.json()
+        return str(found.get("text") or found["error"])
+    except (ValueError, LookupError, AttributeError, RecursionError):
+        raise HTTPException(502, "what answers there is no service of heliocube: see dashboard.services") from None
+
+
 def _session_json(session: Session | None) -> dict[str, Any]:
     return {"by": None, "services": []} if session is None else {"by": session.by, "services": list(session.tokens)}
+
+
+def _encoded(body: Mapping[str, Any]) -> bytes:
+    """Return a command's body; odd numbers and words stay, which the service may refuse, but not those of a stop."""
+    try:
+        return json.dumps(body, ensure_ascii=False).encode(errors="replace")
+    except RecursionError:
+        raise HTTPException(400, _NO_OBJECT) from None
 
 
 async def _body(request: Request) -> dict[str, Any]:
@@ -223,7 +241,7 @@ async def _body(request: Request) -> dict[str, Any]:
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise HTTPException(400, "the body is not a JSON object")
+        raise HTTPException(400, _NO_OBJECT)
     return found
 
 

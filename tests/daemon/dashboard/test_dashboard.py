@@ -1,97 +1,18 @@
-"""The dashboard between a browser and services, each a stand-in that speaks HTTP."""
+"""The dashboard between a browser and services."""
 
 import asyncio
-import gzip
 import json
 import os
 
-import httpx
 import pytest
 
 from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.dashboard.app import COOKIE, STATIC, Dashboard
+from daemon.dashboard.app import COOKIE, STATIC
 from daemon.dashboard.serve import bind, serve, settings_of_file
-from daemon.dashboard.upstream import Fleet
-
-TOKEN = "t" * 43
-OTHER = "o" * 43
-NAMES = ("127.0.0.1:1001", "127.0.0.1:1002")
-PAGE = "http://dash.lab:20574"
-
-
-class Streamed(httpx.AsyncByteStream):
-    def __init__(self, service):
-        self.service = service
-
-    async def __aiter__(self):
-        for state in self.service.states:
-            yield f"event: state\ndata: {state}\n\nevent: pose\ndata: {{}}\n\n".encode()
-        await self.service.ends.wait()
-
-
-class Service:
-    """A service as far as the dashboard knows one."""
-
-    def __init__(self, token):
-        self.token = token
-        self.states = ['{"version": "1", "trackers": {}}']
-        self.ends = asyncio.Event()
-        self.asked = []
-        self.refusal = None
-        self.gone = False
-
-    def answer(self, request):
-        if self.gone:
-            raise httpx.ConnectError("refused")
-        path = request.url.path
-        if path == "/api/events":
-            return httpx.Response(200, headers={"content-type": "text/event-stream"}, stream=Streamed(self))
-        if path == "/api/sun":
-            body = gzip.compress(json.dumps({"at": request.url.params.get("at")}).encode())
-            headers = {"content-type": "application/json", "content-encoding": "gzip"}
-            return httpx.Response(200, headers=headers, stream=httpx.ByteStream(body))
-        if request.headers.get("authorization") != f"Bearer {self.token}":
-            return httpx.Response(401, json={"error": "the token is not the service's"})
-        if path == "/api/authorised":
-            return httpx.Response(200, json={"ok": True})
-        self.asked.append((path, json.loads(request.content)))
-        if self.refusal:
-            return httpx.Response(409, json={"error": self.refusal})
-        return httpx.Response(200, json={"text": f"{path} done", "state": "done"})
-
-
-class House:
-    """Two services, the dashboard, and a browser on its page."""
-
-    def __init__(self):
-        self.services = dict(zip(NAMES, (Service(TOKEN), Service(OTHER)), strict=True))
-        self.client = httpx.AsyncClient(transport=httpx.MockTransport(self._answer))
-        self.fleet = Fleet([parse_address(name) for name in NAMES], self.client, SystemClock())
-        self.dashboard = Dashboard(self.fleet, SystemClock(), ["dash.lab"])
-        self.browser = httpx.AsyncClient(
-            transport=httpx.ASGITransport(self.dashboard.app), base_url=PAGE, headers={"Origin": PAGE}
-        )
-
-    def _answer(self, request):
-        return self.services[f"{request.url.host}:{request.url.port}"].answer(request)
-
-    async def login(self, token=TOKEN, by="ana"):
-        return await self.browser.post("/login", json={"token": token, "by": by})
-
-    async def order(self, name="stow", service=NAMES[0], **more):
-        return await self.browser.post("/command", json={"name": name, "service": service, **more})
-
-
-def in_house(scenario):
-    async def run():
-        house = House()
-        async with house.client, house.browser:
-            await scenario(house)
-
-    asyncio.run(run())
+from tests.daemon.dashboard.house import NAMES, OTHER, TOKEN, in_house
 
 
 def test_the_page_and_all_that_it_needs_are_shipped_and_run_nothing_else():
@@ -247,17 +168,6 @@ def test_logging_out_ends_the_session_for_whoever_has_the_cookie():
         await house.browser.post("/logout")
         house.browser.cookies.set(COOKIE, stolen)
         assert (await house.order()).status_code == 401
-
-    in_house(scenario)
-
-
-@pytest.mark.parametrize(
-    ("body", "status"), [("[]", 400), ("{", 400), ("[" * 3000, 400), ('{"a": "' + "x" * 5000 + '"}', 413)]
-)
-def test_a_body_that_cannot_be_meant_is_refused(body, status):
-    async def scenario(house):
-        reply = await house.browser.post("/login", content=body)
-        assert (reply.status_code, "error" in reply.json()) == (status, True)
 
     in_house(scenario)
 

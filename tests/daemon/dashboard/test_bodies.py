@@ -1,0 +1,62 @@
+"""What comes with an order: what cannot be meant is refused, and what is merely odd is for the service to judge."""
+
+import httpx
+import pytest
+
+from tests.daemon.dashboard.house import NAMES, in_house
+
+
+@pytest.mark.parametrize(
+    ("body", "status"), [("[]", 400), ("{", 400), ("[" * 3000, 400), ('{"a": "' + "x" * 5000 + '"}', 413)]
+)
+def test_a_body_that_cannot_be_meant_is_refused(body, status):
+    async def scenario(house):
+        reply = await house.browser.post("/login", content=body)
+        assert (reply.status_code, "error" in reply.json()) == (status, True)
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize("words", [r'"\ud800"', "NaN", "-1e999", "[" * 500 + "]" * 500, '"' + "\N{SUN}" * 1200 + '"'])
+def test_an_order_is_not_held_up_by_odd_words_that_the_service_may_refuse(words):
+    async def scenario(house):
+        await house.login()
+        body = f'{{"service": "{NAMES[0]}", "name": "stop", "why": {words}}}'
+        assert (await house.browser.post("/command", content=body)).status_code == 200
+        found = (await house.browser.post("/stow-all", content=f'{{"why": {words}}}')).json()["results"]
+        assert [(each["accepted"], each["text"]) for each in found] == [
+            (True, "/api/stow done"),
+            (False, "the service at 127.0.0.1:1002 has another token: log in with that one too"),
+        ]
+        assert [path for path, _ in house.services[NAMES[0]].asked] == ["/api/stop", "/api/stow"]
+
+    in_house(scenario)
+
+
+def test_a_body_that_is_read_but_too_deep_to_hand_on_is_refused(monkeypatch):
+    async def scenario(house):
+        await house.login()
+        monkeypatch.setattr(house.services[NAMES[0]], "answer", lambda _: httpx.Response(200, json={"text": "done"}))
+        found = set()
+        for deep in range(850, 1000):
+            body = f'{{"service": "{NAMES[0]}", "name": "stop", "why": {"[" * deep}{"]" * deep}}}'
+            found.add((await house.browser.post("/command", content=body)).status_code)
+        assert found == {200, 400}
+
+    in_house(scenario)
+
+
+def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monkeypatch):
+    async def scenario(house):
+        await house.login()
+        for answer in (b"<html>", b"[]", b"{}"):
+            monkeypatch.setattr(
+                house.services[NAMES[0]], "answer", lambda _, text=answer: httpx.Response(200, content=text)
+            )
+            found = (await house.browser.post("/stow-all", json={})).json()["results"]
+            sentence = "what answers there is no service of heliocube: see dashboard.services"
+            assert found[0] == {"service": NAMES[0], "accepted": False, "text": sentence}
+            reply = await house.order()
+            assert (reply.status_code, reply.json()) == (502, {"error": sentence})
+
+    in_house(scenario)
