@@ -20,6 +20,7 @@ TABLET = {"width": 820, "height": 1180}
 DESKTOP = {"width": 1440, "height": 900}
 # For a program that hangs, not for a machine that is slow.
 WITHIN_MS = 60_000
+expect.set_options(timeout=WITHIN_MS)
 # Without the certificates, which take longer to read than a service to answer, and with no connection that stays.
 WEB = httpx.Client(timeout=30, trust_env=False, verify=False, headers={"Connection": "close"})
 

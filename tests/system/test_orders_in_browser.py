@@ -3,6 +3,7 @@
 import pytest
 
 from tests.support.addresses import free_port
+from tests.system.processes import wait_until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -24,6 +25,14 @@ def browser():
 def site(tmp_path_factory):
     with browsers.simulated_site(tmp_path_factory.mktemp("site")) as found:
         yield found
+
+
+@pytest.fixture
+def back_to_tracking(site):
+    """Whatever a test orders ends with it."""
+    yield
+    wait_until(lambda: site.order("auto").get("accepted"), 60, site.service.log)
+    site.until_mode("tracking")
 
 
 @pytest.fixture
@@ -73,3 +82,42 @@ def test_a_tab_keeps_its_tracker_whatever_another_tab_chooses(context, site):
         page.page.reload()
         page.sees(".hero h1", "Tracking")
         assert page.page.locator("#tracker").input_value() == f"{site.api}/tracker"
+
+
+def logged_in(context, site, view="control"):
+    page = browsers.Page(context, site.url, view)
+    page.sees(".hero h1", "1 tracker" if view == "fleet" else "Tracking")
+    page.page.locator("#who").click()
+    page.log_in()
+    return page
+
+
+def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_opens(context, site):
+    page = logged_in(context, site)
+    asked = []
+    page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+    page.page.locator(".order.auto").evaluate(
+        """button => {
+            button.click();
+            document.querySelector("dialog .go").click();
+        }"""
+    )
+    yes = page.page.get_by_role("button", name="Auto now")
+    playwright.expect(yes).to_have_count(1)
+    playwright.expect(page.page.get_by_role("button", name="Cancel")).to_be_focused()
+    playwright.expect(yes).to_be_enabled()
+    page.page.keyboard.press("Escape")
+
+    page.page.locator("#stow").focus()
+    page.page.keyboard.down("Enter")
+    yes = page.page.get_by_role("button", name="Stow now")
+    playwright.expect(yes).to_be_focused()
+    playwright.expect(yes).to_be_enabled()
+    # A second one without the key going up is what the system makes of a key that is held.
+    page.page.keyboard.down("Enter")
+    page.page.keyboard.up("Enter")
+    playwright.expect(yes).to_be_visible()
+    page.page.keyboard.press("Escape")
+    playwright.expect(yes).to_have_count(0)
+    assert asked == []
+    assert page.complaints == []

@@ -12,6 +12,9 @@ const WORDS = {
   relearn: { title: "Relearn", about: "The law forgets what it has learned of this site: albedo and gains." },
 };
 
+// A double-click takes less.
+const MEANT_MS = 500;
+
 async function call(path, body) {
   let reply;
   try {
@@ -91,13 +94,20 @@ export class Orders {
     return new Promise((resolve) => {
       let answer = null;
       const why = h("input", { name: "why", maxlength: 200, autocomplete: "off" });
-      const yes = h("button", { type: "submit", class: `go ${name}` }, icon(name), `${WORDS[name].title} now`);
+      // Neither the second half of the double-click nor the held key that has opened the question may answer it. Unlike
+      // one that is disabled, the button can have the focus from the start.
+      const yes = h("button", { type: "submit", class: `go ${name}`, "aria-disabled": "true" }, icon(name), `${WORDS[name].title} now`);
+      const no = h("button", { type: "button", class: "plain wide", onclick: () => dialog.close() }, "Cancel");
       const form = h("form", { method: "dialog" }, h("h2", null, `${WORDS[name].title}: ${whom}`), h("p", null, WORDS[name].about), yes,
-        h("label", null, "Reason, for the records (may stay empty)", why),
-        h("button", { type: "button", class: "plain wide", onclick: () => dialog.close() }, "Cancel"));
+        h("label", null, "Reason, for the records (may stay empty)", why), no);
       const dialog = this.open(form, () => resolve(answer));
-      form.addEventListener("submit", () => (answer = why.value.trim()));
-      yes.focus();
+      form.addEventListener("submit", (event) => {
+        if (yes.hasAttribute("aria-disabled")) event.preventDefault();
+        else answer = why.value.trim();
+      });
+      form.addEventListener("keydown", (event) => event.repeat && event.key === "Enter" && event.preventDefault());
+      setTimeout(() => yes.removeAttribute("aria-disabled"), MEANT_MS);
+      (name === "stow" ? yes : no).focus();
     });
   }
 
