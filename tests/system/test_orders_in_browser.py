@@ -121,3 +121,15 @@ def test_neither_a_double_click_nor_a_held_key_answers_the_question_that_it_open
     playwright.expect(yes).to_have_count(0)
     assert asked == []
     assert page.complaints == []
+
+
+def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context, site, back_to_tracking):
+    page = logged_in(context, site, "fleet")
+    context.clear_cookies()
+    page.page.get_by_role("button", name="Stow all").click()
+    page.page.get_by_role("button", name="Stow now").click()
+    page.sees("dialog", "Log in first.")
+    page.log_in()
+    page.sees(".outcome", "Stow was taken by all 1 services.")
+    assert site.state()["wishes"]["stow"]["by"] == "ana"
+    assert page.complaints == []

@@ -49,7 +49,7 @@ export class Orders {
     this.say("Logged out.", "ok");
   }
 
-  // Asks for the token once; resolves to whether the service has taken it.
+  // Asks for the token once; resolves to whether the service has taken it, or any one where none is meant.
   login(service, about = "Orders need the service's token. Looking does not.") {
     return new Promise((resolve) => {
       const problem = h("p", { class: "problem", role: "alert" });
@@ -62,7 +62,7 @@ export class Orders {
         h("p", { class: "hint" }, "The line in the service's api.token. A service without that file shows a token where it was started."),
         problem,
         h("div", { class: "choices" }, h("button", { type: "button", class: "plain", onclick: () => dialog.close() }, "Cancel"), h("button", { type: "submit", class: "strong" }, "Log in")));
-      const dialog = this.open(form, () => resolve(!service || this.may(service)));
+      const dialog = this.open(form, () => resolve(service ? this.may(service) : this.session.by !== null));
       form.addEventListener("submit", async (event) => {
         event.preventDefault();
         problem.textContent = "";
@@ -134,17 +134,19 @@ export class Orders {
   // Stows every tracker of every service; resolves to what came of it at each, or null.
   async stowAll() {
     if (!this.session.by && !(await this.login(null))) return null;
-    if (!this.session.by) return null;
     const why = await this.confirm("stow", "all trackers");
-    if (why === null) return null;
+    return why === null ? null : this.stowEach(why ? { why } : {});
+  }
+
+  async stowEach(body) {
     this.say("Stow: sent to all ...", "wait");
     try {
-      const { results } = await call("/stow-all", why ? { why } : {});
+      const { results } = await call("/stow-all", body);
       const refused = results.filter(({ accepted }) => !accepted).length;
       this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
       return results;
     } catch (error) {
-      if (error.status === 401) this.set({ by: null, services: [] });
+      if (await this.renewed(error, null)) return this.stowEach(body);
       this.say(`Stow: ${sentenceOf(error)}`, "bad");
       return null;
     }
@@ -159,13 +161,17 @@ export class Orders {
       this.say(seen === "warn" ? `${name}: no effect seen yet, look at the tracker: ${text}` : `${name}: ${text}`, seen);
       return true;
     } catch (error) {
-      if (error.status === 401) {
-        this.set({ by: null, services: [] });
-        if (await this.login(service, sentenceOf(error))) return this.carryOut(name, whom, action, service);
-      }
+      if (await this.renewed(error, service)) return this.carryOut(name, whom, action, service);
       this.say(`${name}: ${sentenceOf(error)}`, "bad");
       return false;
     }
+  }
+
+  // Whether an order was refused for want of a session, and there is one now.
+  async renewed(error, service) {
+    if (error.status !== 401) return false;
+    this.set({ by: null, services: [] });
+    return this.login(service, sentenceOf(error));
   }
 
   say(text, kind) {
