@@ -133,3 +133,15 @@ def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context,
     page.sees(".outcome", "Stow was taken by all 1 services.")
     assert site.state()["wishes"]["stow"]["by"] == "ana"
     assert page.complaints == []
+
+
+def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged_out(context, site):
+    page = logged_in(context, site)
+    page.page.route("**/logout", lambda route: route.abort())
+    page.page.locator("#who").click()
+    page.sees(".outcome", "Not logged out: The dashboard does not answer.")
+    assert page.text("#who") == "ana"
+    page.page.route("**/command", lambda route: route.abort())
+    page.page.locator(".order.hold").click()
+    page.sees(".outcome", "Hold: The dashboard does not answer. The order may not have arrived: look at the tracker.")
+    assert page.complaints == []

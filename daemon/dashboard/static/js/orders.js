@@ -20,7 +20,7 @@ async function call(path, body) {
   try {
     reply = await fetch(path, body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
   } catch {
-    throw new Error("The dashboard does not answer; the order may not have arrived. Look at the tracker.");
+    throw new Error("The dashboard does not answer");
   }
   const found = await reply.json().catch(() => ({}));
   if (!reply.ok) throw Object.assign(new Error(found.error ?? `The dashboard answers ${reply.status}.`), { status: reply.status });
@@ -45,8 +45,12 @@ export class Orders {
   }
 
   async logout() {
-    this.set(await call("/logout", {}));
-    this.say("Logged out.", "ok");
+    try {
+      this.set(await call("/logout", {}));
+      this.say("Logged out.", "ok");
+    } catch (error) {
+      this.say(`Not logged out: ${sentenceOf(error)}`, "bad");
+    }
   }
 
   // Asks for the token once; resolves to whether the service has taken it, or any one where none is meant.
@@ -147,7 +151,7 @@ export class Orders {
       return results;
     } catch (error) {
       if (await this.renewed(error, null)) return this.stowEach(body);
-      this.say(`Stow: ${sentenceOf(error)}`, "bad");
+      this.say(`Stow: ${outcomeOf(error)}`, "bad");
       return null;
     }
   }
@@ -162,7 +166,7 @@ export class Orders {
       return true;
     } catch (error) {
       if (await this.renewed(error, service)) return this.carryOut(name, whom, action, service);
-      this.say(`${name}: ${sentenceOf(error)}`, "bad");
+      this.say(`${name}: ${outcomeOf(error)}`, "bad");
       return false;
     }
   }
@@ -191,6 +195,8 @@ export class Orders {
 }
 
 export { call };
+
+const outcomeOf = (error) => `${sentenceOf(error)}${error.status ? "" : " The order may not have arrived: look at the tracker."}`;
 
 function sentenceOf(error) {
   const text = error.message;
