@@ -1,5 +1,8 @@
 """Orders from a real browser: to whom they go, what answers them, and what is said where no answer comes."""
 
+import contextlib
+import socket
+
 import pytest
 
 from tests.support.addresses import free_port
@@ -145,3 +148,38 @@ def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged
     page.page.locator(".order.hold").click()
     page.sees(".outcome", "Hold: The dashboard does not answer. The order may not have arrived: look at the tracker.")
     assert page.complaints == []
+
+
+@contextlib.contextmanager
+def hung_service():
+    """Give the address of what takes every connection and never answers."""
+    with socket.create_server(("127.0.0.1", 0)) as listens:
+        yield f"127.0.0.1:{listens.getsockname()[1]}"
+
+
+# As the day view of a service that has just come to hang.
+READ_ALL = """
+async (address) => {
+    const { numbers } = await import("/static/js/history.js");
+    for (let n = 0; n < 12; n += 1) numbers(address, "scans", n, 1000).catch(() => {});
+}
+"""
+READ_DAYS = 'async (address) => (await import("/static/js/history.js")).storedDays(address)'
+
+
+def test_an_order_does_not_wait_behind_what_is_read_of_a_service_that_hangs(context, site, back_to_tracking, tmp_path):
+    with hung_service() as hung:
+        dashboard, url = browsers.run_dashboard(tmp_path, site.api, hung)
+        try:
+            page = browsers.Page(context, url, "control")
+            page.sees(".hero h1", "Tracking")
+            page.page.locator("#who").click()
+            page.log_in()
+            page.page.evaluate(READ_ALL, hung)
+            page.page.locator(".order.hold").click()
+            # After 30 s the dashboard gives up a service that does not answer: until then nothing else came through.
+            playwright.expect(page.page.locator(".outcome")).to_contain_text("Hold: standing", timeout=25_000)
+            assert page.page.evaluate(READ_DAYS, site.api) == ["2022-09-21"]
+            assert page.complaints == []
+        finally:
+            dashboard.stop()

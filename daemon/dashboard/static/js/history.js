@@ -1,15 +1,44 @@
 // Stored days from a service: packed columns of numbers, and rows of words.
 
+// A browser holds six connections to a host, and one has the stream. A service that hangs keeps each of its readers for
+// half a minute: orders must always find a connection free.
+const AT_ONCE = 2;
+const waiting = [];
+let reading = 0;
+let shown = { service: null, left: null };
+
+// One service is shown at a time: what is still read of another is given up.
+function leaving(service) {
+  if (service !== shown.service) {
+    shown.left?.abort();
+    shown = { service, left: new AbortController() };
+  }
+  return shown.left.signal;
+}
+
 async function read(what, service, query) {
+  const signal = leaving(service);
+  if (reading >= AT_ONCE) await new Promise((resolve) => waiting.push(resolve));
+  else reading += 1;
+  try {
+    return await readNow(what, service, query, signal);
+  } finally {
+    if (waiting.length) waiting.shift()();
+    else reading -= 1;
+  }
+}
+
+async function readNow(what, service, query, signal) {
   const parameters = new URLSearchParams({ service, ...query });
-  const reply = await fetch(`/read/${what}?${parameters}`);
+  const reply = await fetch(`/read/${what}?${parameters}`, { signal });
   if (!reply.ok) {
     // Refused by its dashboard or by itself: a service has this page, or is older than it.
     if (reply.status === 404) throw new Error("the service is of an earlier version, which gives no stored days");
     const { error } = await reply.json().catch(() => ({}));
     throw new Error(error ?? `The service answers ${reply.status}.`);
   }
-  return reply;
+  // Its connection is free once all of it is here.
+  return new Response(await reply.arrayBuffer());
 }
 
 export async function storedDays(service) {
