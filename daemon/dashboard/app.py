@@ -178,12 +178,12 @@ class Dashboard:
     async def _stow(self, session: Session, service: Upstream, given: Mapping[str, Any]) -> dict[str, Any]:
         try:
             reply = await self._order(session, service, "stow", given)
-            accepted, text = reply.status_code == httpx.codes.OK, _said(reply)
+            status, text = reply.status_code, _said(reply)
         except HTTPException as error:
-            accepted, text = False, error.detail
+            status, text = error.status_code, error.detail
         except httpx.HTTPError:
-            accepted, text = False, "the service does not answer"
-        return {"service": service.name, "accepted": accepted, "text": text}
+            status, text = 502, "the service does not answer"
+        return {"service": service.name, "accepted": status == httpx.codes.OK, "status": status, "text": text}
 
     async def _order(self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]) -> httpx.Response:
         token = session.tokens.get(service.name)

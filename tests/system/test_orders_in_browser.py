@@ -138,6 +138,20 @@ def test_stow_for_all_asks_for_the_token_again_when_the_session_is_gone(context,
     assert page.complaints == []
 
 
+def test_stow_for_all_asks_for_the_token_of_a_service_that_has_another_now(context, site, back_to_tracking):
+    page = logged_in(context, site, "fleet")
+    refusal = {"service": site.api, "accepted": False, "status": 401, "text": "the token is not the service's"}
+    page.page.route("**/stow-all", lambda route: route.fulfill(json={"results": [refusal]}), times=1)
+    page.page.get_by_role("button", name="Stow all").click()
+    page.page.get_by_role("button", name="Stow now").click()
+    page.sees("dialog", "The token is not the service's.")
+    page.sees(".outcome", "Stow was NOT taken by 1 of 1 services")
+    assert page.text("#who") == "ana"
+    page.log_in()
+    page.sees(".outcome", "Stow was taken by all 1 services.")
+    assert page.complaints == []
+
+
 def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged_out(context, site):
     page = logged_in(context, site)
     page.page.route("**/logout", lambda route: route.abort())

@@ -55,7 +55,7 @@ def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monke
             )
             found = (await house.browser.post("/stow-all", json={})).json()["results"]
             sentence = "what answers there is no service of heliocube: see dashboard.services"
-            assert found[0] == {"service": NAMES[0], "accepted": False, "text": sentence}
+            assert found[0] == {"service": NAMES[0], "accepted": False, "status": 502, "text": sentence}
             reply = await house.order()
             assert (reply.status_code, reply.json()) == (502, {"error": sentence})
 

@@ -119,13 +119,16 @@ def test_stow_for_all_says_of_each_service_what_came_of_it():
         house.services[NAMES[1]].refusal = "not in reach"
         found = (await house.browser.post("/stow-all", json={"why": "hail"})).json()["results"]
         assert found == [
-            {"service": NAMES[0], "accepted": True, "text": "/api/stow done"},
-            {"service": NAMES[1], "accepted": False, "text": "not in reach"},
+            {"service": NAMES[0], "accepted": True, "status": 200, "text": "/api/stow done"},
+            {"service": NAMES[1], "accepted": False, "status": 409, "text": "not in reach"},
         ]
         assert house.services[NAMES[0]].asked == [("/api/stow", {"why": "hail", "by": "ana"})]
         house.services[NAMES[0]].gone = True
         found = (await house.browser.post("/stow-all", json={})).json()["results"]
         assert found[0]["text"] == "the service does not answer"
+        house.services[NAMES[1]].token = "n" * 43
+        found = (await house.browser.post("/stow-all", json={})).json()["results"]
+        assert [each["status"] for each in found] == [502, 401]
 
     in_house(scenario)
 

@@ -148,6 +148,8 @@ export class Orders {
       const { results } = await call("/stow-all", body);
       const refused = results.filter(({ accepted }) => !accepted).length;
       this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
+      const locked = results.find(({ status }) => status === 401);
+      if (locked && (await this.renewed({ status: 401, message: locked.text }, locked.service))) return this.stowEach(body);
       return results;
     } catch (error) {
       if (await this.renewed(error, null)) return this.stowEach(body);
@@ -171,10 +173,11 @@ export class Orders {
     }
   }
 
-  // Whether an order was refused for want of a session, and there is one now.
+  // Whether an order was refused for want of a session or of the service's token, and there is one now.
   async renewed(error, service) {
     if (error.status !== 401) return false;
-    this.set({ by: null, services: [] });
+    const { by, services } = await call("/session").catch(() => ({ by: null, services: [] }));
+    this.set({ by, services: services.filter((each) => each !== service) });
     return this.login(service, sentenceOf(error));
   }
 
