@@ -164,6 +164,19 @@ def test_while_the_dashboard_does_not_answer_nobody_is_told_that_they_are_logged
     assert page.complaints == []
 
 
+def test_an_order_without_an_answer_is_said_to_have_none_and_given_up_in_the_end(context, site):
+    context.clock.install()
+    page = logged_in(context, site)
+    page.page.route("**/command", lambda _: None)
+    page.page.locator(".order.stop").click()
+    page.sees(".outcome", "Stop: sent to tracker, SIRTA ...")
+    page.page.clock.fast_forward(10_000)
+    page.sees(".outcome", "Stop: sent to tracker, SIRTA, and no answer yet: look at the tracker.")
+    page.page.clock.fast_forward(30_000)
+    page.sees(".outcome", "Stop: The dashboard does not answer. The order may not have arrived: look at the tracker.")
+    assert page.complaints == []
+
+
 @contextlib.contextmanager
 def hung_service():
     """Give the address of what takes every connection and never answers."""

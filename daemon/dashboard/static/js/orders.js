@@ -14,13 +14,21 @@ const WORDS = {
 
 // A double-click takes less.
 const MEANT_MS = 500;
+// A service answers within 6 s, and the dashboard gives it up after 30 s at most.
+const LATE_MS = 10000;
+const GONE_MS = 40000;
 
 async function call(path, body) {
+  const gone = new AbortController();
+  const limit = setTimeout(() => gone.abort(), GONE_MS);
+  const sent = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
   let reply;
   try {
-    reply = await fetch(path, body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+    reply = await fetch(path, { ...sent, signal: gone.signal });
   } catch {
     throw new Error("The dashboard does not answer");
+  } finally {
+    clearTimeout(limit);
   }
   const found = await reply.json().catch(() => ({}));
   if (!reply.ok) throw Object.assign(new Error(found.error ?? `The dashboard answers ${reply.status}.`), { status: reply.status });
@@ -143,9 +151,8 @@ export class Orders {
   }
 
   async stowEach(body) {
-    this.say("Stow: sent to all ...", "wait");
     try {
-      const { results } = await call("/stow-all", body);
+      const { results } = await this.awaited("Stow: sent to all", () => call("/stow-all", body));
       const refused = results.filter(({ accepted }) => !accepted).length;
       this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
       const locked = results.find(({ status }) => status === 401);
@@ -159,9 +166,8 @@ export class Orders {
   }
 
   async carryOut(name, whom, action, service) {
-    this.say(`${name}: sent to ${whom} ...`, "wait");
     try {
-      const found = await action();
+      const found = await this.awaited(`${name}: sent to ${whom}`, action);
       const text = found.text ?? "";
       const seen = { done: "ok", "under-way": "ok", "not-seen": "warn" }[found.state] ?? "ok";
       this.say(seen === "warn" ? `${name}: no effect seen yet, look at the tracker: ${text}` : `${name}: ${text}`, seen);
@@ -179,6 +185,17 @@ export class Orders {
     const { by, services } = await call("/session").catch(() => ({ by: null, services: [] }));
     this.set({ by, services: services.filter((each) => each !== service) });
     return this.login(service, sentenceOf(error));
+  }
+
+  // Says what is under way, and after a while that its answer is late.
+  async awaited(what, action) {
+    this.say(`${what} ...`, "wait");
+    const late = setTimeout(() => this.say(`${what}, and no answer yet: look at the tracker.`, "warn"), LATE_MS);
+    try {
+      return await action();
+    } finally {
+      clearTimeout(late);
+    }
   }
 
   say(text, kind) {
