@@ -193,9 +193,9 @@ def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_ri
         await at_rest(rig)
         clear = rig.positioner.clear_faults
 
-        async def with_two_statuses():
+        async def with_two_statuses(*, forgive):
             await asyncio.sleep(7.2)
-            return await clear()
+            return await clear(forgive=forgive)
 
         rig.positioner.clear_faults = with_two_statuses
         rig.unit.inject("a_overcurrent", rig.clock.monotonic())
