@@ -195,7 +195,7 @@ def _rig(settings: Settings, role: Role, clock: Clock, duration_s: float) -> Rig
 def _clock(settings: Settings, loop: asyncio.AbstractEventLoop) -> Clock:
     simulation = settings.simulation
     system = SystemClock()
-    if settings.real and (simulation.start_utc is None or simulation.anchor_utc is None):
+    if settings.real and settings.bench_clock is None:
         return system
     if simulation.start_utc is None and simulation.speed == 1.0:
         return system

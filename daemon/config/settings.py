@@ -1,6 +1,7 @@
 """The settings of the service: all sections together, consistent with each other."""
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any, NamedTuple, Self
 
 from pydantic import Field, model_validator
@@ -40,6 +41,15 @@ class Settings(Sections):
     def real(self) -> bool:
         """Whether the settings ask for real instruments."""
         return self.instruments.kind == "real"
+
+    @property
+    def bench_clock(self) -> tuple[datetime, datetime] | None:
+        """What a bench's clock shows, and the real time at which it shows that; None where the time is the machine's.
+
+        Both may stand in the file of a rig that has nothing to do with a bench, whose time is real.
+        """
+        start, anchor = self.simulation.start_utc, self.simulation.anchor_utc
+        return None if start is None or anchor is None or not self.instruments.bench else (start, anchor)
 
     @property
     def trackers(self) -> tuple[NamedSettings, ...]:

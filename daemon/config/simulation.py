@@ -25,7 +25,7 @@ WeatherFile = Annotated[FilePath, AfterValidator(_no_misspelt_weather)]
 class SimulationSettings(Section):
     """The simulated rig: its sky, its clock and its imperfections.
 
-    Real instruments do not look here, with one exception: start_utc and anchor_utc together give a bench its own time.
+    Real instruments do not look here, but for start_utc and anchor_utc: with instruments.bench they are its time.
     """
 
     weather: WeatherName | WeatherFile = Field("variable", description="Sky by name, or a file of measured weather.")

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import termios
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -124,6 +125,19 @@ def test_a_port_in_use_is_one_sentence(tmp_path):
     assert result.returncode == 2
     assert f"{address} is in use" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(("bench", "year"), [("false", datetime.now(UTC).year), ("true", 2001)])
+def test_real_instruments_have_the_time_of_the_machine_but_on_a_bench(bench, year, tmp_path):
+    config = tmp_path / "heliocube.toml"
+    config.write_text(
+        f'[instruments]\nkind = "real"\nbench = {bench}\n[instruments.positioner]\nport = "/dev/no-such-port"\n'
+        f"[simulation]\nstart_utc = 2001-06-21T12:00:00Z\nanchor_utc = {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}\n"
+        '[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n[api]\nenabled = false\n'
+    )
+    result = forks.run("run", "--role", "tracker", "--config", str(config), "--for", "0.3")
+    assert result.returncode == 0, result.stderr
+    assert f"ended at {year}-" in result.stdout
 
 
 def test_a_key_that_others_can_read_is_refused_with_the_remedy(tmp_path):

@@ -55,7 +55,10 @@ class SetupDialogue:
     @property
     def known(self) -> Known:
         """What the steps follow from."""
-        return Known(self._kept.answers, self._of_bench or self._own)
+        bench = self._kept.answers.get(RIG) == A_BENCH
+        # The clock and the addresses that a practice has left in a file are no real rig's.
+        own = self._own if self._own.get("instruments.bench", False) is bench else {}
+        return Known(self._kept.answers, self._of_bench or own)
 
     def steps(self) -> list[SetupStep]:
         """Return every step that the answers lead to, the answered ones too."""
@@ -103,9 +106,13 @@ class SetupDialogue:
         if step.kind == "confirm" and value == "no":
             raise UserError(step.refused)
         answers = {**self._kept.answers, step.name: value}
-        before, self._kept = self._kept, self._kept.model_copy(update={"answers": answers})
+        changed = {"answers": answers}
+        if step.name == RIG and value != self._kept.offered.get(RIG):
+            # What was said of the other rig, before somebody went back, is not offered for this one.
+            changed["offered"] = {}
+        before, self._kept = self._kept, self._kept.model_copy(update=changed)
         try:
-            if step.name == BENCH:
+            if step.name in (RIG, BENCH):
                 self._read_bench()
             if step.name == KEY:
                 self._check_key(str(value))
@@ -170,7 +177,14 @@ class SetupDialogue:
 
     def _read_bench(self) -> None:
         folder = self._kept.answers.get(BENCH)
-        if self._kept.answers.get(RIG) != A_BENCH or folder is None:
+        if self._kept.answers.get(RIG) != A_BENCH:
+            return
+        if self._own and not self._own.get("instruments.bench", False):
+            raise UserError(
+                f"{self._file} is there and not a bench's, whose addresses and clock would take its place: practise"
+                " with a file of its own, such as 'heliocube setup practice.toml'"
+            )
+        if folder is None:
             return
         file = _at_home(str(folder)) / FILE_NAME
         found = _values_of(file)

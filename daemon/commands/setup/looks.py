@@ -28,10 +28,10 @@ _DIRECTIONS = ("north", "north-east", "east", "south-east", "south", "south-west
 
 def time_of(settings: Settings, now_s: float) -> float:
     """Return the time that the rig will have [s since 1970], which a bench has of its own."""
-    simulation = settings.simulation
-    if not settings.instruments.bench or simulation.start_utc is None or simulation.anchor_utc is None:
+    if settings.bench_clock is None:
         return now_s
-    return simulation.start_utc.timestamp() + now_s - simulation.anchor_utc.timestamp()
+    start, anchor = settings.bench_clock
+    return start.timestamp() + now_s - anchor.timestamp()
 
 
 def sun_sentence(settings: Settings, now_s: float) -> str:

@@ -108,7 +108,7 @@ def disk(settings: Settings) -> Finding:
 
 def clock(settings: Settings) -> Finding:
     """Return whether anything has set the machine's clock right."""
-    if not settings.real or settings.simulation.anchor_utc is not None:
+    if not settings.real or settings.bench_clock is not None:
         return Finding("clock", "simulated")
     found = synchronised()
     if found is None:

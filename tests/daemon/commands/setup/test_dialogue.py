@@ -64,6 +64,60 @@ def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(
     assert dialogue.settings().bridge.send_to == ("10.0.0.5:20571",)
 
 
+A_BENCHS_FILE = """
+[instruments]
+kind = "real"
+bench = true
+[instruments.positioner]
+port = "/bench/positioner"
+[simulation]
+start_utc = 2022-06-21T12:00:00Z
+anchor_utc = 2026-11-23T12:00:00Z
+speed = 1.0
+"""
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """Return the folder of a bench."""
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    (folder / "heliocube.toml").write_text(A_BENCHS_FILE)
+    return folder
+
+
+def test_a_real_rig_takes_nothing_from_the_file_of_a_practice(file):
+    file.write_text(A_BENCHS_FILE)
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    walk(dialogue, POZSOL, until="instruments.positioner.port")
+    assert dialogue.offered() is None
+    walk(dialogue, POZSOL)
+    assert not [path for path in dialogue.values() if path.startswith("simulation.")]
+    assert not dialogue.settings().instruments.bench
+
+
+def test_a_bench_takes_no_other_file_s_place(file, bench):
+    file.write_text("[mqtt]\nenabled = true\nhost = 'broker'\n")
+    dialogue = dialogue_of(file, "tracker")
+    with pytest.raises(UserError, match="practise with a file of its own"):
+        dialogue.take("bench")
+    dialogue.take("real")
+    assert dialogue.settings().mqtt.enabled
+    again = dialogue_of(bench / "heliocube.toml", "tracker", "bench", str(bench))
+    assert again.known.basis["instruments.positioner.port"] == "/bench/positioner"
+
+
+def test_who_goes_back_from_a_bench_to_a_real_rig_is_offered_nothing_of_the_bench(file, bench):
+    dialogue = dialogue_of(file, "tracker", "bench", str(bench), *SITE)
+    walk(dialogue, {}, until="look at the positioner")
+    while dialogue.back():
+        pass
+    for answer in ("tracker", "real", *SITE):
+        dialogue.take(answer)
+    walk(dialogue, POZSOL, until="instruments.positioner.port")
+    assert dialogue.offered() is None
+
+
 @pytest.mark.parametrize(
     ("driver", "key", "answer"),
     [
