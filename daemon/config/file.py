@@ -103,13 +103,15 @@ def load_settings_with_topics(path: Path, unusable: Callable[[Settings], Iterabl
     return _resolved(_settings(_read(path), str(path), unusable), path.parent, str(path))
 
 
-def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Settings:
+def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_come: Collection[str] = ()) -> Settings:
     """Return the settings with some keys changed, as the command line does; raises `ConfigError`.
 
     Parameters
     ----------
     changes
         New values by section and key: ``{"law": {"driver": "flat"}}``.
+    to_come
+        Keys that get their value later: no rule in which one of them takes part is looked at.
     """
     raw = settings.model_dump()
     for section, values in changes.items():
@@ -120,7 +122,7 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]]) -> Se
         for table in raw["tracker"]:
             # What is said on the command line holds for every tracker.
             without(table, section, values)
-    return _settings(raw, "the command line")
+    return _settings(raw, "the command line", to_come=to_come)
 
 
 def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
@@ -170,11 +172,14 @@ def _syntax_problem(message: str, text: str) -> str:
 
 
 def _settings(
-    raw: dict[str, Any], source: str, unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
+    raw: dict[str, Any],
+    source: str,
+    unusable: Callable[[Settings], Iterable[str]] = lambda _: (),
+    to_come: Collection[str] = (),
 ) -> Settings:
     tables = raw.get("tracker", ())
     raw = {name: value for name, value in raw.items() if name != "tracker"}
-    settings, problems = _checked(raw, unusable)
+    settings, problems = _checked(raw, unusable, to_come)
     problems += _tracker_problems(raw, tables, problems)
     if problems:
         order = {key: place for place, key in enumerate(_paths_in(raw, ""))}
@@ -215,7 +220,7 @@ def _tracker_problems(raw: dict[str, Any], tables: Any, known: Collection[_Probl
 
 
 def _checked(
-    raw: dict[str, Any], unusable: Callable[[Settings], Iterable[str]] = lambda _: ()
+    raw: dict[str, Any], unusable: Callable[[Settings], Iterable[str]] = lambda _: (), to_come: Collection[str] = ()
 ) -> tuple[Settings, list[_Problem]]:
     """Return the settings of all that is right in the sections of a file, and everything that is wrong with them."""
     tables, chosen, wrong_in_drivers = settled(raw)
@@ -240,7 +245,7 @@ def _checked(
             sections[name] = kind.model_validate(_without(given, name, sorted(found), chosen))
     settings = Settings.model_construct(**sections)
     problems += [_Problem(key, _wrong(key, _value_of(settings, key), chosen)) for key in unusable(settings)]
-    wrong = {key.partition("[")[0] for problem in problems for key in (problem.key, problem.meant) if key}
+    wrong = {key.partition("[")[0] for each in problems for key in (each.key, each.meant) if key}.union(to_come)
     for conflict in rules.conflicts(settings):
         if not any(keys.covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
             shown = keys.shown(_value_of(settings, conflict.key))

@@ -78,7 +78,7 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     first.until("the sun is in the south")
     first.say("\r", "[yes]:")
     first.until("3/7 The cube")
-    for _ in range(4 + 8):
+    for _ in range(5 + 8):
         first.say("\r", "]:")
     first.say("\r", "Enter does it, or skip]:")
     first.until("zenith")
@@ -89,7 +89,7 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     first.until("geometry of A fits")
     first.say("none\r", "]:")
     first.until("6/7 Limits and wind")
-    for _ in range(6):
+    for _ in range(7):
         first.say("\r", "]:")
     first.say("yes\r", "move, or skip]:")
     first.until("! say move, skip or back")

@@ -119,7 +119,7 @@ class SetupDialogue:
             self.settings()
         except UserError as error:
             self._kept = before
-            raise UserError(_first(error)) from None
+            raise UserError(self._refusal(error)) from None
 
     def back(self) -> bool:
         """Take the latest answer back, to be given again; False at the very start."""
@@ -163,10 +163,10 @@ class SetupDialogue:
         return str(known if chosen in (None, NEW_KEY) else chosen)
 
     def settings(self) -> Settings:
-        """Return the settings that the answers make; raises `ConfigError`."""
-        return override(
-            Settings(), _tables({path: value for path, value in self.values().items() if value is not None})
-        )
+        """Return the settings that the answers make; raises `ConfigError`, but not for what is still to be asked."""
+        values = {path: value for path, value in self.values().items() if value is not None}
+        to_come = [step.name for step in self.steps() if step.name not in self._kept.answers]
+        return override(Settings(), _tables(values), to_come)
 
     def role(self) -> str:
         """Return the role, ``both`` until it is answered."""
@@ -191,6 +191,16 @@ class SetupDialogue:
         if found.get("instruments.bench") is not True:
             raise UserError(f"{file} was not written by a bench: start one with 'heliocube bench --dir {folder}'")
         self._of_bench = found
+
+    def _refusal(self, error: UserError) -> str:
+        """Return the first thing that is wrong, without the name of the source that a dialogue does not have."""
+        if not isinstance(error, ConfigError):
+            return str(error)
+        problem = error.problems[0]
+        key = problem.partition(" = ")[0]
+        if key not in keys.keys(self.known.chosen()) or key in [step.name for step in self.steps()]:
+            return problem
+        return f"{problem}; {key} is not asked for here: answer what fits it, and change both in the file afterwards"
 
     def _check_key(self, name: str) -> None:
         path = self._file.parent / _at_home(self.key_file())
@@ -244,11 +254,6 @@ def _listed(words: tuple[str, ...]) -> str:
 def _in_words(key: keys.Key) -> str:
     """Return what a key takes, for somebody who types into a prompt and not into a file."""
     return key.expected.replace(" in quotes", "").replace('"', "").replace("a list in brackets, each item ", "")
-
-
-def _first(error: UserError) -> str:
-    """Return the first thing that is wrong, without the name of the source that a dialogue does not have."""
-    return error.problems[0] if isinstance(error, ConfigError) else str(error)
 
 
 def _values_of(file: Path) -> dict[str, Any]:

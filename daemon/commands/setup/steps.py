@@ -31,6 +31,7 @@ _OF_THE_SWITCH = (
     "instruments.multiplexer.digital_port",
     "instruments.multiplexer.server",
     "instruments.voltmeter.resource",
+    "instruments.voltmeter.range_v",
 )
 
 Kind = Literal["key", "choice", "text", "confirm", "action"]
@@ -242,6 +243,7 @@ def _move(known: Known) -> Iterator[SetupStep]:
     for path, narrow in FIRST_LIMITS.items():
         yield _key(known, path, chapter, default=narrow)
     yield _key(known, "safety.stow_wind_m_s", chapter)
+    yield _key(known, "safety.release_wind_m_s", chapter)
     yield _key(known, "safety.without_wind_source", chapter)
     chapter = "The first move"
     yield SetupStep(

@@ -129,7 +129,7 @@ def test_the_place_of_the_paper_in_the_file_that_the_installation_lays_down_is_n
 
 def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
     port = tmp_path / "positioner"
-    said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 6]
+    said = ["real", "Roof", "48.7", "2.2", "156", "yes", "5", "pozsol", str(port), "skip", "none", "", "new", *[""] * 7]
     done = setup(tmp_path / "tracker.toml", *said, "move", "skip", options=("--role", "tracker"))
     assert done.exit_code == 0, done.output
     assert "nothing is moved without a terminal" in done.output

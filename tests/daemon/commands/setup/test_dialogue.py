@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daemon.base.errors import UserError
+from daemon.base.records import FACES
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
@@ -171,6 +172,47 @@ def test_limits_that_contradict_each_other_are_refused_where_they_are_answered(f
     walk(dialogue, POZSOL, until="limits.a_max_deg")
     with pytest.raises(UserError, match=r"must be below limits\.a_max_deg"):
         dialogue.take("-10")
+
+
+def test_the_inputs_of_the_faces_are_taken_in_any_order_and_each_only_once(file):
+    dialogue = dialogue_of(file, "cube", "real", *SITE)
+    walk(dialogue, {**METER, "cube.east.channel": "1", "cube.south.channel": "0"}, until="cube.zenith.channel")
+    with pytest.raises(UserError, match=r"is the input of cube\.east\.channel already"):
+        dialogue.take("1")
+    walk(dialogue, {"bridge.send_to": "10.0.0.5:20571"})
+    assert [getattr(dialogue.settings().cube, face).channel for face in FACES] == [1, 0, 2, 3]
+    while dialogue.back() and dialogue.step().name != "cube.east.channel":
+        pass
+    walk(dialogue, {"cube.east.channel": "3", "cube.zenith.channel": "1"})
+    assert [getattr(dialogue.settings().cube, face).channel for face in FACES] == [3, 0, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("role", "needed"),
+    [
+        ("tracker", {"safety.stow_wind_m_s": "8", "safety.release_wind_m_s": "6"}),
+        ("cube", {"cube.east.gain_w_m2_per_mv": "0.2", "instruments.voltmeter.range_v": "10"}),
+    ],
+)
+def test_keys_that_go_together_are_asked_for_together(file, role, needed):
+    dialogue = dialogue_of(file, role, "real", *SITE)
+    walk(dialogue, {**METER, **POZSOL, "bridge.send_to": "10.0.0.5:20571", **needed})
+    assert {name: dialogue.values()[name] for name in needed} == {name: float(text) for name, text in needed.items()}
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer", "other"),
+    [
+        ("cube.scan_every_s", "60", "safety.scan_stale_s"),
+        ("limits.b_max_deg", "88", "safety.night_b_deg"),
+    ],
+)
+def test_a_key_that_is_not_asked_for_is_named_with_the_way_to_change_it(file, asked, answer, other):
+    dialogue = dialogue_of(file, "tracker", "real", *SITE)
+    walk(dialogue, POZSOL, until=asked)
+    with pytest.raises(UserError, match=f"{other} is not asked for here: answer what fits it, and change both") as said:
+        dialogue.take(answer)
+    assert str(said.value).startswith(f"{other} = ")
 
 
 def test_who_goes_back_is_offered_what_was_said(file):
