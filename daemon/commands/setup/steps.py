@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from ipaddress import ip_address
 from typing import Any, Literal
 
+from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
 from daemon.commands.setup.kept import Answer
 from daemon.config import keys
@@ -223,9 +225,13 @@ def _load(known: Known) -> Iterator[SetupStep]:
 def _bridge(known: Known) -> Iterator[SetupStep]:
     chapter = "The way from cube to tracker"
     if known.role() == "cube":
-        yield _key(known, "bridge.send_to", chapter)
+        send_to = _key(known, "bridge.send_to", chapter)
+        grouped = known.basis.get("bridge.multicast_group") is not None
+        yield send_to if grouped or not _stays_here(known, send_to) else replace(send_to, default=None)
     if known.role() == "tracker":
-        yield _key(known, "bridge.listen", chapter, default="0.0.0.0:20571")
+        listen = _key(known, "bridge.listen", chapter, default="0.0.0.0:20571")
+        every = f"0.0.0.0:{parse_address(str(listen.default)).port}"
+        yield replace(listen, default=every) if _stays_here(known, listen) else listen
     if known.role() != "both":
         yield SetupStep(
             name=KEY,
@@ -234,6 +240,17 @@ def _bridge(known: Known) -> Iterator[SetupStep]:
             question="Which file has the key that both machines share? 'new' makes one.",
             default=_text(known.basis.get("bridge.key_file")) or ("new" if known.role() == "cube" else None),
         )
+
+
+def _stays_here(known: Known, step: SetupStep) -> bool:
+    """Return whether scans would not leave this machine by what is offered, though cube and tracker are on two.
+
+    That is what an installation lays down, and a setup before; a bench is on one machine.
+    """
+    if known.answers.get(RIG) == A_BENCH or known.basis.get("bridge.transport") == "mqtt":
+        return False
+    addresses = step.default if isinstance(step.default, list) else [step.default]
+    return all(ip_address(parse_address(str(text)).host).is_loopback for text in addresses)
 
 
 def _move(known: Known) -> Iterator[SetupStep]:

@@ -1,6 +1,7 @@
 """The course of a setup, without a terminal and without an instrument."""
 
 import contextlib
+import shutil
 
 import pytest
 from hypothesis import given, settings
@@ -12,6 +13,7 @@ from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
 from daemon.commands.setup.steps import MOVE, SKIPPED
+from tests.support import ROOT
 
 SITE = ["Roof", "48.7", "2.2", "156"]
 
@@ -129,7 +131,8 @@ def test_who_goes_back_from_a_bench_to_a_real_rig_is_offered_nothing_of_the_benc
 )
 def test_each_driver_is_asked_where_its_instrument_is(file, driver, key, answer):
     dialogue = dialogue_of(file, "cube", "real", *SITE, "yes", driver)
-    names = walk(dialogue, {key: answer, "instruments.cube.channels": "101 102 103 104"})
+    more = {"instruments.cube.channels": "101 102 103 104", "bridge.send_to": "10.0.0.5:20571"}
+    names = walk(dialogue, {key: answer, **more})
     assert key in names
     assert "instruments.multiplexer.digital_port" not in names
     assert dialogue.settings().instruments.cube.driver.startswith(driver)
@@ -213,6 +216,36 @@ def test_a_key_that_is_not_asked_for_is_named_with_the_way_to_change_it(file, as
     with pytest.raises(UserError, match=f"{other} is not asked for here: answer what fits it, and change both") as said:
         dialogue.take(answer)
     assert str(said.value).startswith(f"{other} = ")
+
+
+@pytest.mark.parametrize(
+    ("role", "own", "offered"),
+    [
+        ("cube", None, None),
+        ("tracker", None, "0.0.0.0:20571"),
+        ("tracker", "listen = '127.0.0.1:20600'", "0.0.0.0:20600"),
+        ("tracker", "listen = '192.168.1.20:20571'", "192.168.1.20:20571"),
+        ("cube", "send_to = ['127.0.0.1:20571', '10.0.0.5:20571']", ["127.0.0.1:20571", "10.0.0.5:20571"]),
+        ("cube", "multicast_group = '239.255.20.71:20571'\nsend_to = []", []),
+        ("tracker", "transport = 'mqtt'\nlisten = '127.0.0.1:20571'\n[mqtt]\nenabled = true", "127.0.0.1:20571"),
+    ],
+)
+def test_enter_takes_no_way_that_ends_on_this_machine_where_there_are_two(file, role, own, offered):
+    if own is None:
+        shutil.copy(ROOT / "deploy" / "examples" / f"{role}.toml", file)
+    else:
+        file.write_text(f"[bridge]\nkey_file = 'bridge.key'\n{own}\n")
+    way = "bridge.send_to" if role == "cube" else "bridge.listen"
+    dialogue = dialogue_of(file, role, "real", *SITE)
+    walk(dialogue, {**METER, **POZSOL}, until=way)
+    assert dialogue.offered() == offered
+
+
+def test_on_a_bench_both_roles_are_on_one_machine(file, bench):
+    (bench / "heliocube.toml").write_text(A_BENCHS_FILE + "[bridge]\nlisten = '127.0.0.1:20571'\n")
+    dialogue = dialogue_of(file, "tracker", "bench", str(bench), *SITE)
+    walk(dialogue, {}, until="bridge.listen")
+    assert dialogue.offered() == "127.0.0.1:20571"
 
 
 def test_who_goes_back_is_offered_what_was_said(file):
