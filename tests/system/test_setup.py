@@ -11,6 +11,7 @@ import tomllib
 import pytest
 
 from tests.support import forks
+from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
 
@@ -49,6 +50,9 @@ class Terminal:
 
     def say(self, text, after):
         self.until(f"{after}")
+        self.press(text)
+
+    def press(self, text):
         os.write(self._screen, text.encode())
 
     def hang_up(self):
@@ -107,7 +111,10 @@ def test_a_rig_is_set_up_left_taken_up_again_moved_stopped_and_written(start_ben
     second.until("answers are there from before")
     assert bench.state()["pose"] == pose
     second.say("move\r", "move, or skip]:")
-    second.say(" ", "PRESS ANY KEY on the way")
+    second.until("PRESS ANY KEY on the way")
+    at_deg = bench.state()["pose"]["a_deg"]
+    wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - at_deg) > 0.5, WITHIN_S, "A to move")
+    second.press(" ")
     second.until("stopped by the key")
     pose = bench.state()["pose"]
     assert pose["a_deg"] < 5.0

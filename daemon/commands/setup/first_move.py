@@ -22,6 +22,8 @@ _BEGINS_WITHIN_S = 10.0
 _MARGIN_S = 20.0
 # Telemetry tells tenths of a degree; an axis gives a little when the other one moves.
 _ASTRAY_DEG = 0.7
+# So far has an axis to have gone, for somebody who stops it to have stopped a motion.
+_UNDER_WAY_DEG = 0.3
 _BY_A_KEY = "was stopped by a key, and stands"
 _UNLOCKED = "the stop could not be seen in telemetry: SWITCH THE MOTORS' SUPPLY OFF"
 
@@ -178,11 +180,14 @@ async def _legs(
                 raise FirstMoveError(_BY_A_KEY)
             say(f"  arrived, at {speeds[-1]:.2f} deg/s")
     leg = await _from_here(positioner, "a", _inside("a", a_deg, _STOP_TEST_DEG, bounds.limits), bounds, pressed)
-    say(f"now the stop: A goes to {leg.to_deg:z.1f} deg. PRESS ANY KEY on the way")
+    begins = await positioner.read_telemetry()
+    say(f"now the stop: A goes to {leg.to_deg:z.1f} deg. PRESS ANY KEY on the way, when you see it move")
     await follow(positioner, leg, bounds, clock, pressed)
     if not pressed():
         raise FirstMoveError("arrived before a key was pressed, so the stop is not proven")
     stands = await positioner.read_telemetry()
+    if not abs(stands.a_deg - begins.a_deg) >= _UNDER_WAY_DEG:
+        raise FirstMoveError("the key came before the axis moved, so the stop is not proven")
     say(f"  stopped by the key: it stands at A {stands.a_deg:z.1f}, B {stands.b_deg:.1f} deg")
     return min(speeds)
 

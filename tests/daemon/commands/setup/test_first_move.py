@@ -18,9 +18,9 @@ from solar.frames import Limits
 NARROW = Limits(-5.0, 5.0, 80.0, 90.0)
 
 
-def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf):
-    """Make the first move, with a key pressed at the words of a line; return its result, lines and poses."""
-    lines, poses = [], []
+def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf, press_beyond_deg=-math.inf):
+    """Make the first move, with a key pressed behind the words of a line; return its result, lines and poses."""
+    lines, poses, keys = [], [], []
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         clock = LoopClock(runner.get_loop().time, 1.7e9)
         truth, positioner = build_simulated_positioner(Settings(), clock)
@@ -29,7 +29,10 @@ def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf):
             poses.append(truth(clock.monotonic()))
             if poses[-1].a_deg > gone_beyond_deg:
                 raise LinkLostError("positioner", "is gone")
-            return press_at is not None and any(press_at in line for line in ("", *lines))
+            said = press_at is not None and any(press_at in line for line in ("", *lines))
+            # A key that was pressed stays pressed.
+            keys.append(said and (poses[-1].a_deg > press_beyond_deg or any(keys)))
+            return keys[-1]
 
         async def scene():
             try:
@@ -46,7 +49,7 @@ def moved(press_at=None, limits=NARROW, gone_beyond_deg=math.inf):
 
 
 def test_it_moves_two_degrees_and_back_and_is_stopped_by_a_key():
-    speed, lines, poses = moved(press_at="PRESS")
+    speed, lines, poses = moved(press_at="PRESS", press_beyond_deg=1.0)
     assert speed == pytest.approx(0.75, abs=0.1)
     assert max(pose.a_deg for pose in poses) == pytest.approx(2.0, abs=0.8)
     assert min(pose.b_deg for pose in poses) == pytest.approx(88.0, abs=0.8)
@@ -66,6 +69,12 @@ def test_a_key_before_it_begins_keeps_it_from_beginning():
     assert "stopped by a key" in found
     assert lines == []
     assert {(round(pose.a_deg, 3), round(pose.b_deg, 3)) for pose in poses} == {(0.0, 90.0)}
+
+
+def test_a_key_before_the_axis_moves_proves_no_stop():
+    found, lines, _ = moved(press_at="PRESS")
+    assert found == "the key came before the axis moved, so the stop is not proven"
+    assert "stopped by the key" not in lines[-1]
 
 
 def test_a_stop_that_nobody_tried_is_not_proven():
