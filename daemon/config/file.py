@@ -314,7 +314,7 @@ def _hint(key: keys.Key, value: Any) -> str:
         return f'; did you mean "{names[0]}"?'
     if key.takes & {"number", "integer"}:
         number = keys.number_with_unit(value, key)
-        return "" if number is None else f"; did you mean {number:g}, without quotes?"
+        return "" if number is None else f"; did you mean {number:.10g}, without quotes?"
     if key.takes == {"boolean"} and value.lower() in ("true", "false"):
         return f"; did you mean {value.lower()}, without quotes?"
     if key.takes == {"array"}:
@@ -340,7 +340,7 @@ def _unknown(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
     else:
         wanted, unit = keys.split_unit(meant)[1], keys.split_unit(name)[1]
         number = keys.converted(value, unit, wanted) if unit != wanted else None
-        remedy = f"did you mean {meant}{'' if number is None else f' = {number:g}'}?"
+        remedy = f"did you mean {meant}{'' if number is None else f' = {number:.10g}'}?"
     shown = "" if isinstance(value, dict) else f" = {keys.shown(value)}"
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 

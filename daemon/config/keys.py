@@ -242,16 +242,18 @@ def converted(value: Any, unit: str, wanted: str) -> float | None:
     wanted_quantity, wanted_factor = _MAGNITUDES.get(wanted, ("?", 1.0))
     if quantity != wanted_quantity or isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(f"{value * factor / wanted_factor:.4g}")
+    return float(f"{value * factor / wanted_factor:.10g}")
 
 
 def number_with_unit(text: str, key: Key) -> float | None:
     """Return the number that ``"54 km/h"`` means for a key, in the key's unit; None where it means none."""
-    found = re.fullmatch(r"\s*([-+]?[0-9]+(?:[.,][0-9]+)?)\s*([A-Za-z/]*[0-9]?)\s*", text)
+    found = re.fullmatch(r"\s*([-+]?[0-9]+(?:[.,][0-9]+)?)\s*(.*?)\s*", text)
     if found is None:
         return None
-    value, unit = float(found[1].replace(",", ".")), found[2].lower().replace("/", "_")
-    return converted(value, unit, split_unit(key.name)[1]) if unit else value
+    value, unit = float(found[1].replace(",", ".")), found[2].lower()
+    if unit in ("", key.unit.lower()):
+        return value
+    return converted(value, unit.replace("/", "_"), split_unit(key.name)[1])
 
 
 def resembling(section: str, name: str, chosen: Chosen = ()) -> str | None:

@@ -19,7 +19,7 @@ from tests.support import DOCS
 TEN_MISTAKES = """\
 [site]
 latitude_deg = 148.7
-altitude_m = "156 m"
+altitude_m = "1156.125 m"
 
 [cube]
 scan_every_s = 1
@@ -49,7 +49,7 @@ start_utc = 2022-10-14T06:00:00
 """
 THEIR_LINES = """\
   site.latitude_deg = 148.7: must be a number from -90 to 90 deg
-  site.altitude_m = "156 m": must be a number from -430 to 9000 m; did you mean 156, without quotes?
+  site.altitude_m = "1156.125 m": must be a number from -430 to 9000 m; did you mean 1156.125, without quotes?
   cube.scan_every_s = 1.0: is too short for 4 readings of 0.3 s to settle and 0.04 s to convert: they take 1.36 s
   cube.west.channel = 1: is the input of cube.south.channel already; each face needs one of its own
   law.name = "mu_prime": must be "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"; did you mean "mu-prime"?
@@ -109,7 +109,7 @@ def test_an_empty_file_is_the_defaults(load):
         ("[windws]\nmean_s = 120", "windows"),
         ("[east]\nchannel = 1", "cube.east"),
         ("[windows]\nmean_ms = 120000", "windows.mean_s = 120"),
-        ("[limits]\na_max_rad = 0.5", "limits.a_max_deg = 28.65"),
+        ("[limits]\na_max_rad = 0.5", "limits.a_max_deg = 28.64788976"),
         ("[instruments.voltmeter]\nrange_mv = 1000", "instruments.voltmeter.range_v = 1"),
     ],
 )

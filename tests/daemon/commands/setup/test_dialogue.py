@@ -170,6 +170,14 @@ def test_numbers_are_taken_with_their_units(file):
     assert dialogue.settings().safety.stow_wind_m_s == 15.0
 
 
+def test_a_number_stays_as_exact_with_its_unit_as_it_was_typed(file):
+    dialogue = dialogue_of(file, "cube", "real", "Roof", "48.717607 deg", "-122.4194161 degrees", "156.254 m")
+    site = dialogue.settings().site
+    assert (site.latitude_deg, site.longitude_deg, site.altitude_m) == (48.717607, -122.4194161, 156.254)
+    walk(dialogue, {**METER, "bridge.send_to": "10.0.0.5:20571", "cube.east.gain_w_m2_per_mv": "10.1234 W/m2 per mV"})
+    assert dialogue.settings().cube.east.gain_w_m2_per_mv == 10.1234
+
+
 def test_limits_that_contradict_each_other_are_refused_where_they_are_answered(file):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="limits.a_max_deg")
