@@ -47,13 +47,13 @@ def setup(
         raise UserError(f"{file} is a folder: name the file to write, such as {file / FILE_NAME}")
     place = place_of_answers(file)
     kept = SetupAnswers() if anew else load_answers(place)
-    dialogue = SetupDialogue(kept, file)
-    screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
     if role is not None and kept.answers.get(ROLE, role.value) != role.value:
         raise UserError(
             f"--role {role.value}: the answers from before in {place} are for the role {kept.answers[ROLE]}; leave"
             " --role out to go on with them, or begin with --anew"
         )
+    dialogue = SetupDialogue(kept, file)
+    screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
     _greet(screen, file, place, len(kept.answers))
     if role is not None and ROLE not in kept.answers:
         dialogue.take(role.value)

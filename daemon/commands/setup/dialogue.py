@@ -7,7 +7,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
-from daemon.commands.setup.kept import Answer, SetupAnswers
+from daemon.commands.setup.kept import Answer, SetupAnswers, place_of_answers
 from daemon.commands.setup.steps import A_BENCH, BENCH, KEY, RIG, ROLE, Known, SetupStep, plan
 from daemon.config import keys
 from daemon.config.file import ConfigError, load_settings, override
@@ -45,7 +45,13 @@ class SetupDialogue:
             raise UserError(f"{file} has tables of trackers, which a setup does not ask for: change that file by hand")
         self._own = own
         self._of_bench: dict[str, Any] = {}
-        self._read_bench()
+        try:
+            self._read_bench()
+        except UserError as error:
+            raise UserError(
+                f"the answers from before in {place_of_answers(file)} are for a bench, and {error}; start the bench"
+                " again, or begin with --anew"
+            ) from None
 
     @property
     def kept(self) -> SetupAnswers:

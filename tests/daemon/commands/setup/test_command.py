@@ -119,6 +119,20 @@ def test_another_role_than_was_answered_before_is_refused_and_nothing_is_asked(s
     assert setup(file, options=("--role", "both")).exit_code == LEFT
 
 
+def test_the_answers_of_a_practice_whose_bench_is_gone_are_told_with_the_way_out(setup, tmp_path):
+    file, bench = tmp_path / "rig.toml", tmp_path / "bench" / "heliocube.toml"
+    bench.parent.mkdir()
+    bench.write_text("[instruments]\nkind = 'real'\nbench = true\n")
+    assert setup(file, "bench", str(bench.parent), options=("--role", "both")).exit_code == LEFT
+    bench.unlink()
+    for options in ((), ("--role", "both")):
+        gone = str(setup(file, options=options).exception)
+        assert gone.startswith(f"the answers from before in {tmp_path / 'rig.setup.json'} are for a bench, and")
+        assert gone.endswith("start the bench again, or begin with --anew")
+    assert "are for the role both" in str(setup(file, options=("--role", "cube")).exception)
+    assert setup(file, options=("--anew",)).exit_code == LEFT
+
+
 def test_the_place_of_the_paper_in_the_file_that_the_installation_lays_down_is_not_taken_by_enter(setup, tmp_path):
     file = tmp_path / "tracker.toml"
     shutil.copy(ROOT / "deploy" / "examples" / file.name, file)
