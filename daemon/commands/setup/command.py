@@ -214,12 +214,13 @@ def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> Non
     if open_ends:
         screen.say("Not done yet:", "bold")
         for sentence in open_ends:
-            screen.say(f"  - {sentence}")
+            screen.say(f"  - {sentence.format(file=file)}")
     _next(dialogue, screen, file)
 
 
 def _next(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
     from daemon.commands.setup.dialogue import NEW_KEY
+    from daemon.commands.setup.finish import start_lines
     from daemon.commands.setup.steps import KEY
 
     role = dialogue.role()
@@ -231,7 +232,8 @@ def _next(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
     if role != "cube":
         screen.say("  widen [limits] step by step: docs/install.md, section 7")
         screen.say("  let the tracker hear of the wind: docs/mqtt.md")
-    screen.say(f"  heliocube run --role {role} --config {file}")
+    for line in start_lines(file, role):
+        screen.say(f"  {line}")
 
 
 def _now_s() -> float:

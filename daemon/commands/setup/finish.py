@@ -15,6 +15,9 @@ from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.config.template import example
 from daemon.store.place import RECORDS_NAME
 
+# As deploy/ lays them down, each read by the unit of its role.
+_INSTALLED = {role: Path("/etc/heliocube") / f"{role}.toml" for role in ("cube", "tracker")}
+
 
 def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
     """Write the configuration and what it names that is not there yet; return a line for each file.
@@ -52,6 +55,18 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
     except OSError as error:
         raise UserError(f"{error.filename or file.parent} cannot be written: {error.strerror}") from None
     return [f"{file}, the configuration", *done]
+
+
+def start_lines(file: Path, role: str) -> list[str]:
+    """Return how the service is started with a configuration: by its unit, where the installation has one for it."""
+    if _INSTALLED.get(role) != file:
+        return [f"heliocube run --role {role} --config {file}"]
+    if role == "cube":
+        return ["sudo systemctl start heliocube-cube"]
+    return [
+        "switch the motors' supply off: docs/install.md, section 6",
+        "sudo systemctl start heliocube-tracker; heliocube hold",
+    ]
 
 
 def _free_name(file: Path) -> Path:

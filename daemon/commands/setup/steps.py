@@ -63,7 +63,7 @@ class SetupStep:
     refused
         The sentence that answers the word ``no``.
     open_end
-        What is left to do where it was skipped or put off.
+        What is left to do where it was skipped or put off; ``{file}`` stands for the configuration.
     """
 
     name: str
@@ -175,7 +175,7 @@ def _cube(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="action",
         question="Read the four faces now: nothing can move by it.",
-        open_end="read the cube: heliocube probe, docs/hardware.md",
+        open_end="read the cube: heliocube probe, with --config {file}: docs/hardware.md",
     )
     if known.answers.get(LOOK_CUBE) not in (None, SKIPPED):
         yield SetupStep(
@@ -201,7 +201,7 @@ def _positioner(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="action",
         question="Listen to it now: nothing is sent that could move an axis.",
-        open_end="listen to the positioner: heliocube probe positioner",
+        open_end="listen to the positioner: heliocube probe positioner --config {file}",
     )
 
 
@@ -218,7 +218,7 @@ def _load(known: Known) -> Iterator[SetupStep]:
             chapter=chapter,
             kind="action",
             question="Ask it who it is: its input stays as it is.",
-            open_end="look at the electronic load: heliocube probe load",
+            open_end="look at the electronic load: heliocube probe load --config {file}",
         )
 
 

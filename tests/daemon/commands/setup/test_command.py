@@ -4,6 +4,7 @@ import grp
 import os
 import pwd
 import shutil
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 from daemon.bridge.signing import generate_key, load_key, write_key
 from daemon.commands.main import app
 from daemon.commands.setup.command import LEFT
+from daemon.commands.setup.finish import start_lines
 from daemon.config.file import load_settings
 from tests.daemon.store.test_store import fill, small_disk
 from tests.support import ROOT
@@ -37,7 +39,9 @@ def test_a_cube_without_a_colour_or_a_terminal_is_set_up_in_plain_lines(setup, t
     assert "\x1b" not in done.output
     lines = [line for line in done.output.splitlines() if ": " not in line and str(tmp_path) not in line]
     assert max(map(len, lines)) <= 80
-    assert "read the cube: heliocube probe" in done.output
+    flat = "".join(done.output.split())
+    assert f"readthecube:heliocubeprobe,with--config{file}" in flat
+    assert f"heliocuberun--rolecube--config{file}" in flat
     found = load_settings(file)
     assert found.real
     assert found.bridge.send_to == ("10.0.0.5:20571",)
@@ -148,6 +152,26 @@ def test_nothing_is_moved_where_no_key_could_stop_it(setup, tmp_path):
     assert done.exit_code == 0, done.output
     assert "nothing is moved without a terminal" in done.output
     assert "THE FIRST MOVE" in done.output
+
+
+@pytest.mark.parametrize(
+    ("file", "role", "lines"),
+    [
+        ("/etc/heliocube/cube.toml", "cube", ["sudo systemctl start heliocube-cube"]),
+        (
+            "/etc/heliocube/tracker.toml",
+            "tracker",
+            [
+                "switch the motors' supply off: docs/install.md, section 6",
+                "sudo systemctl start heliocube-tracker; heliocube hold",
+            ],
+        ),
+        ("/etc/heliocube/tracker.toml", "both", ["heliocube run --role both --config /etc/heliocube/tracker.toml"]),
+        ("/home/me/tracker.toml", "tracker", ["heliocube run --role tracker --config /home/me/tracker.toml"]),
+    ],
+)
+def test_an_installed_service_is_started_by_its_unit_and_held(file, role, lines):
+    assert start_lines(Path(file), role) == lines
 
 
 def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
