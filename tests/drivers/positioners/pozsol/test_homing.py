@@ -1,13 +1,21 @@
-"""A reference run at the bounds of what begins it, ends it and contradicts it."""
+"""A reference run at the bounds of what begins it, ends it and contradicts it, and whole ones on a simulated unit."""
+
+import asyncio
 
 import pytest
 
+from drivers.errors import RefusedError
+from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.wire import parse_status
+from sim_drivers.pozsol.setup import AxisDrive, Setup
+from tests.drivers.positioners.pozsol.test_positioner_protocol import positioner_on, until
 from tests.drivers.positioners.pozsol.test_standstill import HOMING, LOW, QUIET, UNDER_WAY, A, run
 
 COAST, SLIP = A.units(0.4), A.units(0.5)
 A_HIGH_TOO, B_HOMING = parse_status(str(1 << 19 | 1 << 20)), parse_status(str(1 << 17), 15)
+# Four times as fast as the ports' other units: a reference run is through all of its travel.
+HURRIED = Setup(drive=AxisDrive(speed_mm_s=160.0, acceleration_mm_s2=1600.0, run_out_s=0.002))
 
 
 def ended(place, aim=None, remain=0.0, status=LOW, rest_s=0.5, **how):
@@ -137,3 +145,68 @@ def test_a_fault_of_the_other_axis_is_not_this_one_s():
     status = parse_status(str(1 << 19 | 1 << 5))
     assert [fault[0] for fault in status.faults] == ["b"]
     assert ended(0.0, status=status).failure == ""
+
+
+@pytest.mark.parametrize("b_out_bit", [None, wire.B_OUT_BIT_STM])
+def test_a_reference_run_begins_is_on_and_ends(positioner_host, b_out_bit):
+    async def scene():
+        async with positioner_host(HURRIED) as host:
+            positioner = positioner_on(host.port.link, b_out_bit=b_out_bit)
+            await positioner.open()
+            for axis, low_deg in (("a", -52.0), ("b", 13.0)):
+                await positioner.home(axis)
+                assert (await positioner.read_telemetry()).homing
+
+                async def over():
+                    return not (await positioner.read_telemetry()).homing
+
+                await until(over)
+                truth = host.core.truth(host._now())
+                assert (truth.a_deg if axis == "a" else truth.b_deg) == pytest.approx(low_deg, abs=0.1)
+            assert not (await positioner.read_telemetry()).reference_doubt
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
+@pytest.mark.parametrize("b_out_bit", [None, wire.B_OUT_BIT_STM])
+def test_a_lost_count_is_a_lost_reference_until_it_is_cleared_and_homing_finds_the_switch(positioner_host, b_out_bit):
+    async def scene():
+        async with positioner_host(HURRIED) as host:
+            positioner = positioner_on(host.port.link, b_out_bit=b_out_bit)
+            await positioner.open()
+            host.core.inject("reset_position_lost", host._now())
+
+            async def doubtful():
+                return "count has jumped" in (await positioner.read_telemetry()).reference_doubt
+
+            await until(doubtful)
+            assert "count has jumped" in (await positioner.clear_faults()).reference_doubt
+            assert not (await positioner.read_telemetry()).reference_doubt
+            # The count says 0, the axis stands elsewhere: that is not home.
+            await positioner.home("b")
+
+            async def over():
+                return not (await positioner.read_telemetry()).homing
+
+            await until(over)
+            assert host.core.truth(host._now()).b_deg == pytest.approx(13.0, abs=0.1)
+            seen = await positioner.read_telemetry()
+            assert "axis B met its end switch where its count was -" in seen.reference_doubt
+            await positioner.close()
+
+    asyncio.run(scene())
+
+
+def test_a_reference_run_that_the_unit_does_not_begin_is_refused(positioner_host):
+    async def scene():
+        async with positioner_host() as host:
+            positioner = positioner_on(host.port.link)
+            await positioner.open()
+            host.core.inject("undervoltage", host._now())
+            with pytest.raises(RefusedError, match=r"home axis B: its motor supply is 15 V"):
+                await positioner.home("b")
+            assert not (await positioner.read_telemetry()).homing
+            await positioner.close()
+
+    asyncio.run(scene())
