@@ -1,10 +1,14 @@
-"""When a notice is held back."""
+"""When a notice is held back, and what is told together afterwards."""
 
+import json
 from datetime import time
 
 import pytest
 
 from daemon.notify.backlog import QuietHours
+from tests.daemon.notify.test_courier import lab, told
+
+__all__ = ["lab", "told"]
 
 
 @pytest.mark.parametrize(
@@ -19,3 +23,33 @@ def test_quiet_hours_may_go_over_midnight(begin, end, quiet, loud):
     hours = QuietHours(begin, end)
     assert all(hours.holds(time.fromisoformat(at)) for at in quiet)
     assert not any(hours.holds(time.fromisoformat(at)) for at in loud)
+
+
+@pytest.mark.slow
+def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwards(lab, told):
+    async def scenario(step):
+        lab.alarms = [lab.alarm("clock")]
+        await step()
+        lab.alarms = [lab.alarm("clock"), lab.alarm("cube-face"), lab.alarm()]
+        await step()
+        assert [title.rpartition(" ")[2] for title in lab.titles] == ["stow-wanted"]
+        await step(3600.0)
+        ((_, _, body),) = lab.told[1:]
+        found = json.loads(body)
+        assert found["title"] == "heliocube: 2 changes of alarms"
+        assert found["message"].splitlines() == ["roof SIMULATED: WARNING clock", "roof SIMULATED: WARNING cube-face"]
+
+    told(scenario, quiet_from="11:30", quiet_until="12:30")
+
+
+@pytest.mark.slow
+def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
+    async def scenario(step):
+        for number in range(12):
+            lab.alarms = [lab.alarm(raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
+            await step(1.0)
+        assert len(lab.titles) == 3
+        await step(1200.0)
+        assert lab.titles[3:] == ["heliocube: 9 changes of alarms"]
+
+    told(scenario, most_per_hour=3)

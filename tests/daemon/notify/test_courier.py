@@ -13,14 +13,9 @@ from apprise.plugins.custom_json import NotifyJSON
 from daemon.api.models import AlarmPart
 from daemon.base.addresses import parse_address
 from daemon.base.alarms.kinds import KINDS
-from daemon.base.clock import LoopClock
-from daemon.base.errors import UserError
-from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.links import NotifySettings
 from daemon.notify.courier import Courier
-from daemon.notify.courier import test as try_out
 from daemon.notify.recipients import recipients_of
-from tests.support import forks
 
 pytestmark = pytest.mark.slow
 
@@ -207,34 +202,6 @@ def test_what_somebody_has_seen_already_and_what_is_not_severe_enough_is_not_tol
     told(scenario)
 
 
-def test_in_quiet_hours_only_critical_ones_are_told_the_others_together_afterwards(lab, told):
-    async def scenario(step):
-        lab.alarms = [lab.alarm("clock")]
-        await step()
-        lab.alarms = [lab.alarm("clock"), lab.alarm("cube-face"), lab.alarm()]
-        await step()
-        assert [title.rpartition(" ")[2] for title in lab.titles] == ["stow-wanted"]
-        await step(3600.0)
-        ((_, _, body),) = lab.told[1:]
-        found = json.loads(body)
-        assert found["title"] == "heliocube: 2 changes of alarms"
-        assert found["message"].splitlines() == ["roof SIMULATED: WARNING clock", "roof SIMULATED: WARNING cube-face"]
-
-    told(scenario, quiet_from="11:30", quiet_until="12:30")
-
-
-def test_what_comes_and_goes_is_gathered_into_one_message(lab, told):
-    async def scenario(step):
-        for number in range(12):
-            lab.alarms = [lab.alarm(raised=f"2026-06-21T12:00:{number:02}.000Z")] if number % 2 == 0 else []
-            await step(1.0)
-        assert len(lab.titles) == 3
-        await step(1200.0)
-        assert lab.titles[3:] == ["heliocube: 9 changes of alarms"]
-
-    told(scenario, most_per_hour=3)
-
-
 def test_what_is_not_taken_is_tried_again_and_nothing_is_told_twice(lab, told):
     async def scenario(step):
         lab.alarms, lab.taking = [lab.alarm()], False
@@ -269,76 +236,6 @@ def test_a_way_that_fails_as_nobody_expected_is_logged_and_costs_no_other(lab, t
     told(scenario)
 
 
-def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
-    async def scenario(step):
-        await step()
-        lab.up = False
-        for _ in range(15):
-            await step()
-        ((_, _, body),) = lab.told
-        found = json.loads(body)
-        assert found["title"].endswith("CRITICAL does not answer")
-        assert f"The service at {lab.address} has not answered for 120 s: it answers with 503." in found["message"]
-        lab.up = True
-        await step()
-        assert lab.titles[1].endswith(": answers again")
-
-    told(scenario)
-
-
-ROOF = '{"site": {"name": "roof"}, "simulated": true'
-
-
-@pytest.mark.parametrize(
-    "page",
-    [
-        "<html>",
-        "{}",
-        "[]",
-        '{"error": "x"}',
-        ROOF + "}",
-        ROOF + ', "alarms": [{"name": "x", "tracker": null, "severity": "fatal"}]}',
-        ROOF
-        + ', "alarms": [{"name": "x", "tracker": null, "severity": "critical", "state": "raised", "raised_at": []}]}',
-        "[" * 100_000,
-    ],
-    ids=range(8),
-)
-def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told, page):
-    async def scenario(step):
-        lab.instead = page.encode()
-        for _ in range(15):
-            await step()
-        assert "for 120 s: what answers there is not heliocube." in json.loads(lab.told[0][2])["message"]
-        lab.instead = None
-        await step()
-        assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
-
-    told(scenario)
-
-
-def test_an_answer_without_an_end_is_told_like_silence():
-    class Endless(httpx.AsyncByteStream):
-        async def __aiter__(self):
-            while True:
-                yield b" "
-                await asyncio.sleep(1.0)
-
-    async def scenario():
-        transport = httpx.MockTransport(lambda request: httpx.Response(200, stream=Endless()))
-        async with httpx.AsyncClient(transport=transport) as client:
-            clock, settings = LoopClock(asyncio.get_running_loop().time, NOON_UTC_S), NotifySettings()
-            ways = [Way("one")]
-            courier = Courier(settings, [parse_address("127.0.0.1:1")], ways, clock, client)
-            async with asyncio.timeout(600):
-                while not ways[0].told:
-                    await asyncio.gather(*await courier.step())
-        assert ways[0].told == ["answer"]
-
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        runner.run(scenario())
-
-
 def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
     async def scenario():
         slow, quick = Way("slow"), Way("quick")
@@ -364,46 +261,3 @@ def test_the_heart_beats_while_it_works(lab, told):
         assert lab.beats == 3
 
     told(scenario, heartbeat=f"http://{lab.address}/beat", heartbeat_every_s=30.0)
-
-
-def test_a_try_says_of_each_way_and_of_the_heartbeat_what_came_of_it(lab, tmp_path):
-    people = tmp_path / "people"
-    people.write_text(f"ntfy://{lab.address}/roof\njson://user:secret@127.0.0.1:1/\n")
-    people.chmod(0o640)
-    lines = []
-    settings = NotifySettings(heartbeat=f"http://{lab.address}/beat")
-    assert asyncio.run(try_out(settings, recipients_of(people), lines.append)) is False
-    assert [line.rpartition(": ")[2] for line in lines] == ["taken", "not taken; see the lines above", "taken"]
-    assert "secret" not in "".join(lines)
-    assert "a test" in str(lab.told[0])
-
-
-def test_a_try_that_does_not_reach_everybody_ends_with_4(lab, tmp_path):
-    config, people = tmp_path / "notify.toml", tmp_path / "people"
-    config.write_text("[notify]\npeople_file = 'people'\n")
-    people.touch(0o600)
-    for port, code in ((lab.address.rpartition(":")[2], 0), ("1", 4)):
-        people.write_text(f"json://127.0.0.1:{port}/\n")
-        done = forks.run("notify", "--config", config, "--test")
-        assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
-
-
-@pytest.mark.parametrize(
-    ("content", "mode", "sentence"),
-    [
-        (None, 0o600, "does not exist: write one apprise address on each line, such as ntfy://ntfy.lab/roof, and run"),
-        ("", 0o600, "names nobody"),
-        ("tea://secret\n", 0o600, "line 1: no address that apprise knows"),
-        ("# x\njson://\n", 0o600, "line 2: no address that apprise knows"),
-        ("json://a/\n", 0o644, "is open to others than its owner and its group's readers: run chmod 640"),
-    ],
-)
-def test_a_file_that_names_nobody_is_refused_without_what_is_secret(tmp_path, content, mode, sentence):
-    people = tmp_path / "people"
-    if content is not None:
-        people.write_text(content)
-        people.chmod(mode)
-    with pytest.raises(UserError) as refused:
-        recipients_of(people)
-    assert sentence in str(refused.value)
-    assert "secret" not in str(refused.value)

@@ -1,0 +1,87 @@
+"""A service that does not answer, or in whose place something else answers, is told to people too."""
+
+import asyncio
+import json
+
+import httpx
+import pytest
+
+from daemon.base.addresses import parse_address
+from daemon.base.clock import LoopClock
+from daemon.base.timeloop import VirtualTimeLoop
+from daemon.config.links import NotifySettings
+from daemon.notify.courier import Courier
+from tests.daemon.notify.test_courier import NOON_UTC_S, Way, lab, told
+
+__all__ = ["lab", "told"]
+
+pytestmark = pytest.mark.slow
+
+ROOF = '{"site": {"name": "roof"}, "simulated": true'
+
+
+def test_a_service_that_is_silent_is_told_once_and_its_return_too(lab, told):
+    async def scenario(step):
+        await step()
+        lab.up = False
+        for _ in range(15):
+            await step()
+        ((_, _, body),) = lab.told
+        found = json.loads(body)
+        assert found["title"].endswith("CRITICAL does not answer")
+        assert f"The service at {lab.address} has not answered for 120 s: it answers with 503." in found["message"]
+        lab.up = True
+        await step()
+        assert lab.titles[1].endswith(": answers again")
+
+    told(scenario)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        "<html>",
+        "{}",
+        "[]",
+        '{"error": "x"}',
+        ROOF + "}",
+        ROOF + ', "alarms": [{"name": "x", "tracker": null, "severity": "fatal"}]}',
+        ROOF
+        + ', "alarms": [{"name": "x", "tracker": null, "severity": "critical", "state": "raised", "raised_at": []}]}',
+        "[" * 100_000,
+    ],
+    ids=range(8),
+)
+def test_what_answers_in_the_place_of_the_service_is_told_like_silence(lab, told, page):
+    async def scenario(step):
+        lab.instead = page.encode()
+        for _ in range(15):
+            await step()
+        assert "for 120 s: what answers there is not heliocube." in json.loads(lab.told[0][2])["message"]
+        lab.instead = None
+        await step()
+        assert lab.titles[1:] == ["heliocube roof SIMULATED: answers again"]
+
+    told(scenario)
+
+
+def test_an_answer_without_an_end_is_told_like_silence():
+    class Endless(httpx.AsyncByteStream):
+        async def __aiter__(self):
+            while True:
+                yield b" "
+                await asyncio.sleep(1.0)
+
+    async def scenario():
+        transport = httpx.MockTransport(lambda request: httpx.Response(200, stream=Endless()))
+        async with httpx.AsyncClient(transport=transport) as client:
+            clock, settings = LoopClock(asyncio.get_running_loop().time, NOON_UTC_S), NotifySettings()
+            ways = [Way("one")]
+            courier = Courier(settings, [parse_address("127.0.0.1:1")], ways, clock, client)
+            async with asyncio.timeout(600):
+                while not ways[0].told:
+                    await asyncio.gather(*await courier.step())
+        assert ways[0].told == ["answer"]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
