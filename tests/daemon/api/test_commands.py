@@ -1,0 +1,141 @@
+"""Commands over the interface: what they do, to which tracker, and which token and body they need."""
+
+import asyncio
+
+import pytest
+
+from daemon.base.records import Mode
+from tests.support.api import BEARER, TOKEN
+from tests.support.motion import commands_sent
+from tests.support.phases import at_rest, tracking, under_way
+
+
+def test_a_stop_over_the_interface_reaches_the_unit_before_anything_else(serve, monkeypatch):
+    async def scenario(rig, call):
+        await under_way(rig)
+        sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
+        reply = await call.post("stop", b'{"why": "a hand"}')
+        assert sent[0][1].startswith(b"$9s")
+        assert sent[0][0] - asked_s < 0.2
+        assert reply.status == 200
+        assert reply.json["done"] is True
+        a_deg, b_deg = rig.truth()
+        assert f"standing at A {a_deg:+.1f}, B {b_deg:.1f} deg; mode hold: stopped by HTTP since " in reply.json["text"]
+
+    serve(scenario)
+
+
+def test_goto_goes_and_outside_the_limits_is_refused_with_the_limits(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
+        reply = await call.post("goto", b'{"a_deg": -20, "b_deg": 70.5}')
+        assert (reply.status, reply.json["text"][:28]) == (200, "moving to A -20.0, B 70.5 de")
+        for body in (b'{"a_deg": 60, "b_deg": 70}', b'{"a_deg": NaN, "b_deg": 70}', b'{"a_deg": 0, "b_deg": 1e999}'):
+            reply = await call.post("goto", body)
+            assert reply.status == 422
+            assert reply.json["error"].endswith("is outside the limits (A -50..50 deg, B 15..90 deg)")
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b'{"a_deg": 1}', b'{"a_deg": "1", "b_deg": 60}', b'{"a_deg": true, "b_deg": 60}']
+)
+def test_goto_needs_two_numbers(serve, body):
+    async def scenario(rig, call):
+        reply = await call.post("goto", body)
+        assert reply.status == 400
+        assert reply.json["error"] == 'goto needs two numbers of degrees, such as {"a_deg": -10, "b_deg": 60}'
+
+    serve(scenario)
+
+
+def test_the_tracker_of_a_command_stands_in_the_body_or_in_the_query(serve):
+    async def scenario(rig, call):
+        east, west = rig.service.trackers
+        await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        reply = await call.post("hold", b'{"tracker": "west"}')
+        assert (reply.status, west.control.mode, east.control.mode) == (200, Mode.HOLD, Mode.TRACKING)
+        assert (await call.post("hold?tracker=east")).status == 200
+        assert east.control.mode is Mode.HOLD
+        for name, body, sentence in [
+            ("auto", b"", "'auto' needs the name of a tracker, one of east, west"),
+            ("auto?tracker=north", b"", "there is no tracker 'north' here, but east, west"),
+        ]:
+            reply = await call.post(name, body)
+            assert (reply.status, reply.json["error"]) == (422, sentence)
+        reply = await call.post("auto?tracker=east", b'{"tracker": "west"}')
+        assert (reply.status, reply.json["error"]) == (422, "the body names the tracker 'west', and the query 'east'")
+        assert {"east", "west"} == set((await call.get("/api/state")).json["trackers"])
+        metrics = (await call.get("/metrics")).body.decode().splitlines()
+        assert 'heliocube_mode{mode="hold",tracker="west"} 1.0' in metrics
+        assert 'heliocube_mode{mode="hold",tracker="east"} 1.0' in metrics
+
+    serve(scenario, tracker=[{"name": "east"}, {"name": "west"}])
+
+
+@pytest.mark.parametrize(
+    ("headers", "sentence"),
+    [
+        ({}, "a command needs the header 'Authorization: Bearer TOKEN'"),
+        ({"Authorization": f"Basic {TOKEN}"}, "a command needs the header 'Authorization: Bearer TOKEN'"),
+        ({"Authorization": "Bearer "}, "a command needs the header 'Authorization: Bearer TOKEN'"),
+        ({"Authorization": f"Bearer {TOKEN[:-1]}"}, "the token is not the service's: see api.token_file"),
+        ({"Authorization": f"Bearer {TOKEN}x"}, "the token is not the service's: see api.token_file"),
+        ({"Authorization": "Bearer \xe9"}, "the token is not the service's: see api.token_file"),
+    ],
+)
+def test_without_the_right_token_nothing_is_commanded(serve, headers, sentence):
+    async def scenario(rig, call):
+        await tracking(rig)
+        for command in ("stow", "hold", "auto", "stop", "goto", "home", "clear"):
+            reply = await call.post(command, b'{"a_deg": 0, "b_deg": 60}' if command == "goto" else b"", headers)
+            assert (reply.status, reply.json) == (401, {"error": sentence})
+            assert "www-authenticate: Bearer" in reply.head
+        assert rig.mode is Mode.TRACKING
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "sentence"),
+    [
+        (b"stow please", 400, "the body is not JSON"),
+        (b"\xff\xfe", 400, "the body is not JSON"),
+        (b"[" * 4000, 400, "the body is not JSON"),
+        (b"[1]", 400, 'the body is not a JSON object, such as {"why": "maintenance"}'),
+        (b'{"when": 1}', 400, "the body has 'when', but may have only why, by, id, tracker"),
+        (b'{"why": "a", "by": "b", "why": "c"}', 400, "the body has 'why' twice"),
+        (b"x" * 5000, 413, "the body is longer than 4096 bytes"),
+        (b"x" * 10_000_000, 413, "the body is longer than 4096 bytes"),
+    ],
+    ids=lambda value: repr(value)[:30],
+)
+def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve, body, status, sentence):
+    async def scenario(rig, call):
+        await tracking(rig)
+        reply = await call.post("stow", body)
+        assert (reply.status, reply.json) == (status, {"error": sentence})
+        assert rig.mode is Mode.TRACKING
+
+    serve(scenario)
+
+
+def test_a_body_without_end_is_not_read_to_its_end(serve):
+    async def scenario(rig, call):
+        reader, writer = await call.open("POST", "/api/stow", headers=BEARER, length=1 << 40)
+        sent = 0
+        replying = asyncio.create_task(reader.read(200))
+        while not replying.done() and sent < 200 << 20:
+            writer.write(b"x" * (1 << 20))
+            sent += 1 << 20
+            try:
+                await writer.drain()
+            except ConnectionError:
+                break
+        assert b"413" in await replying
+        assert sent < 200 << 20
+        writer.close()
+
+    serve(scenario)

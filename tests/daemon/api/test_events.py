@@ -1,0 +1,45 @@
+"""The stream of events: what it brings, when it ends, and how many may listen."""
+
+import asyncio
+import json
+import re
+
+from daemon.base.records import Event
+from tests.support.phases import tracking
+
+
+def test_events_bring_the_state_and_every_record_and_end_with_the_service(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        reader, writer = await call.open("GET", "/api/events")
+        await asyncio.sleep(20)
+        rig.service.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "test", "hello"))
+        await reader.readuntil(b"event: state\ndata: ")
+        assert json.loads(await reader.readline())["mode"]["name"] == "tracking"
+        seen = set()
+        while "event" not in seen:
+            line = (await reader.readline()).decode()
+            seen.update(re.findall(r"^event: (.+)$", line))
+        assert {"state", "scan", "pose", "event"} <= seen
+        assert json.loads((await reader.readline()).decode().removeprefix("data: "))["text"] == "hello"
+        call.server.close()
+        writer.close()
+        await writer.wait_closed()
+
+    serve(scenario)
+
+
+def test_the_seventeenth_listener_is_sent_away(serve):
+    async def scenario(rig, call):
+        connections = [await call.open("GET", "/api/events") for _ in range(16)]
+        for reader, _ in connections:
+            await reader.readuntil(b"event: state")
+        reply = await call.get("/api/events")
+        assert (reply.status, reply.json) == (
+            503,
+            {"error": "too many programs listen to the events already; close one"},
+        )
+        for _, writer in connections:
+            writer.close()
+
+    serve(scenario)

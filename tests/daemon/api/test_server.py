@@ -1,0 +1,37 @@
+"""The port of the interface, and places that are not there."""
+
+import asyncio
+
+from daemon.base.records import Event
+from tests.support.api import server_of
+
+
+def test_a_port_that_is_taken_is_told_once_and_taken_when_it_is_free(serve, run_rig):
+    async def scenario(rig, call):
+        port = call.server.url.rpartition(":")[2]
+        settings = rig.service.settings.api.model_copy(update={"listen": f"127.0.0.1:{port}"})
+        second = server_of(rig, settings)
+        assert second.url is None
+        serving = asyncio.create_task(second.run())
+        await asyncio.sleep(300)
+        told = [event.text for event in rig.of(Event) if event.subject == "api"]
+        assert told == [
+            f"127.0.0.1:{port} cannot be listened on: Address already in use; set api.listen to another port"
+        ]
+        call.server.close()
+        await asyncio.sleep(11)
+        assert second.url == f"http://127.0.0.1:{port}"
+        serving.cancel()
+        await asyncio.wait((serving,))
+
+    serve(scenario)
+
+
+def test_unknown_places_and_wrong_methods_are_one_sentence(serve):
+    async def scenario(rig, call):
+        reply = await call.get("/api/nothing")
+        assert (reply.status, reply.json) == (404, {"error": "there is no /api/nothing here; see docs/api.md"})
+        reply = await call.get("/api/stow")
+        assert (reply.status, reply.json) == (405, {"error": "/api/stow does not take GET, but POST"})
+
+    serve(scenario)

@@ -1,0 +1,157 @@
+"""What /api/state and /api/scans tell: age and quality, what is stale, and what is not known."""
+
+import asyncio
+import math
+from dataclasses import replace
+
+import pytest
+
+from daemon.base.records import Mode
+from tests.support.phases import at_rest, tracking
+
+
+def test_the_state_tells_everything_with_age_and_quality(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
+        found = (await call.get("/api/state")).json
+        assert found["simulated"] is True
+        assert found["mode"] == {
+            "name": "tracking",
+            "asked": None,
+            "why": rig.control.why,
+            "since": found["mode"]["since"],
+        }
+        assert found["scan"]["stale"] is False
+        for face in found["scan"]["faces"].values():
+            assert face["quality"] == "ok"
+            assert 0 <= face["age_s"] <= found["scan"]["age_s"] + 5
+        pose, truth = found["tracker"]["pose"], rig.truth()
+        assert (pose["a_deg"], pose["b_deg"]) == (pytest.approx(truth[0], abs=0.2), pytest.approx(truth[1], abs=0.2))
+        assert pose["stale"] is False
+        assert 0 <= pose["age_s"] <= 30
+        assert found["tracker"]["limits"] == {"a_min_deg": -50, "a_max_deg": 50, "b_min_deg": 15, "b_max_deg": 90}
+        assert found["bridge"]["accepted"] > 5
+        assert found["decision"]["law"] == "mu-prime"
+        assert any("tracking" in item["text"] for item in found["news"])
+
+    serve(scenario)
+
+
+def test_before_the_first_scan_what_is_unknown_is_null(serve):
+    async def scenario(rig, call):
+        found = (await call.get("/api/state")).json
+        assert found["scan"] is None
+        assert found["next_decision_s"] is None
+
+    serve(scenario)
+
+
+def test_what_is_too_old_is_marked_stale_and_recovers(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
+        await asyncio.sleep(60)
+        found = (await call.get("/api/state")).json
+        assert found["scan"]["stale"] is True
+        assert {face["quality"] for face in found["scan"]["faces"].values()} == {"stale"}
+        assert found["tracker"]["connected"] is False
+        assert found["tracker"]["pose"]["stale"] is True
+        assert "voltmeter" in found["cube_down_why"]
+        metrics = (await call.get("/metrics")).body.decode()
+        assert "heliocube_irradiance_watts_per_square_meter{" not in metrics
+        assert 'heliocube_face_ok{face="east"} 0.0' in metrics
+        health = await call.get("/healthz")
+        assert (health.status, health.json["ok"], len(health.json["down"])) == (200, True, 2)
+
+        rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = True
+        await rig.until_mode(Mode.TRACKING, 200)
+        await asyncio.sleep(10)
+        found = (await call.get("/api/state")).json
+        assert {face["quality"] for face in found["scan"]["faces"].values()} == {"ok"}
+        assert found["tracker"]["pose"]["stale"] is False
+        assert found["cube_down_why"] is None
+
+    serve(scenario)
+
+
+def test_a_pose_that_grows_old_on_a_link_that_is_up_is_stale(serve):
+    async def scenario(rig, call):
+        await tracking(rig)
+        await at_rest(rig)
+        rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
+        await asyncio.sleep(20)
+        assert (await call.get("/api/state")).json["tracker"]["pose"]["stale"] is False
+        await asyncio.sleep(25)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["connected"], tracker["pose"]["stale"]) == (True, True)
+
+    serve(scenario)
+
+
+def test_motor_currents_are_shown_while_there_is_telemetry_and_nothing_of_a_lost_tracker_is(serve):
+    async def scenario(rig, call):
+        read = rig.positioner.read_telemetry
+
+        async def with_currents():
+            return replace(await read(), a_motor_current_a=0.75, b_motor_current_a=float("nan"))
+
+        rig.positioner.read_telemetry = with_currents
+        await tracking(rig)
+        assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": 0.75, "b": None}
+        metrics = (await call.get("/metrics")).body.decode()
+        assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
+        assert 'heliocube_motor_amperes{axis="b"' not in metrics
+        assert "heliocube_angle_degrees{" in metrics
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 15, "the loss")
+        await asyncio.sleep(0.2)
+        metrics = (await call.get("/metrics")).body.decode()
+        assert "heliocube_angle_degrees{" not in metrics
+        assert "heliocube_motor_amperes{" not in metrics
+        assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": None, "b": None}
+
+    serve(scenario)
+
+
+def test_what_a_make_tells_beyond_the_interface_is_shown_as_it_is_and_a_supply_it_does_not_tell_is_left_out(serve):
+    async def scenario(rig, call):
+        read = rig.positioner.read_telemetry
+        await tracking(rig)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert (tracker["details"], tracker["supply_v"]) == ({"mode": "tracker ok"} | tracker["details"], 24.0)
+        assert "heliocube_supply_volts{" in (await call.get("/metrics")).body.decode()
+
+        async def of_another_make():
+            return replace(
+                await read(), supply_v=math.nan, details={"oil_degc": 41.5, "brake": "off", "tilt": math.inf}
+            )
+
+        rig.positioner.read_telemetry = of_another_make
+        await asyncio.sleep(20)
+        tracker = (await call.get("/api/state")).json["tracker"]
+        assert tracker["details"] == {"oil_degc": 41.5, "brake": "off", "tilt": None}
+        assert tracker["supply_v"] is None
+        assert "heliocube_supply_volts{" not in (await call.get("/metrics")).body.decode()
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: not rig.motion.connected, 15, "the loss")
+        assert (await call.get("/api/state")).json["tracker"]["details"] == {}
+
+    serve(scenario)
+
+
+def test_scans_since_an_instant_are_the_later_ones_in_order(serve):
+    async def scenario(rig, call):
+        await asyncio.sleep(60)
+        scans = (await call.get("/api/scans")).json["scans"]
+        assert [scan["sequence"] for scan in scans] == list(range(len(scans)))
+        later = (await call.get(f"/api/scans?since={scans[4]['time']}")).json["scans"]
+        assert later[0]["sequence"] == 5
+        assert "time_monotonic_s" not in later[0]
+        wrong = await call.get("/api/scans?since=yesterday")
+        assert (wrong.status, wrong.json["error"]) == (
+            400,
+            "since='yesterday' is no UTC time; write 2022-10-14T08:00:00Z",
+        )
+
+    serve(scenario)
