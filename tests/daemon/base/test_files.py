@@ -11,7 +11,7 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.files import read_secret, replace_file, rewrite_file, write_secret
 from daemon.base.state import replace_kept
-from tests.daemon.store.test_store import fill, small_disk
+from tests.daemon.store.test_full_disk import fill, small_disk
 
 __all__ = ["small_disk"]
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from daemon.base.files import replace_file
 from daemon.base.state import ROOM_BYTES, StateFile, StateFolder, UnreadableStateError, replace_kept, spare_of
-from tests.daemon.store.test_store import fill, small_disk
+from tests.daemon.store.test_full_disk import fill, small_disk
 
 __all__ = ["small_disk"]
 

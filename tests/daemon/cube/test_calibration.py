@@ -22,7 +22,7 @@ from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibratio
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, Rows, open_for_writing
 from daemon.studies.calibrate.readings import read_store
-from tests.daemon.store.test_store import fill, small_disk
+from tests.daemon.store.test_full_disk import fill, small_disk
 
 __all__ = ["small_disk"]
 

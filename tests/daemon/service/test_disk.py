@@ -12,7 +12,7 @@ from daemon.base.records import Mode
 from daemon.base.state import StateFolder
 from daemon.service.operator import CommandError, Operator, Seen
 from daemon.tracker.wishes import WishFile
-from tests.daemon.store.test_store import fill, small_disk
+from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support.api import serve
 from tests.support.phases import under_way
 from tests.support.rig import ServiceRig

@@ -14,7 +14,8 @@ from daemon.store.release_kept import FILE_NAME as RELEASE_NAME
 from daemon.store.release_kept import Releases
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
-from tests.daemon.store.test_store import ORIGIN, count, keep, small_disk
+from tests.daemon.store.test_full_disk import small_disk
+from tests.daemon.store.test_store import ORIGIN, count, keep
 from tests.daemon.store.test_tables import scan
 
 __all__ = ["keep", "small_disk"]

@@ -1,16 +1,96 @@
-"""What the tracker does while its records cannot be written: the same as ever."""
+"""Records that cannot be written wait, and the tracker does the same as ever."""
 
 import asyncio
+import logging
 import queue
 import subprocess
+import threading
+
+import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.records import Decision, Mode, Scan
+from daemon.store.export import export
 from daemon.store.store import Store
-from tests.daemon.store.test_store import ORIGIN, count, fill, small_disk
+from tests.daemon.store.test_store import ORIGIN, count
+from tests.daemon.store.test_tables import scan
 from tests.support.phases import tracking
 
-__all__ = ["small_disk"]
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 512 kB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", disk], capture_output=True)
+    if made.returncode:
+        pytest.skip("mounting a small file system needs root")
+    yield disk
+    subprocess.run(["umount", "--lazy", disk], check=True)
+
+
+class CountedClock(SystemClock):
+    """Knows when it has been asked often enough: the store asks it at each failure."""
+
+    def __init__(self, enough):
+        self.left, self.enough = enough, threading.Event()
+
+    def monotonic(self):
+        self.left -= 1
+        if self.left <= 0:
+            self.enough.set()
+        return super().monotonic()
+
+
+def fill(path):
+    with path.open("wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(bytes(4096))
+        except OSError:
+            pass
+
+
+def test_a_full_disk_is_told_once_costs_nothing_and_is_over_by_itself(small_disk, caplog, tmp_path):
+    caplog.set_level(logging.INFO)
+    told, clock = queue.Queue(), CountedClock(5)
+    store = Store(small_disk, 0.1, 400, ORIGIN, clock, told.put)
+    store.keep(scan(0))
+    filler = small_disk / "filler"
+    fill(filler)
+    for n in range(1, 3000):
+        store.keep(scan(n))
+    assert clock.enough.wait(20)
+    event = told.get(timeout=20)
+    full = f"the disk of {small_disk} is full"
+    assert (event.subject, event.text) == ("store", f"cannot write: {full}; records wait in memory")
+    assert store.status.down_why == full
+    filler.unlink()
+    # The disk is still too small for everything: what fits is written, the rest waits.
+    subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
+    assert told.get(timeout=20).text == "writes again; nothing was lost"
+    store.close()
+    assert told.empty()
+    assert store.status.written == 3000
+    assert store.status.lost == 0
+    assert [record.message for record in caplog.records] == [
+        f"the store is down: {full}",
+        "the store is back",
+    ]
+    assert export(small_disk, tmp_path / "out", "csv", None, None, ["scans"]) == {"scans": 3000}
+
+
+def test_a_service_starts_on_a_full_disk_and_writes_when_there_is_room(small_disk, tmp_path):
+    filler = small_disk / "filler"
+    fill(filler)
+    told = queue.Queue()
+    store = Store(small_disk, 0.1, 400, ORIGIN, SystemClock(), told.put)
+    store.keep(scan(0))
+    assert "cannot write" in told.get(timeout=20).text
+    filler.unlink()
+    assert told.get(timeout=20).text == "writes again; nothing was lost"
+    store.close()
+    assert count(small_disk, "scans") == 1
 
 
 def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_disk):

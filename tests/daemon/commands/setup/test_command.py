@@ -14,7 +14,7 @@ from daemon.commands.main import app
 from daemon.commands.setup.command import LEFT
 from daemon.commands.setup.finish import start_lines
 from daemon.config.file import load_settings
-from tests.daemon.store.test_store import fill, small_disk
+from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import ROOT
 
 __all__ = ["small_disk"]

@@ -11,7 +11,7 @@ from daemon.base.records import Mode
 from daemon.commands.upgrade.running import program, service
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
-from tests.daemon.store.test_store import small_disk
+from tests.daemon.store.test_full_disk import small_disk
 from tests.support.api import serve
 
 __all__ = ["serve", "small_disk"]
