@@ -90,7 +90,7 @@ def availability_of(material: Material) -> Availability:
     """Return how good the records of a span are."""
     span, scans = material.span, material.tables["scans"]
     utc_s = material.times_of("scans")
-    interval_s = float(np.median(np.diff(utc_s))) if utc_s.size > 2 else _USUAL_INTERVAL_S
+    interval_s = _interval_s(utc_s)
     valid: NDArray[np.bool_] = np.isfinite(material.faces()).min(axis=1, initial=True)
     missing = _missing_times(utc_s, span.start_utc_s, span.end_utc_s, interval_s)
     up, missing_up = sun_up(material, utc_s) > 0.0, sun_up(material, missing) > 0.0
@@ -103,8 +103,17 @@ def availability_of(material: Material) -> Availability:
             for face in FACES
             if f"{face}_quality" in scans
         },
-        gaps=_gaps(utc_s, span.start_utc_s, span.end_utc_s, interval_s),
+        gaps=_gaps(utc_s, span.start_utc_s, span.end_utc_s),
     )
+
+
+def longest_interval_s(utc_s: Array) -> float:
+    """Return the longest time between two records of one kind [s] that is no gap, by the instants of all."""
+    return max(_LEAST_GAP_S, _LEAST_GAP_SCANS * _interval_s(utc_s))
+
+
+def _interval_s(utc_s: Array) -> float:
+    return float(np.median(np.diff(utc_s))) if utc_s.size > 2 else _USUAL_INTERVAL_S
 
 
 def _count(recorded: int, missing: int, valid: NDArray[np.bool_]) -> Count:
@@ -124,9 +133,9 @@ def _missing_times(utc_s: Array, start_s: float, end_s: float, interval_s: float
     return np.concatenate([first, *parts, last])
 
 
-def _gaps(utc_s: Array, start_s: float, end_s: float, interval_s: float) -> tuple[Gap, ...]:
+def _gaps(utc_s: Array, start_s: float, end_s: float) -> tuple[Gap, ...]:
     edges = np.concatenate([[start_s], utc_s, [end_s]])
-    long = np.flatnonzero(np.diff(edges) > max(_LEAST_GAP_S, _LEAST_GAP_SCANS * interval_s))
+    long = np.flatnonzero(np.diff(edges) > longest_interval_s(utc_s))
     return tuple(Gap(float(edges[place]), float(edges[place + 1])) for place in long.tolist())
 
 

@@ -17,7 +17,8 @@ TOLERANCE_DEG = 5.0
 
 NOT_RECORDED = "not recorded"
 # Poses come every few seconds while the service runs, at rest as well.
-_SILENT_S = 900.0
+SILENT_S = 900.0
+"""A longer time without a record is one in which nothing was recorded."""
 _EDGE_S = 120.0
 _OTHERS_WANT = (Mode.STOW, Mode.SNOW, Mode.MAINTENANCE, Mode.HOLD)
 
@@ -127,8 +128,8 @@ def _recorded(material: Material) -> list[tuple[float, float]]:
     """Return from when to when there are records of any kind without a long pause."""
     every = np.sort(np.concatenate([material.times_of(kind) for kind in material.tables]))
     start, end = material.span.start_utc_s, material.span.end_utc_s
-    edges = np.concatenate([[start - _SILENT_S * 2], every, [end + _SILENT_S * 2]])
-    quiet = np.flatnonzero(np.diff(edges) > _SILENT_S)
+    edges = np.concatenate([[start - SILENT_S * 2], every, [end + SILENT_S * 2]])
+    quiet = np.flatnonzero(np.diff(edges) > SILENT_S)
     found = [(float(edges[one + 1]), float(edges[other])) for one, other in pairwise(quiet.tolist())]
     # The first minutes and the last belong to it, wherever its rhythm put the first record.
     return [
@@ -166,14 +167,14 @@ def _at_set_point(material: Material, stretches: tuple[Stretch, ...]) -> tuple[f
     utc_s = np.arange(span.start_utc_s + DAYLIGHT_EVERY_S / 2.0, span.end_utc_s, DAYLIGHT_EVERY_S)
     counts = (sun_up(material, utc_s) > 0.0) & ~_while(stretches, utc_s, _OTHERS_WANT)
     set_points = [held(material, "moves", f"target_{angle}", utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
-    stands = [held(material, "poses", angle, utc_s, _SILENT_S) for angle in ("a_deg", "b_deg")]
+    stands = [held(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
     apart = np.maximum(*(np.abs(wanted - is_at) for wanted, is_at in zip(set_points, stands, strict=True)))
     # Before the first move of a span nobody knows where it was sent.
     counts &= np.isfinite(set_points[0])
     if not counts.any():
         return np.nan, np.nan, np.nan
     within = apart[counts] <= TOLERANCE_DEG
-    still = counts & (held(material, "poses", "moving", utc_s, _SILENT_S) == 0.0) & np.isfinite(apart)
+    still = counts & (held(material, "poses", "moving", utc_s, SILENT_S) == 0.0) & np.isfinite(apart)
     if not still.any():
         return np.nan, np.nan, 100.0 * float(within.mean())
     return float(apart[still].mean()), float(np.percentile(apart[still], 95.0)), 100.0 * float(within.mean())

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from daemon.base.records import FACES
 from daemon.studies.report.asked import NAMES
+from daemon.studies.report.availability import longest_interval_s
 from daemon.studies.report.material import Material
-from daemon.studies.report.motion import NOT_RECORDED, RecordedMotion
-from daemon.studies.report.yields import RecordedLight, Yield
+from daemon.studies.report.motion import NOT_RECORDED, SILENT_S, RecordedMotion
+from daemon.studies.report.yields import RecordedLight, Yield, held
 from daemon.studies.stamp import stamped
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Array, angles_within
@@ -89,12 +90,13 @@ def light_picture(drawing: Drawing) -> Figure:
     with rc_context(_RC):
         figure, (upper, lower) = _panels(2, 4.2, (2.4, 1.0))
         light = drawing.light
+        pause_s = longest_interval_s(light.utc_s)
         for face, values in zip(FACES, light.faces.T, strict=True):
             colour, line = _FACE_STYLES[face]
-            upper.plot(*_thinned(light.utc_s, values), color=colour, linestyle=line, label=face)
+            upper.plot(*_thinned(light.utc_s, values, pause_s), color=colour, linestyle=line, label=face)
         upper.set_ylabel("irradiance [W/m²]")
         fraction = np.where(light.sun[:, 2] > _LOWEST_SUN, light.diffuse_fraction, np.nan)
-        lower.plot(*_thinned(light.utc_s, fraction), color=GREY)
+        lower.plot(*_thinned(light.utc_s, fraction, pause_s), color=GREY)
         lower.set(ylabel="diffuse\nfraction [-]", ylim=(0.0, 1.05))
         _legend(upper, 4)
         return _finished(figure, lower, drawing)
@@ -108,15 +110,10 @@ def angles_picture(drawing: Drawing) -> Figure:
         sun = _sun_angles(drawing)
         for axes, angle, path in zip(panels, ("a", "b"), sun[1:], strict=True):
             axes.plot(_dates(sun[0]), path, color=ORANGE, linestyle="--", label="sun, within the limits")
-            moves = material.times_of("moves")
-            if moves.size:
-                targets = material.column("moves", f"target_{angle}_deg")
-                ends = np.append(moves, material.span.end_utc_s)
-                axes.step(
-                    _dates(ends), np.append(targets, targets[-1]), where="post", color=SKY, linewidth=3.0, label="set",
-                )  # fmt: skip
+            if len(material.tables["moves"]):
+                axes.step(*_set_points(drawing, angle), where="post", color=SKY, linewidth=3.0, label="set")
             poses = material.column("poses", f"{angle}_deg")
-            axes.plot(*_thinned(material.times_of("poses"), poses), color=INK, label="actual")
+            axes.plot(*_thinned(material.times_of("poses"), poses, SILENT_S), color=INK, label="actual")
             axes.margins(y=0.08)
         panels[0].set_ylabel("A [deg]\neast − , west +")
         panels[1].set_ylabel("B [deg]\n90 is flat")
@@ -130,14 +127,15 @@ def received_picture(drawing: Drawing) -> Figure:
         figure, (upper, lower) = _panels(2, 4.2, (2.0, 1.0))
         light = drawing.light
         actual, chronometric, best = light.received
-        upper.plot(*_thinned(light.utc_s, best), color=GREY, linewidth=2.6, alpha=0.6, label="best pose")
-        upper.plot(*_thinned(light.utc_s, chronometric), color=ORANGE, linestyle="--", label="chronometric")
-        upper.plot(*_thinned(light.utc_s, actual), color=BLUE, label="actual")
+        pause_s = longest_interval_s(light.utc_s)
+        upper.plot(*_thinned(light.utc_s, best, pause_s), color=GREY, linewidth=2.6, alpha=0.6, label="best pose")
+        upper.plot(*_thinned(light.utc_s, chronometric, pause_s), color=ORANGE, linestyle="--", label="chronometric")
+        upper.plot(*_thinned(light.utc_s, actual, pause_s), color=BLUE, label="actual")
         upper.set_ylabel("estimated irradiance\nin the plane [W/m²]")
         steps = np.append(np.minimum(np.diff(light.utc_s), 60.0), 0.0) / 3600.0
         for plane, style in ((best, {"color": GREY, "linewidth": 2.6, "alpha": 0.6}), (actual, {"color": BLUE})):
             gained = np.cumsum(np.nan_to_num(plane - chronometric) * steps)
-            lower.plot(*_thinned(light.utc_s, gained), **style)
+            lower.plot(*_thinned(light.utc_s, gained, pause_s), **style)
         lower.set_ylabel("gained over\nchronometric\n[Wh/m²]")
         lower.axhline(0.0, color=INK, linewidth=0.8)
         _legend(upper, 3)
@@ -187,7 +185,8 @@ def power_picture(drawing: Drawing) -> Figure:
         material = drawing.material
         good = material.tables["curves"]["quality"] == "ok"
         power = np.where(good, material.column("curves", "pmpp_w"), np.nan)
-        axes.plot(*_thinned(material.times_of("curves"), power), color=BLUE)
+        utc_s = material.times_of("curves")
+        axes.plot(*_thinned(utc_s, power, longest_interval_s(utc_s)), color=BLUE)
         axes.set_ylabel("maximum power\nof the module [W]")
         axes.set_ylim(bottom=0.0)
         return _finished(figure, axes, drawing)
@@ -201,7 +200,7 @@ def wind_picture(drawing: Drawing) -> Figure:
         wind = material.column("poses", "wind_m_s")
         read = np.isfinite(wind)
         axes.plot(
-            *_thinned(material.times_of("poses")[read], wind[read]),
+            *_thinned(material.times_of("poses")[read], wind[read], SILENT_S),
             color=BLUE,
             label="strongest since the reading before",
         )
@@ -305,18 +304,37 @@ def _dates(utc_s: Array) -> NDArray[np.datetime64]:
     return (utc_s * 1e3).astype("datetime64[ms]")
 
 
-def _thinned(utc_s: Array, values: Array) -> tuple[NDArray[np.datetime64], Array]:
-    """Return a line of at most some thousand points: of each stretch its least and its greatest value, gaps kept."""
-    if utc_s.size <= _MOST_POINTS:
-        return _dates(utc_s), values
-    block = -(-2 * utc_s.size // _MOST_POINTS)
-    whole = utc_s.size // block * block
-    blocks = values[:whole].reshape(-1, block)
-    filled = np.where(np.isfinite(blocks), blocks, np.inf), np.where(np.isfinite(blocks), blocks, -np.inf)
-    places = np.stack([filled[0].argmin(axis=1), filled[1].argmax(axis=1)], axis=1)
-    places = np.sort(places, axis=1) + block * np.arange(len(blocks))[:, None]
-    chosen = np.unique(np.concatenate([places.ravel(), np.arange(whole, utc_s.size)]))
-    return _dates(utc_s[chosen]), values[chosen]
+def _thinned(utc_s: Array, values: Array, pause_s: float) -> tuple[NDArray[np.datetime64], Array]:
+    """Return a line of at most some thousand points: of each stretch its least and its greatest value, gaps kept.
+
+    No line crosses a pause of more than `pause_s`.
+    """
+    last = np.flatnonzero(np.diff(utc_s) > pause_s)
+    chosen = np.arange(utc_s.size)
+    if utc_s.size > _MOST_POINTS:
+        block = -(-2 * utc_s.size // _MOST_POINTS)
+        whole = utc_s.size // block * block
+        blocks = values[:whole].reshape(-1, block)
+        filled = np.where(np.isfinite(blocks), blocks, np.inf), np.where(np.isfinite(blocks), blocks, -np.inf)
+        places = np.concatenate([part.argmin(axis=1) for part in (filled[0], -filled[1])])
+        places += np.tile(block * np.arange(len(blocks)), 2)
+        chosen = np.unique(np.concatenate([places, np.arange(whole, utc_s.size)]))
+    behind = np.searchsorted(chosen, last, side="right")
+    middles = (utc_s[last] + utc_s[last + 1]) / 2.0
+    return _dates(np.insert(utc_s[chosen], behind, middles)), np.insert(values[chosen], behind, np.nan)
+
+
+def _set_points(drawing: Drawing, angle: str) -> tuple[NDArray[np.datetime64], Array]:
+    """Return where each move sent an angle; it holds until the next one, and is NaN while nothing was recorded."""
+    material, name = drawing.material, f"target_{angle}_deg"
+    silent = [stretch for stretch in drawing.motion.stretches if stretch.mode == NOT_RECORDED]
+    begins = np.array([stretch.start_utc_s for stretch in silent])
+    ends = np.array([*(stretch.end_utc_s for stretch in silent), material.span.end_utc_s])
+    utc_s = np.concatenate([material.times_of("moves"), begins, ends])
+    again = held(material, "moves", name, ends, np.inf)
+    values = np.concatenate([material.column("moves", name), np.full(begins.shape, np.nan), again])
+    order = np.argsort(utc_s, kind="stable")
+    return _dates(utc_s[order]), values[order]
 
 
 def _sun_angles(drawing: Drawing) -> tuple[Array, Array, Array]:

@@ -1,0 +1,84 @@
+"""What the pictures of a report draw, and what they leave out."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.dates import date2num
+
+from daemon.studies.report.material import of_tables
+from daemon.studies.report.motion import motion_of
+from daemon.studies.report.pictures import PICTURES, Drawing
+from daemon.studies.report.span import ReportSpan
+from daemon.studies.report.yields import light_of
+from solar.ephemeris import DAY_S, Site
+
+T0 = 1665705600.0
+"""2022-10-14T00:00Z."""
+OUTAGE = (T0 + 10 * 3600.0, T0 + 14 * 3600.0)
+EVERY_S = 8.0
+
+
+def table(utc_s, **columns):
+    index = pd.to_datetime(np.asarray(utc_s, dtype=np.float64), unit="s", utc=True).rename("time")
+    return pd.DataFrame(columns, index=index)
+
+
+def material(days=1):
+    """A day from 6:00 to 18:00, of which four hours were not recorded; more scans than a picture has points."""
+    utc_s = np.arange(T0 + 6 * 3600.0, T0 + 18 * 3600.0, EVERY_S)
+    utc_s = utc_s[(utc_s < OUTAGE[0]) | (utc_s >= OUTAGE[1])]
+    moves = np.array([T0 + 7 * 3600.0, T0 + 15 * 3600.0])
+    faces = {f"{face}_w_m2": 300.0 + number * 50.0 for number, face in enumerate(("east", "south", "west", "zenith"))}
+    qualities = {name.replace("_w_m2", "_quality"): "ok" for name in faces}
+    tables = {
+        "scans": table(utc_s, **faces, **qualities),
+        "poses": table(utc_s, a_deg=-10.0, b_deg=60.0, moving=False, wind_m_s=[4.0, math.nan] * (utc_s.size // 2)),
+        "moves": table(
+            moves, from_a_deg=0.0, from_b_deg=90.0, target_a_deg=-10.0, target_b_deg=60.0, end_a_deg=-10.0,
+            end_b_deg=60.0, outcome="arrived",
+        ),
+        "curves": table(utc_s, quality="ok", pmpp_w=80.0),
+        "decisions": table(moves, mode="tracking", albedo_est=math.nan),
+        "modes": table(utc_s[:1], before="starting", after="tracking", why="light"),
+        "events": table([], subject=[], text=[]),
+    }  # fmt: skip
+    (found,) = of_tables(tables, ReportSpan(T0, T0 + days * DAY_S, "day"), Site(48.7, 0.0, 0.0), "here", "tables")
+    return found
+
+
+def crossing(figure):
+    """Return the labels of the lines that go on while nothing was recorded."""
+    first, last = (date2num(np.datetime64(int(at), "s")) for at in OUTAGE)
+    found = []
+    for line in (line for axes in figure.axes for line in axes.lines):
+        x = np.asarray(line.convert_xunits(line.get_xdata(orig=True)), dtype=np.float64)
+        joined = np.isfinite(line.get_ydata()[:-1]) & np.isfinite(line.get_ydata()[1:])
+        middle = (first + last) / 2.0
+        if np.any(joined & (x[:-1] < middle) & (x[1:] > middle)):
+            found.append(line.get_label())
+    return found
+
+
+@pytest.fixture(scope="module")
+def drawing():
+    day = material()
+    return Drawing(day, light_of(day), motion_of(day), None)
+
+
+@pytest.mark.parametrize("name", ["light", "angles", "received", "wind", "power"])
+def test_no_line_is_drawn_where_nothing_was_recorded(drawing, name):
+    figure = PICTURES[name].draw(drawing)
+    drawn = [line for axes in figure.axes for line in axes.lines if np.isfinite(line.get_ydata()).sum() > 2]
+    assert drawn
+    assert [label for label in crossing(figure) if not label.startswith("sun")] == []
+
+
+def test_a_set_point_ends_with_the_records(drawing):
+    (line,) = (line for line in PICTURES["angles"].draw(drawing).axes[0].lines if line.get_label() == "set")
+    x = np.asarray(line.convert_xunits(line.get_xdata(orig=True)), dtype=np.float64)
+    shown = x[np.isfinite(line.get_ydata())]
+    assert shown[0] == date2num(np.datetime64(int(T0 + 7 * 3600), "s"))
+    last = np.flatnonzero(np.isnan(line.get_ydata()))[-1]
+    assert x[last] == pytest.approx(date2num(np.datetime64(int(T0 + 18 * 3600 - EVERY_S), "s")), abs=1e-6)
