@@ -281,8 +281,10 @@ def _finished(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         lowest.xaxis.set_major_locator(AutoDateLocator(maxticks=12))  # type: ignore[no-untyped-call]  # as above
     lowest.xaxis.set_major_formatter(FuncFormatter(_clock(drawing)))
     here = datetime.fromtimestamp((span.start_utc_s + span.end_utc_s) / 2.0, UTC).astimezone(drawing.zone)
-    day = "" if span.duration_s > 1.5 * DAY_S else f"{here:%d %B %Y}, ".lstrip("0")
-    lowest.set_xlabel(f"{day}UTC" if not here.utcoffset() else f"{day}UTC; below it local time, {here:%Z}")
+    long = span.duration_s > 1.5 * DAY_S
+    day = "" if long else f"{here:%d %B %Y}, ".lstrip("0")
+    # The ticks of a long span are days.
+    lowest.set_xlabel(f"{day}UTC" if long or not here.utcoffset() else f"{day}UTC; below it local time, {here:%Z}")
     figure.align_ylabels()
     return stamped(figure, drawing.material.simulated)
 

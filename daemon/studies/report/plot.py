@@ -61,6 +61,8 @@ def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: 
     drawing = Drawing(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)
+        # On a page the picture has the page's colour behind it; a file has nothing.
+        figure.patch.set_alpha(1.0)
         try:
             with rc_context({"svg.hashsalt": "heliocube", "svg.fonttype": "none"}):
                 metadata = {"Date": None} if path.suffix.lower() == ".svg" else {}

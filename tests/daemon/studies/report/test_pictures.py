@@ -1,15 +1,18 @@
 """What the pictures of a report draw, and what they leave out."""
 
 import math
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.dates import date2num
+from matplotlib.image import imread
 
 from daemon.studies.report.material import of_tables
 from daemon.studies.report.motion import motion_of
 from daemon.studies.report.pictures import PICTURES, Drawing
+from daemon.studies.report.plot import draw
 from daemon.studies.report.span import ReportSpan
 from daemon.studies.report.yields import light_of
 from solar.ephemeris import DAY_S, Site
@@ -82,3 +85,17 @@ def test_a_set_point_ends_with_the_records(drawing):
     assert shown[0] == date2num(np.datetime64(int(T0 + 7 * 3600), "s"))
     last = np.flatnonzero(np.isnan(line.get_ydata()))[-1]
     assert x[last] == pytest.approx(date2num(np.datetime64(int(T0 + 18 * 3600 - EVERY_S), "s")), abs=1e-6)
+
+
+def test_a_picture_in_a_file_has_a_white_ground(tmp_path):
+    draw(material(), ["wind"], [tmp_path / "wind.png"], None)
+    pixels = imread(tmp_path / "wind.png")
+    assert pixels[..., 3].min() == 1.0
+    assert pixels[0, 0].tolist() == [1.0, 1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(("days", "words"), [(1, "14 October 2022, UTC; below it local time, CEST"), (2, "UTC")])
+def test_the_axis_of_time_says_what_stands_below_it(tmp_path, days, words):
+    found = material(days)
+    figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
+    assert figure.axes[-1].get_xlabel() == words
