@@ -30,8 +30,8 @@ class History:
         self._one = asyncio.Lock()
 
     async def days(self, _: Request) -> Response:
-        """Answer which days have records."""
-        return JSONResponse({"days": await self._read(stored_days)})
+        """Answer which solar days of the site have records."""
+        return JSONResponse({"days": await self._read(stored_days, self._see().site.longitude_deg)})
 
     async def kind(self, request: Request) -> Response:
         """Answer with one kind of records of a span."""

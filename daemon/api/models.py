@@ -65,9 +65,11 @@ class SunPage(Page):
 
 
 class DaysPage(Page):
-    """The days that have records."""
+    """The solar days that have records."""
 
-    days: list[str] = Field(description="UTC, such as 2022-10-14, the oldest first.")
+    days: list[str] = Field(
+        description="Such as 2022-10-14, from midnight to midnight by the mean sun at the site, the oldest first."
+    )
 
 
 class LinesPage(Page):

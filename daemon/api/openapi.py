@@ -103,7 +103,7 @@ def description() -> dict[str, Any]:
             "/api/events": _text("The state once a second, and each record as it comes", "text/event-stream"),
             "/api/openapi.json": _text("This description", "application/json"),
             "/api/sun": _sun(),
-            "/api/days": _page("The days that have records", DaysPage, 409, 421, 503),
+            "/api/days": _page("The solar days of the site that have records", DaysPage, 409, 421, 503),
             "/api/history/{kind}": _history(),
             "/api/authorised": _authorised(),
             "/healthz": _health(),

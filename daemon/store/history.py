@@ -44,11 +44,26 @@ KINDS_OF_NUMBERS = tuple(_NUMBERS)
 KINDS_OF_LINES = tuple(_LINES)
 
 
-def stored_days(path: Path) -> list[str]:
-    """Return the UTC days that have records, such as ``2022-10-14``, the oldest first; raises `UserError`."""
+def stored_days(path: Path, longitude_deg: float) -> list[str]:
+    """Return the solar days of a site that have records, such as ``2022-10-14``, the oldest first.
+
+    Parameters
+    ----------
+    longitude_deg
+        Of the site, east positive.
+
+    Raises
+    ------
+    UserError
+        The store cannot be read.
+    """
+    ahead_s = longitude_deg * 240.0
     with closing(open_for_reading(path)) as connection, _reading(path):
-        days = connection.execute("SELECT day FROM days ORDER BY day").fetchall()
-    return [datetime.fromtimestamp(day * _DAY_S, UTC).date().isoformat() for (day,) in days]
+        utc_days = connection.execute("SELECT day FROM days").fetchall()
+        # Away from the prime meridian a UTC day has parts of two solar days.
+        near = {(day * _DAY_S + ahead_s) // _DAY_S + more for (day,) in utc_days for more in (0, 1)}
+        days = [day for day in sorted(near) if _any_record(connection, day * _DAY_S - ahead_s)]
+    return [datetime.fromtimestamp(day * _DAY_S, UTC).date().isoformat() for day in days]
 
 
 def packed_numbers(path: Path, kind: str, start_s: float, end_s: float, tracker: str) -> bytes:
@@ -100,6 +115,16 @@ def lines_of(path: Path, kind: str, start_s: float, end_s: float, tracker: str) 
         rows = [row for block in blocks for row in block]
     found = [{"time": iso_utc(row[0])} | dict(zip(names, row[1:], strict=True)) for row in rows[:MOST_LINES]]
     return {"rows": found, "more": len(rows) > MOST_LINES}
+
+
+def _any_record(connection: sqlite3.Connection, start_s: float) -> bool:
+    """Whether there is a record of any kind in the day that begins then."""
+    within = (start_s, start_s + _DAY_S)
+    return any(
+        connection.execute(f"SELECT 1 FROM {kind} WHERE time >= ? AND time < ? LIMIT 1", within).fetchone()  # noqa: S608 - our own names
+        for kind in (*_NUMBERS, *_LINES)
+        if columns_of(connection, kind)
+    )
 
 
 def _blocks(

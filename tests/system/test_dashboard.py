@@ -173,7 +173,7 @@ def test_a_day_is_drawn_from_the_store_with_modes_moves_and_events(site, open_pa
     page.page.get_by_role("button", name="Last hour").click()
     page.sees(".day .hint", "Shown: 12:5")
     page.page.get_by_role("button", name="Whole day").click()
-    page.sees(".day .hint", "Shown: the whole solar day, 01:5")
+    page.sees(".day .hint", "Shown: the whole solar day, 02:00:00")
 
 
 def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_said(open_page):
@@ -181,17 +181,17 @@ def test_the_day_that_is_asked_for_last_is_shown_and_what_is_missing_of_it_is_sa
     days = [f"2022-09-{number}" for number in (17, 18, 19, 20, 21)]
 
     def modes(route):
-        end = parse_qs(urlsplit(route.request.url).query)["to"][0]
-        row = {"time": end, "before": "starting", "after": "stow", "why": f"the end of {end[:10]}"}
-        route.fulfill(json={"rows": [row], "more": end.startswith("2022-09-18")})
+        begin = parse_qs(urlsplit(route.request.url).query)["from"][0]
+        row = {"time": begin, "before": "starting", "after": "stow", "why": f"the begin of {begin[:10]}"}
+        route.fulfill(json={"rows": [row], "more": begin.startswith("2022-09-18")})
 
     page.page.route("**/read/days?*", lambda route: route.fulfill(json={"days": days}))
     page.page.route("**/read/history/modes?*", modes)
     page.show("day")
-    page.sees(".day .log", "the end of 2022-09-21")
+    page.sees(".day .log", "the begin of 2022-09-21")
     assert "end early" not in page.text(".day .summary")
     page.page.get_by_role("button", name="Day before").evaluate("button => [1, 2, 3].forEach(() => button.click())")
-    page.sees(".day .log", "the end of 2022-09-18")
+    page.sees(".day .log", "the begin of 2022-09-18")
     assert page.page.get_by_label("Day", exact=True).input_value() == "2022-09-18"
     page.sees(".day .summary", "more records than fit here: modes end early.")
 

@@ -9,9 +9,10 @@ import pytest
 
 from daemon.api.models import DaysPage, LinesPage
 from daemon.base.clock import SystemClock
+from daemon.base.records import Event
 from daemon.store.store import Store
 from tests.daemon.store.test_history import ORIGIN
-from tests.daemon.store.test_tables import ALL
+from tests.daemon.store.test_tables import ALL, T0
 from tests.support.api import BEARER, Caller, server_of
 
 SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
@@ -19,7 +20,8 @@ SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
 
 def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
     store = Store(tmp_path, 60.0, 400, ORIGIN, SystemClock(), lambda event: None)
-    for record in ALL:
+    # Of this evening by UTC, and of the next morning by the sun 2 degrees east of Greenwich.
+    for record in (*ALL, Event(T0 + 17.9 * 3600.0, 1.0, "x", "")):
         store.keep(record)
     store.close()
 
@@ -29,7 +31,7 @@ def test_stored_days_are_read_over_the_interface(run_rig, tmp_path):
         serving = asyncio.create_task(server.run())
         call = Caller(server)
         try:
-            assert (await call.get("/api/days")).json == {"days": ["2022-10-14"]}
+            assert (await call.get("/api/days")).json == {"days": ["2022-10-14", "2022-10-15"]}
             DaysPage.model_validate((await call.get("/api/days")).json)
             LinesPage.model_validate((await call.get(f"/api/history/moves?{SPAN}")).json)
             reply = await call.get(f"/api/history/scans?{SPAN}")

@@ -1,6 +1,8 @@
 import gzip
 import json
 import math
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -91,11 +93,29 @@ def test_a_page_ends_somewhere_and_says_so(store_of, monkeypatch):
     assert (found["more"], [row["text"] for row in found["rows"]]) == (True, ["0", "1"])
 
 
-def test_the_days_are_those_that_have_records(store_of):
-    path = store_of(Event(T0 + 2 * DAY_S, 1.0, "x", ""), Event(T0, 1.0, "x", ""))
-    assert stored_days(path) == ["2022-10-14", "2022-10-16"]
+@pytest.mark.parametrize(
+    ("hours", "longitude_deg", "days"),
+    [
+        ((0, 48), 0.0, ["2022-10-14", "2022-10-16"]),
+        ((13, 15), 150.0, ["2022-10-14", "2022-10-15"]),
+        ((15,), 150.0, ["2022-10-15"]),
+        ((6, 9), -120.0, ["2022-10-13", "2022-10-14"]),
+        ((6,), -120.0, ["2022-10-13"]),
+    ],
+)
+def test_the_days_are_those_of_the_sun_at_the_site_that_have_records(store_of, hours, longitude_deg, days):
+    midnight_s = T0 - T0 % DAY_S
+    path = store_of(*(Event(midnight_s + 3600.0 * hour, 1.0, "x", "") for hour in reversed(hours)))
+    assert stored_days(path, longitude_deg) == days
+
+
+def test_a_store_of_an_earlier_version_lists_its_days_without_the_kinds_that_it_lacks(store_of):
+    path = store_of(Event(T0, 1.0, "x", ""))
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP TABLE curves")
+    assert stored_days(path, 0.0) == ["2022-10-14"]
 
 
 def test_without_a_store_the_remedy_is_told(tmp_path):
     with pytest.raises(UserError, match="there is no store"):
-        stored_days(tmp_path / FILE_NAME)
+        stored_days(tmp_path / FILE_NAME, 0.0)

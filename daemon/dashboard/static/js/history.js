@@ -1,5 +1,7 @@
 // Stored days from a service: packed columns of numbers, and rows of words.
 
+export const DAY_MS = 86400e3;
+
 // A browser holds six connections to a host, and one has the stream. A service that hangs keeps each of its readers for
 // half a minute: orders must always find a connection free.
 const AT_ONCE = 2;
@@ -45,13 +47,17 @@ export async function storedDays(service) {
   return (await (await read("days", service, {})).json()).days;
 }
 
+// When the mean solar day of a date begins at the site [ms], and the date of the one that an instant falls in.
+export const startOf = (date, site) => Date.parse(`${date}T00:00:00Z`) - site.longitude_deg * 240e3;
+export const dateOf = (at, site) => new Date(at + site.longitude_deg * 240e3).toISOString().slice(0, 10);
+
 const suns = new Map();
 const MOST_SUNS = 32;
 
 // Rise, noon, set and path of the solar day that a date names at the site; who asks for the same one at once waits for
 // one answer.
 export function solarDay(service, date, site) {
-  const noon = Date.parse(`${date}T12:00:00Z`) - site.longitude_deg * 240e3;
+  const noon = startOf(date, site) + DAY_MS / 2;
   const key = JSON.stringify([service, date, site]);
   if (!suns.has(key)) {
     if (suns.size >= MOST_SUNS) suns.clear();
@@ -61,9 +67,6 @@ export function solarDay(service, date, site) {
   }
   return suns.get(key);
 }
-
-// The date whose solar day an instant [ms] falls in.
-export const dateOf = (at, site) => new Date(at + site.longitude_deg * 240e3).toISOString().slice(0, 10);
 
 const span = (from, to, tracker) => ({ from: new Date(from).toISOString(), to: new Date(to).toISOString(), ...(tracker ? { tracker } : {}) });
 

@@ -1,15 +1,16 @@
 // Today, and any day that the store has: light, angles against the sun's path, modes, moves and events.
 
 import { fill, h, setAttr, setText } from "../dom.js";
-import { deg, duration, localTime, num, sentence, utcDay, utcTime } from "../format.js";
+import { deg, duration, localTime, num, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
-import { lines, numbers, solarDay, storedDays } from "../history.js";
+import { dateOf, DAY_MS, lines, numbers, solarDay, startOf, storedDays } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
 import { Plots } from "./plots.js";
 
 const FRESH_MS = 30000;
 // Late in a day the times of numbers are off by up to 4 ms, by the 32 bits that they come in.
 const PAST_MS = 5;
+const AGAIN_MS = 10000;
 const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], ["zenith", "--ink"]];
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
@@ -22,7 +23,7 @@ export function day() {
     const index = picker.selectedIndex - by;
     if (index >= 0 && index < picker.options.length) {
       picker.selectedIndex = index;
-      open(picker.value);
+      pick();
     }
   };
   const shown = h("p", { class: "hint", role: "status" });
@@ -39,23 +40,45 @@ export function day() {
   const plots = new Plots((from, to) => setText(shown, from ? `Shown: ${held && to - from >= (held.to - held.from) / 1000 - 1 ? "the whole solar day, " : ""}${localTime(from * 1000)} to ${localTime(to * 1000)} local time (${utcTime(from * 1000)} to ${utcTime(to * 1000)} UTC). Drag across a plot to zoom, double-click for the whole day.` : ""));
   let source = null;
   let context = null;
+  let days = [];
+  let newest = null;
+  let picked = null;
   let held = null;
+  let asked = 0;
+  let asking = false;
   let loading = false;
   let wish = null;
 
+  // Asks which days there are; the newest is followed from one to the next, unless another one was picked.
   async function choose() {
-    const { service, entry } = context;
-    source = entry.key;
-    clear();
-    try {
-      const days = (await storedDays(service.name)).reverse();
-      if (source !== entry.key) return;
-      if (days.length === 0) throw new Error("no records yet");
-      fill(picker, days, () => days.map((date) => h("option", { value: date }, date === utcDay(context.now) ? `${date} (today)` : date)));
-      await open(days[0]);
-    } catch (error) {
-      if (source === entry.key) fail(error);
+    const { service, entry, state, now } = context;
+    if (source !== entry.key) {
+      source = entry.key;
+      picked = null;
+      clear();
     }
+    asking = true;
+    try {
+      const found = (await storedDays(service.name)).reverse();
+      if (source !== entry.key) return;
+      if (found.length === 0) throw new Error("no records yet");
+      const today = dateOf(now, state.site);
+      days = found;
+      newest = days.includes(today) ? today : days[0];
+      fill(picker, [days, today], () => days.map((date) => h("option", { value: date }, date === today ? `${date} (today)` : date)));
+      picker.value = days.includes(picked) ? picked : newest;
+      if (held?.date !== picker.value) await open(picker.value);
+    } catch (error) {
+      if (source === entry.key && !held) fail(error);
+    } finally {
+      if (source === entry.key) asking = false;
+      asked = performance.now();
+    }
+  }
+
+  function pick() {
+    picked = picker.value === newest ? null : picker.value;
+    open(picker.value);
   }
 
   function clear() {
@@ -92,8 +115,8 @@ export function day() {
     const unwanted = () => wish !== null || source !== entry.key;
     try {
       const sun = await solarDay(service.name, date, state.site);
-      const from = Date.parse(sun.path[0].time);
-      const to = Date.parse(sun.path.at(-1).time);
+      const from = startOf(date, state.site);
+      const to = from + DAY_MS;
       const replies = await Promise.all([
         ...KINDS_OF_NUMBERS.map((kind) => numbers(service.name, kind, from, to, entry.name)),
         ...KINDS_OF_LINES.map((kind) => lines(service.name, kind, from, to, entry.name)),
@@ -212,7 +235,7 @@ export function day() {
 
   // The modes of the day with their begin and end; the last one goes on to now.
   function spans() {
-    const end = Math.min(held.to, held.date === utcDay(context.now) ? context.now : held.to) / 1000;
+    const end = Math.min(held.to, context.now) / 1000;
     return held.modes.map(({ time, after }, index) => ({ name: after, from: Date.parse(time) / 1000, to: held.modes[index + 1] ? Date.parse(held.modes[index + 1].time) / 1000 : end })).filter(({ from, to }) => to > from);
   }
 
@@ -243,9 +266,16 @@ export function day() {
     if (part === "Last hour" && last) plots.zoom(last - 3600, last);
   }
 
-  picker.addEventListener("change", () => open(picker.value));
+  picker.addEventListener("change", pick);
   const watcher = new ResizeObserver(() => plots.resize(figures.clientWidth));
   watcher.observe(figures);
+
+  // Tries again what has failed, waits for the day that begins at midnight, and follows the one that goes on.
+  function carryOn({ now, state }) {
+    const waited = performance.now() - asked;
+    if (!held ? waited > AGAIN_MS : waited > FRESH_MS && !days.includes(dateOf(now, state.site))) choose();
+    else if (held && held.to > now && performance.now() - held.loaded > FRESH_MS) follow();
+  }
 
   function update(found) {
     context = found;
@@ -254,7 +284,7 @@ export function day() {
       return;
     }
     if (source !== found.entry.key) choose();
-    else if (held && !loading && !found.old && held.to > found.now && performance.now() - held.loaded > FRESH_MS) follow();
+    else if (!asking && !loading && !found.old) carryOn(found);
     setAttr(node, "data-source", source);
   }
 

@@ -1,0 +1,107 @@
+"""The dashboard's page in a real browser, with a made service behind it: its clock and its store are the test's own."""
+
+import gzip
+import json
+from mimetypes import guess_type
+from urllib.parse import parse_qs, urlsplit
+
+from daemon.api.history import instant
+from daemon.api.sun import sun_json
+from daemon.base.clock import SystemClock, iso_utc
+from daemon.base.errors import UserError
+from daemon.dashboard.app import STATIC
+from daemon.store.history import KINDS_OF_LINES, lines_of, packed_numbers, stored_days
+from daemon.store.schema import FILE_NAME
+from daemon.store.store import Origin, Store
+from solar.ephemeris import Site
+from tests.system import browser as browsers
+
+URL = "http://dashboard.test"
+TRACKER = "roof"
+
+_STREAM = """
+delete window.SharedWorker;
+window.EventSource = class extends EventTarget {
+  constructor() {
+    super();
+    this.every = setInterval(() => this.tell(), 1000);
+    setTimeout(() => this.tell(), 0);
+  }
+  tell() {
+    const state = { ...STATE, time: new Date().toISOString() };
+    const said = { hello: { version: "test", services: ["made"] }, message: { service: "made", up: true, state } };
+    for (const [kind, data] of Object.entries(said)) {
+      this.dispatchEvent(new MessageEvent(kind, { data: JSON.stringify(data) }));
+    }
+  }
+  close() {
+    clearInterval(this.every);
+  }
+};
+"""
+
+
+class MadeSite:
+    """A store, the service that reads it, and the dashboard's page, without a process but the browser.
+
+    Attributes
+    ----------
+    failures
+        How many of the next requests for stored records are refused.
+    """
+
+    def __init__(self, folder, site=Site(10.0, 0.0, 0.0)):  # noqa: B008 - it does not change
+        self.folder, self.site, self.failures = folder, site, 0
+
+    def keep(self, *records):
+        """Write records, as a run of their own."""
+        store = Store(self.folder, 60.0, 400, self._origin(), SystemClock(), lambda _event: None)
+        for record in records:
+            store.keep(record)
+        store.close()
+
+    def _origin(self):
+        return Origin(
+            started_utc_s=0.0, role="both", version="test", simulated=True, site="made", tracker=TRACKER,
+            **self.site._asdict(),
+        )  # fmt: skip
+
+    def open(self, context, now_utc_s, mode="tracking", since_utc_s=None):
+        """Open the view of the day at an instant, from which on the page's clock runs."""
+        since = iso_utc(now_utc_s if since_utc_s is None else since_utc_s)
+        tracker = {"wind": [], "mode": {"name": mode, "since": since}}
+        state = {"speed": 1.0, "site": {"name": "made", **self.site._asdict()}, "trackers": {TRACKER: tracker}}
+        context.add_init_script(_STREAM.replace("STATE", json.dumps(state)))
+        context.clock.install(time=now_utc_s)
+        context.route("**/*", self._answer)
+        return browsers.Page(context, URL, "day")
+
+    def _answer(self, route):
+        asked = urlsplit(route.request.url)
+        query = {name: values[0] for name, values in parse_qs(asked.query).items()}
+        if asked.path == "/session":
+            route.fulfill(json={"by": None, "services": []})
+        elif asked.path.startswith("/read/"):
+            try:
+                route.fulfill(**self._read(asked.path.removeprefix("/read/"), query))
+            except UserError as error:
+                route.fulfill(status=409, json={"error": str(error)})
+        else:
+            file = STATIC / (asked.path.removeprefix("/static/") if asked.path != "/" else "index.html")
+            # Given a path, playwright would leave threads behind that read it.
+            route.fulfill(body=file.read_bytes(), content_type=guess_type(file.name)[0])
+
+    def _read(self, what, query):
+        store = self.folder / FILE_NAME
+        if what == "sun":
+            return {"json": sun_json(self.site, instant("at", query["at"]))}
+        if self.failures:
+            self.failures -= 1
+            return {"status": 502, "json": {"error": "the service cannot be reached"}}
+        if what == "days":
+            return {"json": {"days": stored_days(store, self.site.longitude_deg)}}
+        kind = what.removeprefix("history/")
+        span = (instant("from", query["from"]), instant("to", query["to"]), query["tracker"])
+        if kind in KINDS_OF_LINES:
+            return {"json": lines_of(store, kind, *span)}
+        return {"body": gzip.decompress(packed_numbers(store, kind, *span))}
