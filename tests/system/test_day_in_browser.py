@@ -6,7 +6,7 @@ import pytest
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
-from daemon.base.records import Event, FaceReading, Pose, Quality, Scan  # noqa: E402 - as below
+from daemon.base.records import Event, FaceReading, Mode, ModeChange, Pose, Quality, Scan  # noqa: E402 - as below
 from solar.ephemeris import Site  # noqa: E402 - as below
 from tests.system import browser as browsers  # noqa: E402 - it needs playwright
 from tests.system.made_page import TRACKER, MadeSite  # noqa: E402 - as above
@@ -19,6 +19,27 @@ pytestmark = [
 MIDNIGHT = 1663718400.0
 """2022-09-21T00:00Z."""
 HOUR = 3600.0
+OUTAGE = (MIDNIGHT + 2 * HOUR, MIDNIGHT + 6 * HOUR)
+
+# The share of a plot's width is 0 to 1 of the day; a line is what is coloured, or darker than any grid, and a strip
+# what is translucent over more than a line's width.
+LINED = """([number, share]) => {
+  const plot = document.querySelectorAll(".plot")[number];
+  const canvas = plot.querySelector("canvas");
+  const area = plot.querySelector(".u-over").getBoundingClientRect();
+  const scale = canvas.width / canvas.getBoundingClientRect().width;
+  const x = Math.round((area.left + share * area.width - canvas.getBoundingClientRect().left) * scale);
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(x, 0, 1, canvas.height);
+  let translucent = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i + 3] > 90 && data[i + 3] < 150) translucent += 1;
+    const [most, least] = [Math.max(...data.slice(i, i + 3)), Math.min(...data.slice(i, i + 3))];
+    if (data[i + 3] > 90 && (most - least > 50 || most < 90)) return true;
+  }
+  return translucent > 8;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +71,10 @@ def records(start, end, every_s=20.0):
         yield Pose(at, at, 20.0, 60.0, False, TRACKER, 5.0 if number % 3 else math.nan)
 
 
+def change(at, before, after):
+    return ModeChange(at, at, before, after, "a reason", TRACKER)
+
+
 def shows(page, text):
     """Wait until a day has been chosen and drawn."""
     page.page.wait_for_function(
@@ -70,6 +95,41 @@ def test_today_is_the_day_of_the_sun_at_the_site(context, tmp_path, longitude_de
     page.sees(".day .summary", "90 scans")
     page.sees(".day .hint", f"Shown: the whole solar day, {begin}:00:00 to {begin}:00:00 local time")
     assert page.complaints == []
+
+
+def test_nothing_is_drawn_or_counted_of_a_time_without_records(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, OUTAGE[0]))
+    site.keep(
+        *records(OUTAGE[1], MIDNIGHT + 9 * HOUR),
+        change(MIDNIGHT + 8 * HOUR, Mode.NIGHT, Mode.TRACKING),
+    )
+    page = site.open(context, MIDNIGHT + 9.5 * HOUR)
+    shows(page, "2022-09-21 (today)")
+    page.sees(".day .summary", "Night 2 h 0 min, Tracking 1 h 0 min.")
+    titles = page.page.locator(".plot figcaption").all_inner_texts()
+    assert [title.split()[0] for title in titles] == ["Irradiance", "Angle", "Angle", "Wind,", "Modes,"]
+    for number, title in enumerate(titles):
+        lined = {hour: page.page.evaluate(LINED, [number, hour / 24.0]) for hour in (1.0, 3.9, 7.0, 8.5, 9.2)}
+        # Of the first stretch no record says which mode it was; the sun's own path is known at 9.2 too.
+        wanted = {1.0: number != 4, 3.9: False, 7.0: True, 8.5: True, 9.2: number in (1, 2)}
+        assert lined == wanted, title
+    assert page.complaints == []
+
+
+def test_a_mode_that_lasts_is_known_without_a_change_that_day(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))
+    page = site.open(context, MIDNIGHT + 2 * HOUR, "maintenance", MIDNIGHT - HOUR)
+    page.sees(".day .summary", "0 moves over 0.0°. Maintenance 2 h 0 min.")
+
+
+def test_a_day_without_a_mode_says_nothing_of_modes(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, MIDNIGHT + HOUR))
+    page = site.open(context, MIDNIGHT + 2 * HOUR)
+    page.sees(".day .summary", "0 moves over 0.0°.")
+    assert page.text(".day .summary").endswith("0 moves over 0.0°.")
 
 
 @pytest.mark.parametrize("failures", [1, 2], ids=["the days", "the days, then the records"])

@@ -89,6 +89,20 @@ export async function numbers(service, kind, from, to, tracker) {
   return { found, more: head.more };
 }
 
+// The same columns with a row of nulls in the middle of each pause, so that no line crosses it: where times lie further
+// apart than `least` [s] and than three usual intervals.
+export function withPauses(columns, least) {
+  const { time } = columns;
+  const intervals = new Float64Array(Math.max(time.length - 1, 0));
+  for (let i = 0; i < intervals.length; i += 1) intervals[i] = time[i + 1] - time[i];
+  const longest = Math.max(least, 3 * (intervals.slice().sort()[intervals.length >> 1] ?? 0));
+  const places = [];
+  intervals.forEach((interval, i) => interval > longest && places.push(i + 1));
+  if (places.length === 0) return columns;
+  const parted = (values, between) => [...values.slice(0, places[0]), ...places.flatMap((place, n) => [between(place), ...values.slice(place, places[n + 1])])];
+  return Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, parted(values, (place) => (name === "time" ? (time[place - 1] + time[place]) / 2 : null))]));
+}
+
 export async function lines(service, kind, from, to, tracker) {
   const { rows, more } = await (await read(`history/${kind}`, service, span(from, to, tracker))).json();
   return { found: rows, more };

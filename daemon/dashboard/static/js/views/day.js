@@ -3,7 +3,7 @@
 import { fill, h, setAttr, setText } from "../dom.js";
 import { deg, duration, localTime, num, sentence, utcTime } from "../format.js";
 import { direction } from "../geometry.js";
-import { dateOf, DAY_MS, lines, numbers, solarDay, startOf, storedDays } from "../history.js";
+import { dateOf, DAY_MS, lines, numbers, solarDay, startOf, storedDays, withPauses } from "../history.js";
 import { KIND, TITLE } from "./hero.js";
 import { Plots } from "./plots.js";
 
@@ -11,6 +11,11 @@ const FRESH_MS = 30000;
 // Late in a day the times of numbers are off by up to 4 ms, by the 32 bits that they come in.
 const PAST_MS = 5;
 const AGAIN_MS = 10000;
+// uPlot's word for it.
+const EXPAND = 2;
+// What the report takes for a pause: of scans and curves a minute, of all else a quarter of an hour.
+const SHORT_PAUSE_S = 60;
+const LONG_PAUSE_S = 900;
 const FACES = [["east", "#0084c8"], ["south", "#d98200"], ["west", "#00926b"], ["zenith", "--ink"]];
 const SHADES = { ok: "--ok", calm: "--track", warn: "--sun", bad: "--bad" };
 const KINDS_OF_NUMBERS = ["scans", "poses", "decisions", "curves"];
@@ -165,7 +170,9 @@ export function day() {
     figures.replaceChildren();
     const width = figures.clientWidth;
     const put = (...given) => figures.append(plots.add(...given));
-    const { scans, poses, decisions, curves } = held;
+    held.spans = spans();
+    const [scans, curves] = [held.scans, held.curves].map((columns) => withPauses(columns, SHORT_PAUSE_S));
+    const [poses, decisions] = [held.poses, held.decisions].map((columns) => withPauses(columns, LONG_PAUSE_S));
     put("Irradiance", "W/m²", scans.time, FACES.map(([name, colour]) => ({ label: name, colour, values: scans[`${name}_w_m2`], digits: 0 })), { width, height: 240 });
     const estimated = decisions.dni_est.some((value) => value !== null);
     if (estimated) {
@@ -176,15 +183,20 @@ export function day() {
     const angles = held.sun.path.map((point) => sunAngles(point, held.latitude));
     const sunTimes = held.sun.path.map((point) => Date.parse(point.time) / 1000);
     // Both angles have the same times: they are put in order once.
-    const [x, ...joined] = uPlot.join([[poses.time, poses.a_deg, poses.b_deg], [decisions.time, decisions.target_a_deg, decisions.target_b_deg], [sunTimes, angles.map((pair) => pair && pair[0]), angles.map((pair) => pair && pair[1])]]);
+    const tables = [[poses.time, poses.a_deg, poses.b_deg], [decisions.time, decisions.target_a_deg, decisions.target_b_deg], [sunTimes, angles.map((pair) => pair && pair[0]), angles.map((pair) => pair && pair[1])]];
+    // A pause goes on where the others have times.
+    const [x, ...joined] = uPlot.join(tables, tables.map((columns) => columns.map(() => EXPAND)));
     for (const [name, pick, range] of [["A, east negative", 0, [-95, 95]], ["B, flat is 90", 1, [0, 180]]]) {
       const [actual, set, sun] = [joined[pick], joined[2 + pick], joined[4 + pick]];
       put(`Angle ${name}`, "degrees", x, [{ label: "the sun's", colour: "--sun", values: bridged(x, sun), dash: [3, 4] }, { label: "set", colour: "--accent", values: set, steps: true, width: 2 }, { label: "actual", colour: "--ink", values: actual, steps: true }], { width, range });
     }
-    if (poses.wind_m_s?.some((value) => value !== null)) {
+    const speeds = held.poses.wind_m_s ?? [];
+    const read = (_, i) => (speeds[i] ?? null) !== null;
+    const wind = withPauses({ time: held.poses.time.filter(read), wind_m_s: speeds.filter(read) }, LONG_PAUSE_S);
+    if (wind.time.length) {
       const from = stowsFrom();
-      const times = [held.from / 1000, ...poses.time, held.to / 1000];
-      put("Wind, strongest since the reading before", "m/s", times, [{ label: "wind", colour: "#0084c8", values: [null, ...poses.wind_m_s, null], bridges: true }, ...(from === null ? [] : [{ label: "stows from (as set now)", colour: "--bad", values: times.map(() => from), dash: [6, 4] }])], { width, height: 130, range: (_, __, most) => [0, 1.1 * Math.max(most ?? 0, from ?? 0, 1)] });
+      const times = [held.from / 1000, ...wind.time, held.to / 1000];
+      put("Wind, strongest since the reading before", "m/s", times, [{ label: "wind", colour: "#0084c8", values: [null, ...wind.wind_m_s, null] }, ...(from === null ? [] : [{ label: "stows from (as set now)", colour: "--bad", values: times.map(() => from), dash: [6, 4] }])], { width, height: 130, range: (_, __, most) => [0, 1.1 * Math.max(most ?? 0, from ?? 0, 1)] });
     }
     if (curves.time.length) put("Power of the module", "W", curves.time, [{ label: "maximum power", colour: "#c2568f", values: curves.pmpp_w }], { width, height: 160 });
     const ends = [held.from / 1000, held.to / 1000];
@@ -209,7 +221,7 @@ export function day() {
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
     const style = getComputedStyle(document.documentElement);
-    for (const { name, from, to } of spans()) {
+    for (const { name, from, to } of held.spans) {
       const left = plot.valToPos(from, "x", true);
       const right = plot.valToPos(to, "x", true);
       ctx.fillStyle = style.getPropertyValue(SHADES[KIND[name]] ?? "--track");
@@ -233,20 +245,43 @@ export function day() {
     ctx.restore();
   }
 
-  // The modes of the day with their begin and end; the last one goes on to now.
+  // The modes of the day with their begin and end, none where nothing was recorded.
   function spans() {
-    const end = Math.min(held.to, context.now) / 1000;
-    return held.modes.map(({ time, after }, index) => ({ name: after, from: Date.parse(time) / 1000, to: held.modes[index + 1] ? Date.parse(held.modes[index + 1].time) / 1000 : end })).filter(({ from, to }) => to > from);
+    const { mode } = context.tracker ?? {};
+    const changes = held.modes.map(({ time, before, after }) => ({ at: Date.parse(time) / 1000, before, after }));
+    return recorded().flatMap(([start, end]) => {
+      const inside = changes.filter(({ at }) => at >= start && at <= end);
+      const first = inside.length ? inside[0].before : mode && Date.parse(mode.since) / 1000 <= start ? mode.name : null;
+      const begun = [{ name: first, from: start }, ...inside.map(({ at, after }) => ({ name: after, from: at }))];
+      return begun.map((span, index) => ({ ...span, to: begun[index + 1]?.from ?? end }));
+    }).filter(({ name, from, to }) => name && to > from);
+  }
+
+  // From when to when there are records of any kind. Where one of them ends early nobody knows of pauses.
+  function recorded() {
+    const timesOf = (kind) => held[kind].time ?? held[kind].map(({ time }) => Date.parse(time) / 1000);
+    const times = Float64Array.from(KINDS.flatMap(timesOf)).sort();
+    if (!times.length) return [];
+    const known = Math.min(...held.cut.map((kind) => timesOf(kind).at(-1)));
+    const found = [];
+    let start = times[0];
+    for (let i = 1; i < times.length; i += 1) {
+      if (times[i] - times[i - 1] <= LONG_PAUSE_S || times[i - 1] >= known) continue;
+      found.push([start, times[i - 1]]);
+      start = times[i];
+    }
+    return [...found, [start, held.cut.length ? Math.min(held.to, context.now) / 1000 : times.at(-1)]];
   }
 
   function inWords() {
     const travel = held.moves.reduce((sum, move) => sum + Math.abs((move.end_a_deg ?? 0) - (move.from_a_deg ?? 0)) + Math.abs((move.end_b_deg ?? 0) - (move.from_b_deg ?? 0)), 0);
     const hours = {};
-    for (const { name, from, to } of spans()) hours[name] = (hours[name] ?? 0) + to - from;
+    for (const { name, from, to } of held.spans) hours[name] = (hours[name] ?? 0) + to - from;
     const modes = Object.entries(hours).sort((a, b) => b[1] - a[1]).map(([name, seconds]) => `${TITLE[name] ?? name} ${duration(seconds)}`);
     const sun = held.sun.sunrise ? `Sun from ${localTime(Date.parse(held.sun.sunrise), false)} to ${localTime(Date.parse(held.sun.sunset), false)} local, highest ${deg(held.sun.highest_elevation_deg)}. ` : "";
     const early = held.cut.length ? ` The day has more records than fit here: ${held.cut.join(", ")} end early.` : "";
-    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}. ${modes.join(", ")}.${early}`;
+    const lasted = modes.length ? ` ${modes.join(", ")}.` : "";
+    return `${sun}${num(held.scans.time.length)} scans; ${num(held.moves.length)} ${held.moves.length === 1 ? "move" : "moves"} over ${deg(travel)}.${lasted}${early}`;
   }
 
   function list() {

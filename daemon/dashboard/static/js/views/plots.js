@@ -44,14 +44,15 @@ export class Plots {
       ],
       series: [
         { label: "Time", value: (_, at) => (at === null ? "–" : `${localTime(at * 1000)} local, ${utcTime(at * 1000)} UTC`) },
-        ...series.map(({ label, colour, dash, steps, bridges, width, digits = 1 }) => ({
+        ...series.map(({ label, colour, dash, steps, width, digits = 1 }) => ({
           label,
           stroke: colour.startsWith("--") ? css(colour) : colour,
           width: width ?? 1.5,
           dash,
-          spanGaps: Boolean(steps || bridges),
           points: { show: false },
           paths: steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
+          // Or the edge of the step that a gap leaves out would still be seen.
+          ...(steps && { gaps: (_plot, _index, _first, _last, found) => found.map(([from, to]) => [from, to + 1]) }),
           value: (_, value) => num(value, digits),
         })),
       ],
