@@ -40,6 +40,20 @@ LINED = """([number, share]) => {
   }
   return translucent > 8;
 }"""
+INKED = """() => {
+  const [red, green, blue] = getComputedStyle(document.documentElement).getPropertyValue("--ink").trim()
+    .match(/\\w\\w/g).map((part) => parseInt(part, 16));
+  const canvas = document.querySelector(".plot canvas");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let found = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    const away = Math.abs(data[i] - red) + Math.abs(data[i + 1] - green) + Math.abs(data[i + 2] - blue);
+    if (data[i + 3] > 200 && away < 60) found += 1;
+  }
+  return found;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -161,3 +175,16 @@ def test_at_midnight_the_new_day_is_opened_unless_another_one_was_chosen(context
     page.page.wait_for_function("document.querySelector('.day select').options.length === 4")
     shows(page, "2022-09-20")
     assert page.complaints == []
+
+
+def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
+    site = MadeSite(tmp_path)
+    site.keep(*records(MIDNIGHT, MIDNIGHT + 2 * HOUR))
+    page = site.open(context, MIDNIGHT + 2 * HOUR)
+    shows(page, "2022-09-21 (today)")
+    assert page.page.evaluate(INKED) > 20
+    page.page.emulate_media(color_scheme="dark")
+    page.page.wait_for_function(f"({INKED})() > 20")
+    for _ in range(2):
+        page.page.locator("#theme").click()
+        page.page.wait_for_function(f"({INKED})() > 20")

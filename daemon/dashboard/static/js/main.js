@@ -97,6 +97,7 @@ function theme() {
   else root.dataset.theme = following;
   localStorage.setItem("theme", following);
   showTheme();
+  view?.redraw?.();
 }
 
 function showTheme() {
@@ -117,6 +118,7 @@ byId("view").addEventListener("click", ({ target }) => {
 });
 window.addEventListener("hashchange", choose);
 document.addEventListener("visibilitychange", update);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.redraw?.());
 setInterval(update, 1000);
 showTheme();
 choose();

@@ -323,7 +323,7 @@ export function day() {
     setAttr(node, "data-source", source);
   }
 
-  return { node, update, close: () => { watcher.disconnect(); plots.clear(); } };
+  return { node, update, redraw: () => held && draw(), close: () => { watcher.disconnect(); plots.clear(); } };
 }
 
 // The kinds of which there are more than a reply has.
