@@ -188,3 +188,21 @@ def test_a_change_of_colours_draws_the_plots_anew(context, tmp_path):
     for _ in range(2):
         page.page.locator("#theme").click()
         page.page.wait_for_function(f"({INKED})() > 20")
+
+
+def test_a_local_time_has_the_local_date(browser, tmp_path):
+    with browser.new_context(timezone_id="Australia/Sydney") as context:
+        page = MadeSite(tmp_path).open(context, MIDNIGHT)
+        said = page.page.evaluate("""async () => {
+          const { at } = await import("/static/js/format.js");
+          const { log } = await import("/static/js/views/cards.js");
+          const [now, times] = [Date.parse("2022-09-21T00:10:00Z"), ["2022-09-20T13:00:00Z", "2022-09-20T23:50:00Z"]];
+          const card = log();
+          card.update({ state: { news: times.map((time) => ({ time, text: "x" })) }, tracker: null, now });
+          const listed = [...card.node.querySelectorAll("time")].map((each) => each.textContent);
+          return [times.map((time) => at(time, now)), listed];
+        }""")
+    assert said == [
+        ["2022-09-20 23:00 local (13:00 UTC)", "09:50 local (23:50 UTC)"],
+        ["09:50 23:50 UTC", "2022-09-20 23:00 13:00 UTC"],
+    ]

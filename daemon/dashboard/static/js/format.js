@@ -60,11 +60,16 @@ export function localTime(ms, withSeconds = true) {
 
 export const utcDay = (ms) => new Date(ms).toISOString().slice(0, 10);
 
-// "11:27 local (09:27 UTC)", with the day where it is another one than that of `now`.
+export function localDay(ms) {
+  const at = new Date(ms);
+  return `${at.getFullYear()}-${two(at.getMonth() + 1)}-${two(at.getDate())}`;
+}
+
+// "11:27 local (09:27 UTC)", with the local day where it is another one than that of `now`.
 export function at(iso, now) {
   if (!iso) return UNKNOWN;
   const ms = Date.parse(iso);
-  const day = now !== undefined && utcDay(ms) !== utcDay(now) ? `${utcDay(ms)} ` : "";
+  const day = now !== undefined && localDay(ms) !== localDay(now) ? `${localDay(ms)} ` : "";
   return `${day}${localTime(ms, false)} local (${utcTime(ms, false)} UTC)`;
 }
 

@@ -1,7 +1,7 @@
 // The smaller cards of the view of now: what comes next, wind, light, equipment, and what happened lately.
 
 import { card, fill, h, s, setAttr, setClass, setText } from "../dom.js";
-import { at, countdown, deg, duration, localTime, num, sentence, signed, signedDeg, utcDay, utcTime } from "../format.js";
+import { at, countdown, deg, duration, localDay, localTime, num, sentence, signed, signedDeg, utcTime } from "../format.js";
 
 function facts(names) {
   const values = {};
@@ -183,8 +183,8 @@ export function log() {
     const own = (state?.news ?? []).filter(({ text }) => !several || !name || text.startsWith(`${name}: `) || !/^[\w-]{1,32}: /.test(text));
     // A move is known by its beginning, and comes when it has ended.
     const newest = own.sort((one, other) => (one.time < other.time ? -1 : 1)).slice(-12).reverse();
-    const today = state ? utcDay(now) : "";
-    fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${time.slice(0, 10) === today ? "" : `${time.slice(0, 10)} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))) : h("li", null, h("span", null, "Nothing yet.")));
+    const today = state ? localDay(now) : "";
+    fill(body, [newest, today], () => newest.length ? newest.map(({ time, text }) => h("li", null, h("time", { datetime: time }, `${localDay(Date.parse(time)) === today ? "" : `${localDay(Date.parse(time))} `}${localTime(Date.parse(time), false)}`, h("span", null, ` ${utcTime(Date.parse(time), false)} UTC`)), h("span", null, sentence(text)))) : h("li", null, h("span", null, "Nothing yet.")));
   }
 
   return { node, update };
