@@ -206,3 +206,16 @@ def test_a_local_time_has_the_local_date(browser, tmp_path):
         ["2022-09-20 23:00 local (13:00 UTC)", "09:50 local (23:50 UTC)"],
         ["09:50 23:50 UTC", "2022-09-20 23:00 13:00 UTC"],
     ]
+
+
+def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { next } = await import("/static/js/views/cards.js");
+      const card = next();
+      const received = { known_s: 0, actual_kwh_m2: 0, chronometric_kwh_m2: 0, best_kwh_m2: 0, gain: null };
+      const told = { next_decision_s: null, law: { name: "x" }, mode: { name: "night" }, decision: null };
+      card.update({ tracker: { ...told, received } });
+      return card.node.textContent;
+    }""")
+    assert "Against chronometric–; by the model" in said

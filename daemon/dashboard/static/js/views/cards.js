@@ -52,7 +52,7 @@ export function next() {
     for (const name of ["Received today", "Against chronometric"]) values[name].parentElement.hidden = light === null;
     if (!light) return;
     setText(values["Received today"], `${energy(light.actual_kwh_m2)}, in ${duration(light.known_s)} of light since ${at(light.since, now)}`);
-    setText(values["Against chronometric"], `${signed(100 * light.gain, 1, "%")}; by the model such a tracker has received ${energy(light.chronometric_kwh_m2)}, the best pose at every instant ${energy(light.best_kwh_m2)}`);
+    setText(values["Against chronometric"], `${signed(light.gain === null ? null : 100 * light.gain, 1, "%")}; by the model such a tracker has received ${energy(light.chronometric_kwh_m2)}, the best pose at every instant ${energy(light.best_kwh_m2)}`);
   }
 
   return { node, update };
