@@ -42,6 +42,8 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
     UserError
         The file cannot be read, its service runs, or the disk does not let it.
     """
+    # The other release reads it from elsewhere.
+    config = config.absolute()
     settings = load_settings(config)
     directory = records_of(settings, config, environment)
     try:
@@ -102,13 +104,16 @@ def _store(directory: Path, to: Program) -> Iterator[str]:
 
 
 def _file(config: Path, to: Program) -> Iterator[str]:
-    """Put a configuration back that the upgrade has rewritten, if the release before cannot read what is there."""
+    """Put a configuration back that the upgrade has rewritten, if that is what the release before can use."""
     if to.accepts(config):
         yield f"{config}: {to.name} can use it as it is"
         return
     old = file_before(config)
-    if not old.exists():
-        yield f"{config}: {to.name} finds mistakes in it; see 'heliocube config check {config}' then"
+    if not (old.exists() and to.accepts(old)):
+        # What it misses may be no matter of the file's form, such as a token's file that is gone.
+        also = f" and in {old}" if old.exists() else ""
+        mistakes = f"{to.name} finds mistakes in it{also}"
+        yield f"{config} stays as it is: {mistakes}; see 'heliocube config check {config}' then"
         return
     newer = config.with_name(f"{config.name}.newer-{release()}")
     newer.write_text(toml_text(config), encoding="utf-8", newline="\n")

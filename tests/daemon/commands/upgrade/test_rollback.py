@@ -28,13 +28,14 @@ def config(tmp_path):
 
 @pytest.fixture
 def program(tmp_path):
-    """Lay down a heliocube of another release, which knows a version of stores and accepts files or does not."""
+    """Lay down a heliocube of another release, which knows a version of stores and refuses files with a key."""
 
-    def make(version=OLDER, *, accepts=True, prefix=None, release="echo 0.0.9+4f1c"):
+    def make(version=OLDER, *, refuses="no key", prefix=None, release="echo 0.0.9+4f1c"):
         folder = (prefix or tmp_path / "0.0.9") / "bin"
         folder.mkdir(parents=True, exist_ok=True)
         asked = f"case $2 in *release*) {release} ;; *) echo {version} ;; esac"
-        told = {"heliocube": f"exit {0 if accepts else 2}", "python": asked}
+        check = f'test -r "$3" && ! grep -q \'^{refuses} =\' "$3"'
+        told = {"heliocube": check, "python": asked}
         for name, does in told.items():
             (folder / name).write_text(f"#!/bin/sh\n{does}\n")
             (folder / name).chmod(0o755)
@@ -206,12 +207,29 @@ def test_a_file_that_the_release_before_cannot_read_is_put_back_and_the_newer_on
     heliocube("rollback", "-c", config, "--to", program(VERSION))
     assert config.read_text() == migrated, "one that it can read is left as it is"
 
-    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, accepts=False))
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
     assert code == 0
     newer = config.with_name(f"{config.name}.newer-{release()}")
     assert f"what you have changed since is in {newer} alone" in out
     assert (config.read_text(), newer.read_text()) == (heliocube_before, migrated)
     assert config.stat().st_mode == newer.stat().st_mode == before(config).stat().st_mode
+
+
+def test_a_file_stays_where_it_is_if_the_one_before_would_not_do_either_and_wherever_it_is_named_from(
+    heliocube, config, program, monkeypatch
+):
+    config.write_text("[law]\nname = 'flat'\n[site]\nlatitude_deg = 50\n")
+    heliocube("config", "migrate", "--keys-only", config)
+    migrated = config.read_text()
+
+    monkeypatch.chdir(config.parent)
+    code, out, _ = heliocube("rollback", "-c", config.name, "--to", program(VERSION))
+    assert (code, config.read_text()) == (0, migrated)
+    assert f"{config}: 0.0.9 can use it as it is" in out
+
+    code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="latitude_deg"))
+    assert (code, config.read_text()) == (0, migrated)
+    assert f"{config} stays as it is: 0.0.9 finds mistakes in it and in {before(config)}" in out
 
 
 def test_a_service_that_runs_there_is_not_disturbed(heliocube, config, program, upgraded):
