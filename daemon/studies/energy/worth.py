@@ -15,6 +15,7 @@ from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array
 
 _YEAR_DAYS = 365.25
+_LONGEST_NIGHT_S = _YEAR_DAYS / 2.0 * DAY_S
 _HEADS = ("law", "energy/year", "wear/year", "left/year", "drive lasts")
 
 
@@ -65,9 +66,17 @@ class Worth:
 
 
 def sunless_days(utc_s: Array, site: Site) -> int:
-    """Return on how many solar days with their noon between these rising instants [s] the sun does not rise."""
+    """Return on how many solar days with their noon between these rising instants [s] the sun does not rise.
+
+    A gap of more than half a year is no polar night, but time of which there are no records.
+    """
+    stretches = np.split(utc_s, np.flatnonzero(np.diff(utc_s) > _LONGEST_NIGHT_S) + 1)
+    return sum(_sunless_between(float(stretch[0]), float(stretch[-1]), site) for stretch in stretches)
+
+
+def _sunless_between(start_utc_s: float, end_utc_s: float, site: Site) -> int:
     east_s = site.longitude_deg * 240.0
-    first, last = (utc_s[[0, -1]] + east_s) / DAY_S - 0.5
+    first, last = ((at_s + east_s) / DAY_S - 0.5 for at_s in (start_utc_s, end_utc_s))
     noons_utc_s = (np.arange(np.ceil(first), np.floor(last) + 1.0) + 0.5) * DAY_S - east_s
     return int(np.count_nonzero(sun_position(noons_utc_s, *site).elevation_deg <= 0.0))
 

@@ -86,19 +86,30 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
-def test_days_without_sun_count_as_days_of_the_year(monkeypatch, tmp_path, capsys):
-    # Sixty days at 78 N: the sun is back in the middle of February.
+def spitsbergen(monkeypatch, tmp_path, capsys, *years):
+    """Return what `energy` finds in the first sixty days of years at 78 N, where the sun is back in mid-February."""
+    starts = [WINTER.replace(year=year) for year in years]
+    hours = [start + timedelta(hours=hour) for start in starts for hour in range(60 * 24)]
     path = tmp_path / "spitsbergen.csv"
-    light = [f"{WINTER + timedelta(hours=hour):%Y-%m-%dT%H:%M:%SZ},20,0,20" for hour in range(60 * 24)]
-    path.write_text("\n".join(["time,ghi,dni,dhi", *light]))
-    given = (path, "--site", "78.2,15.6", "--laws", "chronometric", "--out", tmp_path / "o")
+    path.write_text("\n".join(["time,ghi,dni,dhi", *(f"{hour:%Y-%m-%dT%H:%M:%SZ},20,0,20" for hour in hours)]))
+    given = (path, "--site", "78.2,15.6", "--laws", "chronometric", "--out", tmp_path / "o", "--force")
     assert energy(monkeypatch, *given, *PRICES, "--json") == 0
-    page = json.loads(capsys.readouterr().out)
+    return json.loads(capsys.readouterr().out)
+
+
+def test_days_without_sun_count_as_days_of_the_year(monkeypatch, tmp_path, capsys):
+    page = spitsbergen(monkeypatch, tmp_path, capsys, 2023)
     (row,), (worth,), lit = page["rows"], page["worth"]["rows"], sum(page["days"].values())
     assert 10 < lit < 20
     assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25 / 60)
     travel_deg = (row["travel_deg_per_day"] + row["return_deg_per_day"]) * lit * 365.25 / 60
     assert worth["wear"] == pytest.approx(travel_deg / 300000 * 600)
+
+
+def test_years_without_records_are_no_days_without_sun(monkeypatch, tmp_path, capsys):
+    page = spitsbergen(monkeypatch, tmp_path, capsys, 2023, 2026)
+    (row,), (worth,) = page["rows"], page["worth"]["rows"]
+    assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25 / 120)
 
 
 @pytest.mark.parametrize("prices", [(), PRICES])
