@@ -13,6 +13,7 @@ from solar.frames import Array, normal_from_angles
 
 DEGREE = 2
 _GAP_S = 60.0
+_LONGEST_GAP_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +77,11 @@ def fit_chain_bias(power_w: ArrayLike, reference_w: ArrayLike) -> ChainBias:
 def longest_gap_s(utc_s: ArrayLike) -> float:
     """Return how far apart [s] two of these rising instants may be with the power between them known.
 
-    One and a half of their median step, and never less than a minute: a wattmeter that stores every five minutes has no
-    gaps for that.
+    One and a half of their median step: a wattmeter that stores every five minutes has no gaps for that. But never less
+    than a minute, nor more than an hour: a few readings of a day do not tell what came between them.
     """
     step_s = np.diff(np.asarray(utc_s, dtype=np.float64))
-    return max(_GAP_S, 1.5 * float(np.median(step_s))) if step_s.size else _GAP_S
+    return float(np.clip(1.5 * np.median(step_s), _GAP_S, _LONGEST_GAP_S)) if step_s.size else _GAP_S
 
 
 def energy_wh(utc_s: ArrayLike, power_w: ArrayLike, longest_gap_s: float = _GAP_S) -> float:

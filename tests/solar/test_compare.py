@@ -64,7 +64,14 @@ def test_a_gap_has_no_energy():
 
 @pytest.mark.parametrize(
     ("utc_s", "gap_s"),
-    [([], 60.0), ([7.0], 60.0), ([0, 5, 10, 3600, 3605], 60.0), ([0, 59.8, 120.1, 180], 89.85), ([0, 300, 600], 450.0)],
+    [
+        ([], 60.0),
+        ([7.0], 60.0),
+        ([0, 5, 10, 3600, 3605], 60.0),
+        ([0, 59.8, 120.1, 180], 89.85),
+        ([0, 300, 600], 450.0),
+        ([0, 28800], 3600.0),
+    ],
 )
 def test_what_is_a_gap_goes_by_the_median_step(utc_s, gap_s):
     assert longest_gap_s(utc_s) == pytest.approx(gap_s)
