@@ -35,9 +35,17 @@ class Conflict(NamedTuple):
 
 def conflicts(settings: Sections) -> list[Conflict]:
     """Return every breach of a rule; empty when the settings are consistent."""
-    multiplexed = settings.instruments.cube.driver == MULTIPLEXED
+    multiplexed = has_multiplexer(settings)
     rules = [rule for rule in RULES if multiplexed or rule not in _OF_MULTIPLEXED]
     return [conflict for rule in rules for conflict in rule(settings)]
+
+
+def has_multiplexer(settings: Sections) -> bool:
+    """Return whether a process with these settings may read the faces through a multiplexer."""
+    instruments = settings.instruments
+    # Without the meter's place real faces cannot be read: the cube is another machine's, of whatever driver.
+    there = instruments.kind != "real" or instruments.voltmeter.resource is not None
+    return instruments.cube.driver == MULTIPLEXED and there
 
 
 def limits_are_ordered(settings: Sections) -> Iterator[Conflict]:
@@ -141,7 +149,7 @@ def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
         yield Conflict(
             "cube.scan_every_s",
             f"is too short for {readings} readings of {settle_s:g} s to settle and {conversion_s:.3g} s to convert:"
-            f" they take {needed_s:.3g} s",
+            f" they take {needed_s:.3g} s; where another driver reads the faces, name it in instruments.cube.driver",
             (
                 "cube.self_test_channel",
                 "cube.second_self_test_channel",

@@ -7,8 +7,7 @@ sees each line stuck one way, the way that changes its own address; an input of 
 from collections.abc import Callable, Iterator
 
 from daemon.base.records import FACES
-from daemon.config.plugged import MULTIPLEXED
-from daemon.config.rules import SELF_TESTS
+from daemon.config.rules import SELF_TESTS, has_multiplexer
 from daemon.config.settings import Settings
 
 _PAGE = "see docs/hardware.md, Wiring"
@@ -16,7 +15,7 @@ _PAGE = "see docs/hardware.md, Wiring"
 
 def self_test_gaps(settings: Settings) -> list[str]:
     """Return in sentences which stuck line no self-test can see, and what has to be wired for the others."""
-    if settings.instruments.cube.driver != MULTIPLEXED:
+    if not has_multiplexer(settings):
         return []
     cube = settings.cube
     tests = [channel for name in SELF_TESTS if (channel := getattr(cube, name)) is not None]

@@ -1,0 +1,50 @@
+"""Rules between keys that hold for some processes only."""
+
+import pytest
+
+from daemon.config.file import ConfigError, load_settings
+from daemon.config.stuck_lines import self_test_gaps
+
+REAL = "[instruments]\nkind = 'real'\n"
+METER = "[instruments.voltmeter]\nresource = 'ASRL/dev/serial/by-id/usb-FTDI_A50285BI-if00-port0::INSTR'\n"
+FAST = "[cube]\nscan_every_s = 1.0\n"
+TOO_SHORT = "cube.scan_every_s = 1.0: is too short for 4 readings"
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text):
+        (tmp_path / "heliocube.toml").write_text(text)
+        return load_settings(tmp_path / "heliocube.toml")
+
+    return load_text
+
+
+@pytest.fixture
+def problem(load):
+    def only_problem(text):
+        with pytest.raises(ConfigError) as caught:
+            load(text)
+        (line,) = caught.value.problems
+        return line
+
+    return only_problem
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (FAST, TOO_SHORT),
+        (FAST + REAL + METER, TOO_SHORT),
+        ("[instruments.multiplexer]\nsettle_s = 1.3", "cube.scan_every_s = 5.0 (default): is too short for 4 readings"),
+    ],
+)
+def test_a_scan_fits_its_period_where_a_multiplexer_reads_it(problem, text, message):
+    assert problem(text).startswith(message)
+
+
+@pytest.mark.parametrize("text", [REAL, "[instruments.cube]\ndriver = 'modbus-pyranometers'\n"])
+def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(load, text):
+    settings = load(FAST + text)
+    assert settings.cube.scan_every_s == 1.0
+    assert self_test_gaps(settings) == []
