@@ -3,6 +3,7 @@
 import ipaddress
 import math
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,8 @@ _BRIGHT_SUN_W_M2 = 1000.0
 # What an electronic load takes for one exchange, and a sweep for its beginning and end.
 _LOAD_EXCHANGE_S = 0.02
 _SWEEP_ENDS_S = 0.2
-# Dates end with the year 9999, and a simulated clock runs up to a thousand times as fast as time.
-_START_BEFORE_YEAR = 3000
+# The bridge takes times of scans from July 1978 to the end of 2099.
+_FIRST_START, _END_OF_STARTS = datetime(1979, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 SELF_TESTS = ("self_test_channel", "second_self_test_channel")
 
 
@@ -191,10 +192,11 @@ def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
 
 
 def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
-    """`simulation.start_utc` is before the year 3000."""
+    """`simulation.start_utc` is in the years 1979 to 2099."""
     start = settings.simulation.start_utc
-    if start is not None and start.year >= _START_BEFORE_YEAR:
-        yield Conflict("simulation.start_utc", f"must be before the year {_START_BEFORE_YEAR}")
+    if start is not None and not _FIRST_START <= start < _END_OF_STARTS:
+        years = f"{_FIRST_START.year} to {_END_OF_STARTS.year - 1}"
+        yield Conflict("simulation.start_utc", f"must be in the years {years}, of which scans can tell the time")
 
 
 def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:

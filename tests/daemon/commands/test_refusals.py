@@ -76,7 +76,7 @@ WRONG = {
     "bench --dir new --weather nonsense": "no weather file at nonsense",
     "report --store there": "name either --day DAY, or --from and --to",
     "setup /": "/ is a folder: name the file to write, such as /heliocube.toml",
-    "run --start 9998-12-31T23:59": "must be before the year 3000",
+    "run --start 9998-12-31T23:59": "must be in the years 1979 to 2099",
     "notify --config home.toml": "people_file = '~nosuch/x': there is no such user; write the whole path",
     "archive --config home.toml": "password_file = '~nosuch/x': there is no such user; write the whole path",
     "notify --config deep.toml": "deep.toml is not TOML: its brackets are nested too deeply",

@@ -1,7 +1,8 @@
-"""Rules between keys that hold for some processes only."""
+"""Rules between keys that hold for some processes only, or to a limit that another part sets."""
 
 import pytest
 
+from daemon.bridge.senml import EARLIEST_UTC_S, LATEST_UTC_S
 from daemon.config.file import ConfigError, load_settings
 from daemon.config.stuck_lines import self_test_gaps
 
@@ -48,3 +49,16 @@ def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(l
     settings = load(FAST + text)
     assert settings.cube.scan_every_s == 1.0
     assert self_test_gaps(settings) == []
+
+
+@pytest.mark.parametrize(
+    "start", ["0001-01-01T00:00:00+14:00", "1978-12-31T23:59:59Z", "2099-12-31T23:00:00-05:00", "9999-12-31T00:00:00Z"]
+)
+def test_a_simulated_clock_starts_at_no_time_that_scans_cannot_tell(problem, start):
+    assert "must be in the years 1979 to 2099" in problem(f"[simulation]\nstart_utc = {start}\n")
+
+
+@pytest.mark.parametrize("start", ["1979-01-01T00:00:00Z", "2099-12-31T23:59:59Z"])
+def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(load, start):
+    found = load(f"[simulation]\nstart_utc = {start}\n").simulation.start_utc
+    assert EARLIEST_UTC_S < found.timestamp() < LATEST_UTC_S
