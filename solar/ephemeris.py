@@ -193,6 +193,8 @@ def _geocentric(utc_s: Array) -> Array:
 
 def _at_hours(hours: NDArray[np.int64]) -> Array:
     """Geocentric quantities at whole hours since 1970, shape (4, n), from memory if they were asked for before."""
+    if not hours.size:
+        return np.empty((4, 0))
     if hours.size > REMEMBERED_HOURS // 4:
         days, position = np.unique(hours // 24, return_inverse=True)
         # All hours of a day for the sake of one or two would take longer.

@@ -180,3 +180,8 @@ def test_what_is_asked_between_the_minutes_is_the_direction_of_the_instant(site)
     direction = SunDirection(site)
     for utc_s in ASKED_UTC_S:
         np.testing.assert_allclose(direction(utc_s), sun_direction(np.array([utc_s]), *site)[0], atol=1e-5)
+
+
+def test_of_no_instants_there_are_no_positions():
+    assert all(angles.shape == (0,) for angles in sun_position(np.empty(0), 48.7, 2.2, 156.0))
+    assert sun_direction(np.empty(0), 48.7, 2.2, 156.0).shape == (0, 3)

@@ -1,6 +1,7 @@
 """What the plane of a simulated tracker received, and where it faces in pvlib's terms."""
 
 from datetime import UTC, datetime
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from daemon.store.tables import TableWriter
 from daemon.studies.simulated_day import SIMULATED_COLUMNS, Poses, placed
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Limits, angles_within
+from solar.skies.sky import SkyModel
 
 NOON = datetime(2022, 6, 14, 12, tzinfo=UTC).timestamp()
 BEGIN, END = NOON - 0.5 * DAY_S, NOON + 0.5 * DAY_S
@@ -53,13 +55,13 @@ def test_every_row_of_every_table_says_that_it_is_simulated(tmp_path, form):
         assert "-0.0" not in (tmp_path / "poses.csv").read_text()
 
 
-def received(poses):
-    settings = Settings.model_validate({"simulation": {"weather": "clear"}})
-    weather, _ = build_weather(settings, BEGIN, END)
+def received(poses, end=END, sky="haydavies"):
+    settings = Settings.model_validate({"simulation": {"weather": "clear", "sky": sky}})
+    weather, _ = build_weather(settings, BEGIN, end)
     stood = Poses()
     for utc_s, (a_deg, b_deg) in poses:
         stood.note(Pose(utc_s, 0.0, float(a_deg), float(b_deg), False, "tracker"))
-    (found,) = stood.insolation(settings, weather, BEGIN, END)
+    (found,) = stood.insolation(settings, weather, BEGIN, end)
     return found, weather
 
 
@@ -80,3 +82,10 @@ def test_who_follows_the_sun_receives_what_chronometric_does():
     half, _ = received([pose for pose in zip(utc_s.tolist(), angles.tolist(), strict=True) if pose[0] >= NOON])
     assert half.chronometric_kwh_m2 == pytest.approx(0.5 * found.chronometric_kwh_m2, rel=0.05)
     assert half.gain_pct == pytest.approx(0.0, abs=0.02), "time without a pose counts in neither"
+
+
+@pytest.mark.parametrize("sky", get_args(SkyModel))
+def test_a_span_without_sun_has_received_nothing(sky):
+    found, _ = received([(BEGIN, (0.0, 90.0))], BEGIN + 900.0, sky)
+    assert (found.received_kwh_m2, found.chronometric_kwh_m2) == (0.0, 0.0)
+    assert np.isnan(found.gain_pct)
