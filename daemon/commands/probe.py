@@ -11,7 +11,7 @@ import typer
 
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, teller
-from daemon.commands.options import CubeOption, TrackerOption
+from daemon.commands.options import CONFIG_VARIABLE, CubeOption, TrackerOption
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -24,7 +24,13 @@ app = typer.Typer(
 
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", metavar="FILE", help="Configuration file that says where the instrument is."),
+    typer.Option(
+        "--config",
+        "-c",
+        metavar="FILE",
+        envvar=CONFIG_VARIABLE,
+        help="Configuration file that says where the instrument is.",
+    ),
 ]
 RecordOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write all bytes sent and received to this file.")
@@ -114,7 +120,8 @@ def cube(
 
     if as_json and set_address:
         raise UserError("--set-address is for people: leave out --json")
-    chosen = name or ("modbus-pyranometers" if config is None else None)
+    # A file from the environment may be that of the usual cube, which has no such line.
+    chosen = name or ("modbus-pyranometers" if config is None or line is not None else None)
     settings, units = settings_for(config, cube=chosen), unit_range(addresses)
     say = teller(as_json=as_json)
     with _tap(record) as tap:
