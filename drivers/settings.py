@@ -71,8 +71,11 @@ def stable_visa(text: str) -> str:
 
 def check_host(name: str) -> None:
     """Raise a `ValueError` for the name of a host that has an empty part, or one that is too long."""
-    # The resolver would raise the same UnicodeError, which nobody expects of it.
-    name.encode("idna")
+    # The resolver would raise this UnicodeError, which nobody expects of it.
+    try:
+        name.encode("idna")
+    except UnicodeError:
+        raise ValueError("a part of the host's name is empty or longer than 63 letters") from None
 
 
 def _server(text: str) -> str:

@@ -9,6 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.base.files import read_secret
+from drivers.settings import check_host
 
 if TYPE_CHECKING:
     import psycopg
@@ -74,8 +75,10 @@ def parse_archive(text: str) -> ArchiveAddress:
         parts = urlsplit(url)
         password, database = parts.password, parts.path.strip("/")
         _ = parts.port
+        check_host(parts.hostname or "")
     except ValueError as error:
-        raise ArchiveError(f"{text}: {error}; an archive is {_HOW}") from None
+        # Without the text, which may hold a password.
+        raise ArchiveError(f"this is no address of an archive ({error}); an archive is {_HOW}") from None
     if not is_archive(url) or not database or "/" in database:
         raise ArchiveError(f"{text} is no address of an archive: write {_HOW}")
     if password is not None or "password=" in parts.query:

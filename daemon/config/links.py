@@ -4,6 +4,7 @@ import ipaddress
 import re
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
+from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
 
@@ -56,12 +57,14 @@ def _clock_time(text: str) -> str:
 def _web(text: str) -> str:
     if not _WEB.fullmatch(text):
         raise ValueError("not a web address")
+    check_host(urlsplit(text).hostname or "")
     return text
 
 
 def _archive(text: str) -> str:
     if not _ARCHIVE.fullmatch(text):
         raise ValueError("not an address of a database without a password")
+    check_host(urlsplit(text).hostname or "")
     return text
 
 

@@ -20,6 +20,8 @@ def test_a_database_and_an_installation_behind_it():
         ("postgresql://db.plant/a/b", "is no address of an archive"),
         ("mysql://db.plant/a", "is no address of an archive"),
         ("postgresql://db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
+        ("postgresql://me:secret@db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
+        ("postgresql://me:secret@db..plant/a", "a part of the host's name is empty or longer than 63 letters"),
         ("postgresql://me:secret@db.plant/a", "postgresql://me:...@db.plant/a holds a password"),
         ("postgresql://db.plant/a?password=secret", "the address holds a password"),
     ],

@@ -1,0 +1,25 @@
+"""Names of hosts in what links the service to the world."""
+
+import pytest
+
+from daemon.config.file import ConfigError, load_settings
+
+KEYS = (
+    "archive.database = 'postgresql://{}/db'",
+    "notify.heartbeat = 'https://{}/x'",
+    "notify.dashboard = 'http://{}'",
+)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize(
+    ("host", "good"), [("a..b", False), ("a" * 70, False), ("hc.lab:8443", True), ("[::1]", True), ("[::1", False)]
+)
+def test_a_host_has_no_name_that_nobody_can_look_up(tmp_path, key, host, good):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(key.format(host))
+    if good:
+        load_settings(file)
+        return
+    with pytest.raises(ConfigError, match=rf"has 1 problem:\n  {key.split()[0]} = "):
+        load_settings(file)
