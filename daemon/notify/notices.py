@@ -65,9 +65,13 @@ class ServiceWatch:
 
     def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and is not heard."""
-        self._name = f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
-        shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
-        changes = list(self._changes(shown))
+        before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
+        try:
+            shown = {(alarm["tracker"] or "", alarm["name"]): alarm for alarm in state["alarms"]}
+            changes = list(self._changes(shown))
+        except Exception:
+            self._name = before
+            raise
         notices = [self._back(), *changes] if self._silent else changes
         self._heard_s, self._silent, self._known = now_s, False, shown
         return notices
