@@ -157,8 +157,10 @@ def _fit_of(content: dict[str, Any]) -> Fit:
 
 
 def _statistics(content: dict[str, Any]) -> Agreement:
-    pairs, *numbers = (content[key] for key in _AGREEMENT_KEYS)
-    return Agreement(int(pairs), *map(float, numbers))
+    pairs, *numbers = (float(content[key]) for key in _AGREEMENT_KEYS)
+    if not np.isfinite([pairs, *numbers]).all():
+        raise ValueError("a statistic is not a number")
+    return Agreement(int(pairs), *numbers)
 
 
 def _content(statistics: Agreement) -> dict[str, float]:

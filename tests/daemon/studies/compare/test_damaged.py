@@ -21,13 +21,14 @@ def test_a_table_that_was_cut_off(tmp_path):
         read_tables([cut])
 
 
-def test_a_bias_in_which_a_number_is_missing(tmp_path):
+@pytest.mark.parametrize("wrong", [{"mbe_w": None}, {"count": 1e999}, {"rmae_pct": float("nan")}])
+def test_a_bias_in_which_a_number_is_missing_or_is_none(tmp_path, wrong):
     flat = [Measurement(5.0 * n, name, 50.0 + n, *[0.0] * 6) for n in range(200) for name in NAMES]
     path = tmp_path / "bias.json"
     found = fit(pair(frame_of(flat), NAMES))
     write(found, path)
     assert read(path) == found
     content = json.loads(path.read_text())
-    path.write_text(json.dumps(content | {"before": content["before"] | {"mbe_w": None}}))
+    path.write_text(json.dumps(content | {"before": content["before"] | wrong}))
     with pytest.raises(UserError, match=r"bias\.json is damaged "):
         read(path)
