@@ -216,7 +216,15 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
 
 
 def _csv(path: Path) -> MeasuredWeather:
-    frame = pd.read_csv(path, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig")
+    frame = pd.read_csv(
+        path,
+        dtype=str,
+        keep_default_na=False,
+        skip_blank_lines=False,
+        encoding="utf-8-sig",
+        # Of what else is packed pandas would tell in many words.
+        compression="gzip" if path.suffix == ".gz" else None,
+    )
     found = [str(column).strip().lower() for column in frame.columns]
     frame.columns = pd.Index(found)
     for column in ("time", *IRRADIANCES):

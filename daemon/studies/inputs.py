@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 # In the first and the last year that Python knows, a zone or a longitude carries an instant beyond its calendar.
 YEARS = range(2, 9999)
+_PACKED = (".bz2", ".tar", ".tar.gz", ".xz", ".zip", ".zst")
 
 
 def parse_site(text: str, where: str = "--site") -> tuple[float, float, float]:
@@ -62,6 +63,13 @@ def check_weather_file(path: Path, *, or_built_in: bool = True) -> None:
         known = ", ".join(get_args(WeatherName))
         hint = f", and it is none of the built-in skies {known}" if or_built_in else ": name a file of measured weather"
         raise UserError(f"there is no weather file at {path}{hint}")
+    check_packing(path)
+
+
+def check_packing(path: Path) -> None:
+    """Raise `UserError` for a table that is packed otherwise than with gzip, of which pandas would read some."""
+    if path.name.lower().endswith(_PACKED):
+        raise UserError(f"{path} cannot be read as it is packed: unpack it, or pack the table alone with gzip (.gz)")
 
 
 def check_data_files(paths: Sequence[Path], of: str) -> None:

@@ -1,4 +1,5 @@
 import gzip
+import lzma
 
 import numpy as np
 import pandas as pd
@@ -124,6 +125,9 @@ def test_a_missing_file_a_folder_and_a_broken_archive_are_refused(tmp_path):
     assert "cannot be read" in reason(tmp_path)
     broken = tmp_path / "weather.csv.gz"
     broken.write_bytes(gzip.compress(CSV.encode())[:40])
+    assert "cannot be read" in reason(broken)
+    broken = tmp_path / "weather.csv.xz"
+    broken.write_bytes(lzma.compress(CSV.encode())[:40])
     assert "cannot be read" in reason(broken)
     ragged = written(tmp_path, CSV + "2016-06-05T12:04:00Z,1,2,3,4,5,6,7\n")
     assert "line 6" in reason(ragged)
