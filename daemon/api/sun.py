@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from daemon.base.clock import iso_utc
-from solar.ephemeris import DAY_S, Site, sun_day, sun_position
+from solar.ephemeris import DAY_S, Site, solar_days, sun_day, sun_position
 
 _EVERY_S = 600.0
 
@@ -17,7 +17,7 @@ def sun_json(site: Site, utc_s: float) -> dict[str, Any]:
     The path begins and ends at the sun's lowest points; each point is a time, the azimuth from north and the apparent
     elevation [deg]. Rise and set are None on a day without.
     """
-    return _day(site, (utc_s + site.longitude_deg * 240.0) // DAY_S)
+    return _day(site, float(solar_days(np.array(utc_s), site.longitude_deg)))
 
 
 @lru_cache(maxsize=16)

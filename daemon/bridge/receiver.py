@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key, without_mapping
 from daemon.base.process import Notifier
 from daemon.bridge import senml, signing
 from daemon.bridge.port import Peer, UdpPort
@@ -161,5 +161,4 @@ class BridgeReceiver:
 @lru_cache(maxsize=1024)
 def _ip_of(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """Return an address of the allow-list or of a sender; IPv4 within IPv6 is IPv4."""
-    ip = ipaddress.ip_address(text.partition("%")[0])
-    return (ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None) or ip
+    return ipaddress.ip_address(without_mapping(text.partition("%")[0]))

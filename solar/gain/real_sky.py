@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, sun_position
+from solar.ephemeris import DAY_S, Site, extraterrestrial_dni, solar_days, sun_position
 from solar.frames import Array, direction_from_azimuth
 from solar.skies.sky import Sky, SkyModel, normal_from_tilt, sky
 
@@ -64,8 +64,8 @@ def sky_series(site: Site, utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, model
     Its parts are those of :func:`solar.skies.sky.sky`, whose models are cited there.
     """
     sun = sun_position(utc_s, *site)
-    solar_days = np.floor((utc_s + site.longitude_deg * 240.0) / DAY_S).astype(np.int64).astype("datetime64[D]")
-    day = (solar_days - solar_days.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64) + 1
+    dates = solar_days(utc_s, site.longitude_deg).astype(np.int64).astype("datetime64[D]")
+    day = (dates - dates.astype("datetime64[Y]").astype("datetime64[D]")).astype(np.int64) + 1
     towards = direction_from_azimuth(sun.azimuth_deg, sun.elevation_deg, site.latitude_deg)
     overhead = sky(model, towards, dni_w_m2, dhi_w_m2, extraterrestrial_dni(utc_s))
     return SkySeries(
