@@ -38,7 +38,10 @@ _MOST_NAMES = 10_000
 async def serve(
     mqtt: MqttSettings, settings: ArchiveSettings, address: ArchiveAddress, clock: Clock, manager: Notifier
 ) -> None:
-    """Take in records until SIGINT or SIGTERM; raises `ArchiveError` for a database that cannot be used as it is."""
+    """Take in records until SIGINT, SIGTERM or SIGHUP.
+
+    Raises `ArchiveError` for a database that cannot be used as it is.
+    """
     loop, end = asyncio.get_running_loop(), asyncio.Event()
 
     def end_from_outside() -> None:

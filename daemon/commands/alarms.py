@@ -93,7 +93,7 @@ def notify(
     ] = None,
     test: Annotated[bool, typer.Option("--test", help="Send everybody one message, and say what came of it.")] = False,
 ) -> None:
-    """Tell people of alarms, by e-mail, ntfy, chat or telephone, until Ctrl-C or SIGTERM."""
+    """Tell people of alarms, by e-mail, ntfy, chat or telephone, until Ctrl-C, SIGTERM or SIGHUP."""
     import asyncio
     import logging
     import os

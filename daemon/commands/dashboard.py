@@ -39,7 +39,7 @@ def dashboard(
     ] = None,
     with_parent: Annotated[bool, typer.Option("--with-parent", help="End when standard input ends.")] = False,
 ) -> None:
-    """Serve the dashboard for browsers until Ctrl-C or SIGTERM; it shows services that run already, or will."""
+    """Serve the dashboard for browsers until Ctrl-C, SIGTERM or SIGHUP; it shows services that run already, or will."""
     import logging
     import os
 

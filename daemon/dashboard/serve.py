@@ -136,7 +136,7 @@ async def serve(
     notifier: Notifier,
     parent: int | None = None,
 ) -> None:
-    """Serve the dashboard of some services until SIGINT or SIGTERM.
+    """Serve the dashboard of some services until SIGINT, SIGTERM or SIGHUP.
 
     Parameters
     ----------

@@ -45,7 +45,10 @@ async def test(settings: NotifySettings, recipients: Sequence[Recipient], report
 
 
 async def serve(settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier) -> None:
-    """Tell people of alarms until SIGINT or SIGTERM; raises `UserError` for a service's address that is none."""
+    """Tell people of alarms until SIGINT, SIGTERM or SIGHUP.
+
+    Raises `UserError` for a service's address that is none.
+    """
     try:
         services = [parse_address(text) for text in settings.services]
     except ValueError as error:

@@ -31,7 +31,7 @@ _MARK = "# Written by heliocube bench, anew at each start."
 
 
 def serve_bench(settings: Settings, directory: Path) -> None:
-    """Run the bench in a directory until SIGINT or SIGTERM; print ``ready`` when everything is there.
+    """Run the bench in a directory until SIGINT, SIGTERM or SIGHUP; print ``ready`` when everything is there.
 
     Parameters
     ----------

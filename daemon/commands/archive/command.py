@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the"
-    " broker, until Ctrl-C or SIGTERM."
+    " broker, until Ctrl-C, SIGTERM or SIGHUP."
 )
 
 ConfigOption = Annotated[
@@ -33,7 +33,7 @@ ToOption = Annotated[
 
 @app.callback(invoke_without_command=True)
 def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = None) -> None:
-    """Take in the records that services send to the broker, until Ctrl-C or SIGTERM."""
+    """Take in the records that services send to the broker, until Ctrl-C, SIGTERM or SIGHUP."""
     if context.invoked_subcommand is not None:
         return
     import asyncio
