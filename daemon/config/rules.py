@@ -140,7 +140,7 @@ def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[C
 
 
 def a_scan_fits_its_period(settings: Sections) -> Iterator[Conflict]:
-    """All readings of a scan, each the multiplexer's settling and a conversion, fit into `cube.scan_every_s`."""
+    """All readings of a scan, each settling and conversion, fit into `cube.scan_every_s` where a multiplexer reads."""
     settle_s = settings.instruments.multiplexer.settle_s
     meter = settings.instruments.voltmeter
     readings = len(FACES) + sum(getattr(settings.cube, name) is not None for name in SELF_TESTS)
