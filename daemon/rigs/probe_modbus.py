@@ -200,15 +200,26 @@ class ModbusProbe:
         found = []
         for unit in units:
             try:
-                await bus.read(unit, READ_HOLDING, 0, 1, self._within_s)
-            except RefusedError:
-                pass
+                await self._greet(bus, unit, twice=self._face_at(line, unit) is not None)
             except DeadlineError as error:
                 if error.message:
                     found.append(Answering(unit, _GARBLED))
                 continue
             found.append(await self._identified(bus, line, unit))
         return found
+
+    async def _greet(self, bus: ModbusBus, unit: int, *, twice: bool) -> None:
+        """Ask an address for anything; raises `DeadlineError` where it is silent. A question may be lost: two tell."""
+        for last in (False, True) if twice else (True,):
+            try:
+                await bus.read(unit, READ_HOLDING, 0, 1, self._within_s)
+            except RefusedError:
+                return
+            except DeadlineError:
+                if last:
+                    raise
+            else:
+                return
 
     async def _identified(self, bus: ModbusBus, line: str, unit: int) -> Answering:
         text = "answers; its make is not known here, see docs/instruments.md for a map"
