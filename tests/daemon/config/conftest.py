@@ -4,7 +4,7 @@ import textwrap
 
 import pytest
 
-from daemon.config.file import load_settings
+from daemon.config.file import ConfigError, load_settings
 
 
 @pytest.fixture
@@ -17,3 +17,16 @@ def read(tmp_path):
         return load_settings(file)
 
     return read_text
+
+
+@pytest.fixture
+def problem(read):
+    """Return the one sentence with which the text of a file is refused."""
+
+    def only_problem(text):
+        with pytest.raises(ConfigError) as caught:
+            read(text)
+        (line,) = caught.value.problems
+        return line
+
+    return only_problem

@@ -6,34 +6,14 @@ import sys
 
 import pytest
 
-from daemon.config.file import ConfigError, load_settings, override
+from daemon.config.file import override
 from daemon.config.plugged import said
 from daemon.config.settings import Settings
 
 
-@pytest.fixture
-def load(tmp_path):
-    def load_text(text):
-        (tmp_path / "heliocube.toml").write_text(text)
-        return load_settings(tmp_path / "heliocube.toml")
-
-    return load_text
-
-
-@pytest.fixture
-def problem(load):
-    def only_problem(text):
-        with pytest.raises(ConfigError) as caught:
-            load(text)
-        (line,) = caught.value.problems
-        return line
-
-    return only_problem
-
-
 @pytest.mark.parametrize("key", ["driver", "name"])
-def test_a_law_is_chosen_by_driver_and_by_what_driver_was_called_before(load, key):
-    law = load(f"[law]\n{key} = 'optimal'\nthrift = 2.0\n").law
+def test_a_law_is_chosen_by_driver_and_by_what_driver_was_called_before(read, key):
+    law = read(f"[law]\n{key} = 'optimal'\nthrift = 2.0\n").law
     assert (law.driver, law.thrift, law.moves_per_day) == ("optimal", 2.0, 250)
 
 
@@ -46,8 +26,8 @@ def test_an_unknown_name_lists_the_known_ones(problem):
     assert line == 'law.driver = "fastest": must be "chronometric", "flat", "mu-prime", "optimal" or "sun-vector"'
 
 
-def test_keys_of_another_law_may_stay_and_serve_when_the_name_changes(load):
-    settings = load("[law]\ndriver = 'mu-prime'\nthrift = 2.0\n")
+def test_keys_of_another_law_may_stay_and_serve_when_the_name_changes(read):
+    settings = read("[law]\ndriver = 'mu-prime'\nthrift = 2.0\n")
     assert override(settings, {"law": {"driver": "optimal"}}).law.thrift == 2.0
     again = override(override(settings, {"law": {"driver": "flat"}}), {"law": {"name": "optimal"}})
     assert again.law.thrift == 2.0

@@ -3,33 +3,12 @@
 import pytest
 
 from daemon.bridge.senml import EARLIEST_UTC_S, LATEST_UTC_S
-from daemon.config.file import ConfigError, load_settings
 from daemon.config.stuck_lines import self_test_gaps
 
 REAL = "[instruments]\nkind = 'real'\n"
 METER = "[instruments.voltmeter]\nresource = 'ASRL/dev/serial/by-id/usb-FTDI_A50285BI-if00-port0::INSTR'\n"
 FAST = "[cube]\nscan_every_s = 1.0\n"
 TOO_SHORT = "cube.scan_every_s = 1.0: is too short for 4 readings"
-
-
-@pytest.fixture
-def load(tmp_path):
-    def load_text(text):
-        (tmp_path / "heliocube.toml").write_text(text)
-        return load_settings(tmp_path / "heliocube.toml")
-
-    return load_text
-
-
-@pytest.fixture
-def problem(load):
-    def only_problem(text):
-        with pytest.raises(ConfigError) as caught:
-            load(text)
-        (line,) = caught.value.problems
-        return line
-
-    return only_problem
 
 
 @pytest.mark.parametrize(
@@ -45,8 +24,8 @@ def test_a_scan_fits_its_period_where_a_multiplexer_reads_it(problem, text, mess
 
 
 @pytest.mark.parametrize("text", [REAL, "[instruments.cube]\ndriver = 'modbus-pyranometers'\n"])
-def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(load, text):
-    settings = load(FAST + text)
+def test_a_tracker_takes_the_scans_of_a_cube_that_is_faster_than_a_multiplexer(read, text):
+    settings = read(FAST + text)
     assert settings.cube.scan_every_s == 1.0
     assert self_test_gaps(settings) == []
 
@@ -59,6 +38,6 @@ def test_a_simulated_clock_starts_at_no_time_that_scans_cannot_tell(problem, sta
 
 
 @pytest.mark.parametrize("start", ["1979-01-01T00:00:00Z", "2099-12-31T23:59:59Z"])
-def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(load, start):
-    found = load(f"[simulation]\nstart_utc = {start}\n").simulation.start_utc
+def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(read, start):
+    found = read(f"[simulation]\nstart_utc = {start}\n").simulation.start_utc
     assert EARLIEST_UTC_S < found.timestamp() < LATEST_UTC_S
