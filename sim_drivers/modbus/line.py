@@ -8,8 +8,6 @@ from drivers.modbus.server import RegisterTable, answer
 
 # From the end of a question to the beginning of its answer.
 _TURNAROUND_S = 0.005
-# 8 data bits, parity, start and stop at 19200 baud.
-_BYTE_S = 11 / 19200
 
 
 class SimulatedDevice(RegisterTable, Protocol):
@@ -48,7 +46,7 @@ class DeviceLineCore:
         self.questions = 0
         self._framing: ServerFraming = framing or RtuServer()
         self._is_one_pair = framing is None
-        self._replies_s: list[tuple[float, float]] = []
+        self._replied_s: list[float] = []
 
     def feed(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         """Take in bytes and return the replies that they cause, each with the time [s] at which it begins."""
@@ -69,11 +67,11 @@ class DeviceLineCore:
         first.address, second.address = second.address, first.address
 
     def _hears(self, sensor: SimulatedDevice, now: float) -> bool:
-        """Tell whether a question reaches a sensor: on one pair none does that comes into a reply or soon after it."""
+        """Tell whether a question reaches a sensor: on one pair none does that comes soon after a reply."""
         if not (self._is_one_pair and sensor.deaf_s):
             return True
-        self._replies_s = [each for each in self._replies_s if now < each[1] + sensor.deaf_s]
-        return not any(begin_s <= now for begin_s, _ in self._replies_s)
+        self._replied_s = [at_s for at_s in self._replied_s if now < at_s + sensor.deaf_s]
+        return not any(at_s <= now for at_s in self._replied_s)
 
     def _answers(self, asked: Asked, now: float) -> list[tuple[float, bytes]]:
         replies = []
@@ -92,5 +90,6 @@ class DeviceLineCore:
         if len(replies) > 1:
             # Both drive the wires at once.
             replies = [(replies[0][0], bytes(x & y for x, y in zip(replies[0][1], replies[1][1], strict=False)))]
-        self._replies_s += [(due_s, due_s + len(frame) * _BYTE_S) for due_s, frame in replies]
+        # A reply is handed over whole, and so has ended when it is due.
+        self._replied_s += [due_s for due_s, _ in replies]
         return replies
