@@ -71,7 +71,7 @@ class PozsolPositioner:
     boards
         What field 37 may say; to any other board nothing is ever written.
     stale_s
-        Silence of the fast fields after which the unit counts as lost.
+        Silence of the fast fields after which the unit counts as lost; at the opening it is waited for so long as well.
     b_out_bit
         Where the status word has axis B's motion bits; None where that is not known until B has moved.
     """
@@ -92,6 +92,7 @@ class PozsolPositioner:
         self._axes: dict[AxisName, AxisSetup] = {"a": a, "b": b}
         self._boards = boards
         self._watch = PositionerWatch(now, self._axes, stale_s, b_out_bit)
+        self._hear_within_s, self._know_within_s = max(_HEAR_WITHIN_S, stale_s), max(_KNOW_WITHIN_S, stale_s)
         self._jitter = (a.step, b.step)
         self._sending = asyncio.Lock()
         self._identified = False
@@ -264,10 +265,10 @@ class PozsolPositioner:
                 firmware, serial = _text(known[Field.VERSION]), _text(known[Field.SERIAL])
                 return PositionerIdentity(board, firmware, serial, self._line.simulated)
             waited_s = self._now() - max(start_s + self._line.boot_s, restarted_s or start_s)
-            if waited_s > _HEAR_WITHIN_S and not known:
+            if waited_s > self._hear_within_s and not known:
                 message = "sends no telemetry: it is in its bootloader or hangs, or this is another device"
                 raise ConnectError(_DEVICE, message)
-            if waited_s > _KNOW_WITHIN_S:
+            if waited_s > self._know_within_s:
                 names = ", ".join(f"{field.value}" for field in missing)
                 raise IdentityError(_DEVICE, f"sends something, but not the fields {names} of a positioner")
             await asyncio.sleep(_LOOK_EVERY_S)

@@ -141,7 +141,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_its_ref
         async with positioner_host() as host:
             host.boots_at_open_s = 3.0
             with pytest.raises(ConnectError, match="no telemetry"):
-                await positioner_on(host.port.link).open()
+                await positioner_on(host.port.link, stale_s=2.0).open()
             positioner = positioner_on(host.port.link, boot_s=4.0, banner=BANNER.decode().strip())
             assert (await positioner.open()).board == "36A1"
             assert (await positioner.read_telemetry()).was_reset

@@ -53,13 +53,13 @@ def _number(text):
         return math.nan
 
 
-def on_unit(scenario, a=A, setup=None, **unit):
+def on_unit(scenario, a=A, setup=None, stale_s=2.0, **unit):
     """Run a scenario with a driver that is not open yet, its unit, and the time."""
 
     async def scene():
         now = asyncio.get_running_loop().time
         line = Unit(PositionerCore(now(), setup), now, **unit)
-        await scenario(PozsolPositioner(line, now, a, B), line, now)
+        await scenario(PozsolPositioner(line, now, a, B, stale_s=stale_s), line, now)
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scene())
@@ -114,6 +114,18 @@ def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_litt
 
     on_unit(silent)
     on_unit(lacking, comes_s={Field.SERIAL: math.inf, Field.STATUS: math.inf})
+
+
+def test_a_unit_that_may_be_silent_for_longer_is_waited_for_as_long_at_its_opening():
+    async def silent(positioner, unit, now):
+        unit.silent = True
+        await fails_after(positioner.open(), now, 30.02, ConnectError, "sends no telemetry")
+
+    async def late(positioner, _unit, _now):
+        assert (await positioner.open()).board == "36A1"
+
+    on_unit(silent, stale_s=30.0)
+    on_unit(late, stale_s=30.0, comes_s={Field.SERIAL: 20.0})
 
 
 @pytest.mark.parametrize(("comes_s", "seconds", "told"), [(3.0, 3.0, 1), (math.inf, 4.5, 0), (0.0, 0.0, 1)])
