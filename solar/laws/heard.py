@@ -25,7 +25,7 @@ _LONGEST_S = 60.0
 # Means that nobody asks for in some mode without decisions are taken in this many at a time.
 _MOST_WAITING = 40
 # Trackers of one cube are this many links apart at the most; one that hears no more would hold every later link.
-_MOST_KEPT = 500
+_MOST_KEPT = 60
 
 FourNumbers = tuple[float, float, float, float]
 _NONE: FourNumbers = (0.0, 0.0, 0.0, 0.0)
