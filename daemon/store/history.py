@@ -62,7 +62,8 @@ def stored_days(path: Path, longitude_deg: float) -> list[str]:
         utc_days = connection.execute("SELECT day FROM days").fetchall()
         # Away from the prime meridian a UTC day has parts of two solar days.
         near = {(day * _DAY_S + ahead_s) // _DAY_S + more for (day,) in utc_days for more in (0, 1)}
-        days = [day for day in sorted(near) if _any_record(connection, day * _DAY_S - ahead_s)]
+        kinds = [kind for kind in (*_NUMBERS, *_LINES) if columns_of(connection, kind)]
+        days = [day for day in sorted(near) if _any_record(connection, kinds, day * _DAY_S - ahead_s)]
     return [datetime.fromtimestamp(day * _DAY_S, UTC).date().isoformat() for day in days]
 
 
@@ -117,13 +118,12 @@ def lines_of(path: Path, kind: str, start_s: float, end_s: float, tracker: str) 
     return {"rows": found, "more": len(rows) > MOST_LINES}
 
 
-def _any_record(connection: sqlite3.Connection, start_s: float) -> bool:
-    """Whether there is a record of any kind in the day that begins then."""
+def _any_record(connection: sqlite3.Connection, kinds: Sequence[str], start_s: float) -> bool:
+    """Whether there is a record of any of these kinds in the day that begins then."""
     within = (start_s, start_s + _DAY_S)
     return any(
         connection.execute(f"SELECT 1 FROM {kind} WHERE time >= ? AND time < ? LIMIT 1", within).fetchone()  # noqa: S608 - our own names
-        for kind in (*_NUMBERS, *_LINES)
-        if columns_of(connection, kind)
+        for kind in kinds
     )
 
 
