@@ -244,6 +244,20 @@ class Repeating(Protocol):
         """Return the time of a look that would show again what this last one did; None where it has to be made."""
 
 
+@runtime_checkable
+class Recalling(Protocol):
+    """A positioner that makes use of where its axes stood before the service was started anew."""
+
+    def standing(self) -> tuple[float | None, float | None]:
+        """Return where A and B stand by all that is known, in the `position_unit`; None where nobody knows."""
+
+    def recall(self, a: float | None, b: float | None, doubt: str) -> None:
+        """Take in, before the first `open`, what `standing` said at rest in the process before, and any doubt of then.
+
+        The doubt is a sentence, or empty; it stands as `Telemetry.reference_doubt` from then on.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class SweptCurve:
     """One sweep of an electronic load over a photovoltaic module.

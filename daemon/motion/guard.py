@@ -15,6 +15,7 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record
 from daemon.motion.alarms import Currents, show
+from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
 from daemon.motion.watch import Stray, Watch
 from drivers.errors import DeviceError, StillMovingError
@@ -52,6 +53,8 @@ class Guard:
         What may be expected of the drive.
     doubts
         What a person has to look at, kept.
+    place
+        Where the axes rest, kept.
     clock, publish, alarms
         The service's time; where poses and events go; where alarms are raised.
     polled
@@ -78,6 +81,7 @@ class Guard:
         positioner: Positioner,
         expected: PositionerSettings,
         doubts: Doubts,
+        place: KeptPlace,
         clock: Clock,
         publish: Callable[[Record], None],
         alarms: Alarms,
@@ -86,6 +90,7 @@ class Guard:
         self._positioner = positioner
         self._repeats = positioner if isinstance(positioner, Repeating) else None
         self.doubts = doubts
+        self._place = place
         self._clock = clock
         self._publish = publish
         self._alarms = alarms
@@ -352,6 +357,10 @@ class Guard:
         )
         self._pose = pose
         self.rested = pose if self.watch.settled and not moving else None
+        if self.rested is None:
+            self._place.leaves()
+        else:
+            self._place.rests(pose)
         if (
             told is None
             or moving

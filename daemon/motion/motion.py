@@ -21,6 +21,7 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
+from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
@@ -70,7 +71,7 @@ class Motion(MotionState):
     alarms
         Where the alarms about the positioner are raised.
     folder
-        Where doubts are kept over a restart.
+        Where doubts, and where the axes rest, are kept over a restart.
     polling
         How often to look at the positioner.
     """
@@ -95,7 +96,9 @@ class Motion(MotionState):
         self._publish = publish
         self._changed = changed
         self._polling = polling
-        guard = Guard(positioner, expected, Doubts(folder), clock, publish, alarms, self._note_readiness)
+        doubts = Doubts(folder)
+        place = KeptPlace(folder, positioner, doubts.reference)
+        guard = Guard(positioner, expected, doubts, place, clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
         self._has_reference_run = expected.has_reference_run
         self._rehoming = Rehoming(enabled=settings.rehome == "automatic" and expected.has_reference_run)

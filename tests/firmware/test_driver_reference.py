@@ -101,6 +101,30 @@ def test_a_count_and_a_switch_that_contradict_each_other_are_told_apart_off_the_
     asyncio.run(scene())
 
 
+def test_a_switch_that_is_stuck_after_a_restart_shows_by_where_the_axis_stood_before_it(start_firmware):
+    firmware = start_firmware(-30.0, 90.0, cleared=False)
+
+    async def scene():
+        positioner = driver_on(firmware)
+        began = firmware.positions_mm()
+        positioner.recall(*began, "")
+        await opened(positioner)
+        assert (await positioner.read_telemetry()).was_reset
+        await positioner.clear_faults(forgive=False)
+        await positioner.home("a")
+
+        async def on_its_way():
+            return firmware.positions_mm()[0] < began[0] - 4.0
+
+        await until(on_its_way)
+        firmware.control("stucklow 0 1")
+        assert "met its end switch where its count was" in (await over(positioner)).reference_doubt
+        assert positioner.standing() == pytest.approx(firmware.positions_mm(), abs=1.0)
+        await positioner.close()
+
+    asyncio.run(scene())
+
+
 def test_homing_stops_the_other_axis_first(start_firmware):
     firmware = start_firmware(0.0, 16.0)
 

@@ -97,7 +97,7 @@ class DriverTap:
         self.open, self.close = driver.open, driver.close
         self.read_telemetry, self.disable_autonomy = driver.read_telemetry, driver.disable_autonomy
         self.stop, self.halt, self.clear_faults = driver.stop, driver.halt, driver.clear_faults
-        self.repeated_s = driver.repeated_s
+        self.repeated_s, self.standing, self.recall = driver.repeated_s, driver.standing, driver.recall
 
     async def move_to(self, a_deg: float, b_deg: float, *, first: AxisName = "a") -> None:
         """Move there; see the driver."""

@@ -133,6 +133,14 @@ class PozsolPositioner:
         except LinkLostError:
             return None
 
+    def standing(self) -> tuple[float | None, float | None]:
+        """Return where A and B stand, in the unit's position units, also while their count is lost; or None."""
+        return self._watch.standing()
+
+    def recall(self, a: float | None, b: float | None, doubt: str) -> None:
+        """Take in what `standing` said last in the process before: a reference run is judged by it."""
+        self._watch.recall({"a": a, "b": b}, doubt)
+
     def fields(self) -> dict[int, str]:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
         return {code: _text(value) for code, value in sorted(self._line.state().values.items())}

@@ -82,11 +82,13 @@ class LastKnown:
         self._seen: dict[AxisName, float] = {}
         # What the count is short of; without an entry no count could be trusted yet.
         self._lost: dict[AxisName, float] = {}
+        # What it is short of if the end switch has lied that set it.
+        self._lost_if_lied: dict[AxisName, float] = {}
 
     def note(self, axis: AxisName, position: float, *, trusted: bool, set_anew: bool) -> None:
         """Take note of a look: whether its count is to be trusted, and whether it was set anew since the one before."""
         if trusted:
-            self._lost[axis] = 0.0
+            self.referenced(axis)
         elif set_anew and axis in self._lost:
             self._lost[axis] += self._seen[axis] - position
         self._seen[axis] = position
@@ -95,9 +97,23 @@ class LastKnown:
         """Return where an axis stands whose count is `position`; None where nobody knows."""
         return position + self._lost[axis] if axis in self._lost else None
 
+    def at_worst(self, axis: AxisName) -> float | None:
+        """Return where an axis stands by its newest count, or if its end switch has lied; None where nobody knows."""
+        lost = self._lost_if_lied.get(axis, self._lost.get(axis))
+        return None if lost is None or axis not in self._seen else self._seen[axis] + lost
+
+    def recall(self, axis: AxisName, place: float) -> None:
+        """Take over where an axis stood before this process began."""
+        self._seen[axis], self._lost[axis] = place, 0.0
+
     def referenced(self, axis: AxisName) -> None:
         """Take note that the count was set on the end switch: it is true from there on."""
         self._lost[axis] = 0.0
+        self._lost_if_lied.pop(axis, None)
+
+    def contradicted(self, axis: AxisName, stands: float, position: float) -> None:
+        """Take note that the count was set where the axis stands at `stands` if its end switch has lied."""
+        self._lost_if_lied[axis] = stands - position
 
     def stuck(self, axis: AxisName, stood: float, position: float) -> None:
         """Take note that the count was set where the axis stood, which was not on its end switch."""

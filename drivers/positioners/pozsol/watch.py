@@ -121,6 +121,19 @@ class PositionerWatch:
             name = run.axis.upper()
             self.reference.note(f"{run.axis} unfinished", f"the reference run of {name} did not end", run.axis)
 
+    def standing(self) -> tuple[float | None, float | None]:
+        """Return where A and B stand by all that is known, in the unit's position units; None where nobody knows."""
+        return self._last_known.at_worst("a"), self._last_known.at_worst("b")
+
+    def recall(self, places: dict[AxisName, float | None], doubt: str) -> None:
+        """Take over where the axes stood before this process began; the count may have been set anew since."""
+        self._set_anew = True
+        for axis, place in places.items():
+            if place is not None:
+                self._last_known.recall(axis, place)
+            if doubt:
+                self.reference.note(f"{axis} before", doubt, axis, stands=place)
+
     def forgive(self, kinds: tuple[str, ...]) -> None:
         """Forget doubts that a person has seen."""
         self.reference.forgive(kinds)
@@ -194,6 +207,8 @@ class PositionerWatch:
             self._last_known.stuck(run.axis, run.stood, seen[run.axis].position)
         else:
             self._last_known.referenced(run.axis)
+            if run.stands is not None:
+                self._last_known.contradicted(run.axis, run.stands, seen[run.axis].position)
         if run.mismatch:
             # On the spot neither count nor switch can be shown to be right.
             needs_travel = stuck or run.stands is not None

@@ -70,7 +70,7 @@ def public(scope, kind):
 def test_these_are_all_the_doors_that_the_tests_below_go_through():
     assert public(PozsolPositioner, inspect.isroutine) == {
         "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "halt", "home",
-        "clear_faults", "repeated_s",
+        "clear_faults", "repeated_s", "standing", "recall",
     }  # fmt: skip
     assert public(SerialPort, inspect.isroutine) == {"read", "write", "discard", "echoes", "has_lines", "close"}
     assert public(telemetry.TelemetryReader, inspect.isroutine) == {"attend", "stop", "close"}

@@ -1,0 +1,78 @@
+"""Where the axes rest, kept over a restart: a reference run that ends too early shows by it.
+
+A positioner may lose its count while no service is there to see it. Then nobody else knows how long the way to the end
+switch has to be, and a switch that is stuck half-way would be believed. While an axis moves, nothing is kept: it goes
+on by itself when the service dies.
+"""
+
+import logging
+
+from pydantic import BaseModel, ConfigDict, FiniteFloat
+
+from daemon.base.records import Pose
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError
+from drivers.interfaces import Positioner, Recalling
+
+log = logging.getLogger("heliocube.motion")
+
+FILE_NAME = "place.json"
+# Finer than a reference run is judged, and coarser than what an axis shows at rest.
+_CHANGED_DEG = 0.2
+
+
+class _Kept(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    a: FiniteFloat | None = None
+    b: FiniteFloat | None = None
+
+
+class KeptPlace:
+    """Tells a positioner where it stood before this process, and keeps where it comes to rest.
+
+    Parameters
+    ----------
+    folder
+        Of the file.
+    positioner
+        Not connected yet; one that makes no use of it is told nothing, and nothing is kept.
+    doubt
+        Why its reference has been in doubt since before the restart, or None.
+    """
+
+    def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None) -> None:
+        self._file = StateFile(folder, FILE_NAME, _Kept, log, "where the axes stand")
+        self._positioner = positioner if isinstance(positioner, Recalling) else None
+        self._rested: Pose | None = None
+        self._known = False, False
+        if self._positioner is not None:
+            kept = self._load()
+            self._positioner.recall(kept.a, kept.b, doubt or "")
+
+    def leaves(self) -> None:
+        """Take note that an axis moves, or may."""
+        if self._rested is not None:
+            self._rested = None
+            self._file.save(_Kept())
+
+    def rests(self, pose: Pose) -> None:
+        """Take note that both axes have come to rest."""
+        if self._positioner is None:
+            return
+        a, b = self._positioner.standing()
+        known = a is not None, b is not None
+        if known == self._known and self._rested is not None and _same_place(self._rested, pose):
+            return
+        self._rested, self._known = pose, known
+        self._file.save(_Kept(a=a, b=b))
+
+    def _load(self) -> _Kept:
+        try:
+            return self._file.load() or _Kept()
+        except UnreadableStateError as error:
+            log.warning("%s: if the positioner has lost its count since, a stuck end switch may not be noticed", error)
+            return _Kept()
+
+
+def _same_place(before: Pose, now: Pose) -> bool:
+    return abs(before.a_deg - now.a_deg) <= _CHANGED_DEG and abs(before.b_deg - now.b_deg) <= _CHANGED_DEG

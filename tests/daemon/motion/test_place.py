@@ -1,0 +1,60 @@
+"""Where the axes stood before a restart of the service is known to the next reference run."""
+
+import asyncio
+import json
+
+import pytest
+
+from tests.daemon.motion.test_home_again import stuck_on_its_way
+from tests.support.phases import quiet
+
+FILE_NAME = "place.json"
+
+
+async def stopped_where_it_began(rig):
+    await rig.until(lambda: rig.motion.connected, 30, "the connection")
+    await rig.control.stop("a test")
+    await asyncio.sleep(10)
+
+
+async def homed_after_its_count_was_lost(rig):
+    """Let the unit restart and lose its count before the service looks, and B's switch stick on the reference run."""
+    rig.unit.power_cycle(rig.clock.monotonic())
+    await rig.until(lambda: rig.motion.doubt, 60, "the mark of the restart")
+    await stuck_on_its_way(rig)
+
+
+@pytest.fixture
+def kept(run_rig, tmp_path):
+    """The folder of a service that ended while its axes stood where those of the next one begin."""
+    run_rig(stopped_where_it_began, store={"directory": tmp_path})
+    (tmp_path / "operator.json").unlink()
+    return tmp_path
+
+
+def test_a_switch_that_is_stuck_on_the_run_after_both_have_restarted_is_not_believed(run_rig, kept):
+    run_rig(homed_after_its_count_was_lost, store={"directory": kept}, motion={"rehome": "operator"})
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"a": 1e999, "b": 2.0}', '{"a": "near", "b": 2.0}'])
+def test_a_place_that_cannot_be_read_is_told_and_hinders_nothing(run_rig, kept, caplog, text):
+    (kept / FILE_NAME).write_text(text)
+    run_rig(quiet, store={"directory": kept})
+    assert f"{FILE_NAME} cannot be read" in caplog.text
+    json.loads((kept / FILE_NAME).read_text())
+
+
+def test_the_place_follows_the_axes_and_is_not_written_while_they_rest(run_rig, kept):
+    begun = json.loads((kept / FILE_NAME).read_text())
+
+    async def scenario(rig):
+        await quiet(rig)
+        written = (kept / FILE_NAME).stat().st_mtime_ns, (kept / FILE_NAME).read_bytes()
+        assert json.loads(written[1]) != begun
+        seen = rig.motion.telemetry
+        assert json.loads(written[1]) == pytest.approx({"a": seen.position_a, "b": seen.position_b}, abs=0.1)
+        await rig.control.stop("a test")
+        await asyncio.sleep(600)
+        assert ((kept / FILE_NAME).stat().st_mtime_ns, (kept / FILE_NAME).read_bytes()) == written
+
+    run_rig(scenario, store={"directory": kept})
