@@ -105,6 +105,7 @@ class _Settings:
             ":SENS:VOLT:DC:RANG?": range_v,
             ":SENS:VOLT:DC:NPLC?": nplc,
             ":SENS:VOLT:DC:AVER:STAT?": "0",
+            ":SENS:VOLT:DC:REF:STAT?": "0",
             ":FORM:ELEM?": "READ",
             ":TRIG:SOUR?": "IMM",
         }

@@ -198,6 +198,8 @@ _setting(f"{_volt}:DIGits", "digits", integer(4, 7, 7))
 _setting(f"{_volt}:AVERage:STATe", "filter_on", boolean)
 _setting(f"{_volt}:AVERage:TCONtrol", "filter_kind", choice("MOVing", "REPeat"))
 _setting(f"{_volt}:AVERage:COUNt", "filter_count", integer(1, 100, 10))
+_setting(f"{_volt}:REFerence", "reference_v", number(-_HIGHEST_V, _HIGHEST_V, 0.0))
+_setting(f"{_volt}:REFerence:STATe", "reference_on", boolean)
 _setting(f"{_volt}:RANGe:AUTO", "autorange", boolean)
 _define(
     f"{_volt}:RANGe[:UPPer]",

@@ -97,6 +97,8 @@ class Converter:
             value = self._filtered(self._window, value)
         if not (abs(value) <= min(OVERRANGE * self.range_v, HIGHEST_V)):
             return settings.formatted(f"{'-' if value < 0 else '+'}{OVERFLOW}", overflow=True), end_s
+        if settings.reference_on:
+            value -= settings.reference_v
         return settings.formatted(f"{value:+.8E}"), end_s
 
     def _filtered(self, window: deque[float], value: float) -> float:

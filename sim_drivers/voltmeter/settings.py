@@ -15,6 +15,8 @@ class MeterSettings:
         ``REP`` averages fresh conversions, ``MOV`` a window that moves over old ones.
     continuous
         Measures freely; ``:READ?`` and ``:INIT`` are then ignored.
+    reference_v, reference_on
+        What the REL key takes off every reading [V], and whether it does.
     panel
         ``LOC``, ``REM`` or, with the front panel locked out, ``RWL``.
     event_enable, request_enable
@@ -29,6 +31,8 @@ class MeterSettings:
     filter_on: bool = False
     filter_kind: str = "MOV"
     filter_count: int = 10
+    reference_v: float = 0.0
+    reference_on: bool = False
     autozero: bool = True
     continuous: bool = False
     trigger_source: str = "IMM"

@@ -78,6 +78,7 @@ def _keithley2000_proofs(channels: str, range_v: float, nplc: float) -> tuple[tu
         (":SENS:VOLT:DC:RANG?", range_v),
         (":SENS:VOLT:DC:NPLC?", nplc),
         (":SENS:VOLT:DC:AVER:STAT?", "0"),
+        (":SENS:VOLT:DC:REF:STAT?", "0"),
         (":ROUT:SCAN?", channels),
         (":ROUT:SCAN:LSEL?", "INT"),
         (":TRIG:SOUR?", "IMM"),

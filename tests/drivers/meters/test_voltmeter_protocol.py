@@ -26,6 +26,13 @@ from drivers.meters.keithley2000 import Keithley2000, require_model
 from sim_drivers.transports import InMemoryLine
 from sim_drivers.voltmeter.core import VoltmeterCore
 
+PRESSED = [
+    {"filter_on": True},
+    {"range_v": 10.0},
+    {"nplc": 0.1},
+    {"function": "RES"},
+    {"reference_v": 0.01, "reference_on": True},
+]
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 
 
@@ -229,7 +236,7 @@ def test_a_meter_that_was_switched_off_and_on_or_set_by_hand_is_opened_anew(volt
     asyncio.run(scene())
 
 
-@pytest.mark.parametrize("pressed", [{"filter_on": True}, {"range_v": 10.0}, {"nplc": 0.1}, {"function": "RES"}])
+@pytest.mark.parametrize("pressed", PRESSED)
 def test_what_is_pressed_at_the_front_panel_is_found_within_two_minutes(pressed):
     async def scene():
         now = asyncio.get_running_loop().time

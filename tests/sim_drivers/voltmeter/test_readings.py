@@ -23,6 +23,18 @@ def test_a_frozen_meter_gives_its_last_reading_to_the_digit_until_it_thaws():
     assert float(ask(core, ":READ?", 20.0)) == pytest.approx(0.02, abs=1e-4)
 
 
+def test_a_reference_is_taken_off_every_reading_until_it_is_switched_off_or_reset():
+    core = idle(meter(0.05))
+    core.feed(b":SENS:VOLT:DC:REF 0.02;REF:STAT ON\n", 0.5)
+    assert float(ask(core, ":READ?", 1.0)) == pytest.approx(0.03, abs=3e-6)
+    assert ask(core, ":SENS:VOLT:REF:STAT?;:SENS:VOLT:REF?", 2.0) == "1;0.02"
+    core.feed(b":SENS:VOLT:REF:STAT OFF\n", 2.5)
+    assert float(ask(core, ":READ?", 3.0)) == pytest.approx(0.05, abs=3e-6)
+    core.feed(b":SENS:VOLT:REF:STAT ON\n*RST\n", 3.5)
+    assert float(ask(core, ":READ?", 4.0)) == pytest.approx(0.05, abs=3e-6)
+    assert errors(core) == []
+
+
 @pytest.mark.parametrize(
     ("settings", "line_frequency_hz", "expected_s"),
     [

@@ -245,6 +245,18 @@ def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter)
     run(meter, act)
 
 
+def test_the_rel_key_of_a_keithley_2000_ends_the_readings_soon(run):
+    async def act(bench):
+        await bench.cube.open()
+        bench.core.change(bench.now(), reference_v=0.01, reference_on=True)
+        with pytest.raises(LinkLostError, match=r"REF:STAT\? is answered by 1"):
+            await read_often(bench.cube)
+        await bench.cube.open()
+        await read_often(bench.cube)
+
+    run("keithley2000-scan", act)
+
+
 async def read_often(cube):
     for _ in range(20):
         await cube.read()
