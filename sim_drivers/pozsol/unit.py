@@ -224,7 +224,7 @@ class PositionerUnit:
         for axis in self.axes.values():
             axis.settle(now)
         if self._self_clear_s <= now:
-            self._self_clear_s = math.inf
+            self._self_clear_s, self.was_reset = math.inf, False
             self.clear_faults()
         self._run_timers(now)
         self.decide(now)

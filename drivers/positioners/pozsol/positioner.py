@@ -184,6 +184,7 @@ class PozsolPositioner:
         stops, sent_s = self._stops, 0.0
         for axis in (first, "b" if first == "a" else "a"):
             if not all(abs(place - wanted[axis]) <= _AT_TARGET for place in shown[axis]):
+                self._watch.tell(axis, wanted[axis])
                 sent_s = await self._send(_TARGET[axis], whole[axis], stops)
         try:
             await self._confirm(
@@ -314,6 +315,7 @@ class PozsolPositioner:
         setup, here = self._axes[axis], position_of(axis, self._read())
         if (whole := off_switch(setup, here, self._watch.reference.may_stand_at(axis))) is None:
             return
+        self._watch.tell(axis, whole + setup.zero_offset)
         await self._send(_TARGET[axis], whole, stops)
         what = f"to leave the end switch of axis {axis.upper()}"
         seen = await self._confirm(

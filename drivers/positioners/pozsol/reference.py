@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from drivers.interfaces import AxisName
 
 _BOTH: frozenset[AxisName] = frozenset(("a", "b"))
+# So near to what it was told a destination is the one.
+_SHOWS = 0.5
 
 
 @dataclass
@@ -80,18 +82,39 @@ class LastKnown:
 
     def __init__(self) -> None:
         self._seen: dict[AxisName, float] = {}
+        # Where each axis may be on its way to: what it last showed, and what it was told and has not shown since.
+        self._shown: dict[AxisName, float] = {}
+        self._told: dict[AxisName, float] = {}
         # What the count is short of; without an entry no count could be trusted yet.
         self._lost: dict[AxisName, float] = {}
         # What it is short of if the end switch has lied that set it.
         self._lost_if_lied: dict[AxisName, float] = {}
 
-    def note(self, axis: AxisName, position: float, *, trusted: bool, set_anew: bool) -> None:
+    def tell(self, axis: AxisName, destination: float) -> None:
+        """Take note of a target that is about to be sent."""
+        self._told[axis] = destination
+
+    def strayed(self, axis: AxisName, position: float, slip: float) -> str:
+        """Return in words that an axis is elsewhere than what was last seen of it can have led to; empty if not."""
+        if axis not in self._seen:
+            return ""
+        way = self._seen[axis], self._shown[axis], self._told.get(axis, self._shown[axis])
+        if min(way) - slip <= position <= max(way) + slip:
+            return ""
+        return (
+            f"axis {axis.upper()} is at {position:.0f} after it was out of sight, and was last seen at {way[0]:.0f} on"
+            f" its way to {way[1]:.0f}: it was moved by hand, or its count is lost"
+        )
+
+    def note(self, axis: AxisName, position: float, destination: float, *, trusted: bool, set_anew: bool) -> None:
         """Take note of a look: whether its count is to be trusted, and whether it was set anew since the one before."""
         if trusted:
             self.referenced(axis)
         elif set_anew and axis in self._lost:
             self._lost[axis] += self._seen[axis] - position
-        self._seen[axis] = position
+        self._seen[axis], self._shown[axis] = position, destination
+        if abs(destination - self._told.get(axis, destination)) <= _SHOWS:
+            self._told.pop(axis, None)
 
     def of(self, axis: AxisName, position: float) -> float | None:
         """Return where an axis stands whose count is `position`; None where nobody knows."""

@@ -23,6 +23,8 @@ SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
 _SLOW_STALE_S = 8.0
 _JUMP_SHOWS_S = 1.0
+# An axis that was out of sight may have run out, or slipped, by less.
+_UNSEEN_DEG = 2.0
 # On a reference run the unit aims so many of its position units inwards of where it is.
 _HOMES_AHEAD, _HOMES_WITHIN = 10.0, 1.0
 
@@ -70,6 +72,7 @@ class PositionerWatch:
     def start(self, restarted_s: float | None) -> None:
         """Begin anew with a fresh connection, at whose opening the unit restarted at `restarted_s` or did not."""
         self._restarted_s, self._jumped_s, self._last = restarted_s, None, None
+        self._was_out_of_sight = True
         self._checks = tuple(SwitchCheck(axis, self._setups[axis]) for axis in AXES)
         if restarted_s is not None:
             self._set_anew = True
@@ -104,6 +107,10 @@ class PositionerWatch:
         if last is None or last.shown is not telemetry or self.run is not None:
             return None
         return state.as_of_s if last.repeats(state) and state.restarted_s == self._restarted_s else None
+
+    def tell(self, axis: AxisName, destination: float) -> None:
+        """Take note of a target that is about to be sent: should the link be lost, the axis may have gone there."""
+        self._last_known.tell(axis, destination)
 
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
@@ -233,9 +240,16 @@ class PositionerWatch:
             if misfit and not homing:
                 self.reference.note(f"{check.axis} switch", misfit, check.axis, needs_travel=True)
         for axis in AXES:
+            position, destination, set_anew = seen[axis].position, seen[axis].destination, self._set_anew
             trusted = not self.reference.doubts(axis)
-            self._last_known.note(axis, seen[axis].position, trusted=trusted, set_anew=self._set_anew)
-        self._set_anew = False
+            if trusted and self._was_out_of_sight and not status.autonomous:
+                # A unit that has restarted takes its mark back by itself after 15 minutes.
+                strayed = self._last_known.strayed(axis, position, self._setups[axis].units(_UNSEEN_DEG))
+                if strayed:
+                    self.reference.note(f"{axis} strayed {seen[axis].time_s}", strayed, axis)
+                    trusted, set_anew = False, True
+            self._last_known.note(axis, position, destination, trusted=trusted, set_anew=set_anew)
+        self._set_anew = self._was_out_of_sight = False
 
 
 def position_of(axis: AxisName, seen: Telemetry) -> float:

@@ -215,7 +215,7 @@ class StatusWord:
     faults
         Latched faults by name, such as ``a_overcurrent``; `FAULT_BITS` has them all.
     was_reset
-        A mark that stays until the status is cleared.
+        A mark that stays until the status is cleared, which the unit does by itself 15 minutes after power-up.
     button_pressed
         A button on the box is being pressed.
     a_homing, b_homing

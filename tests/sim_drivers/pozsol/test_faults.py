@@ -5,6 +5,7 @@ import pytest
 from drivers.positioners.pozsol.wire import Field, encode_command
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import A_ACTUATOR, Setup
+from sim_drivers.pozsol.unit import SELF_CLEAR_S
 from tests.sim_drivers.pozsol.exchange import CLEAR, HOME_A, HOME_B, STOP, fields, moves, number, point, status
 
 
@@ -162,6 +163,13 @@ def test_a_power_cycle_stops_everything_sets_the_reset_mark_and_keeps_the_count(
     assert status(core, 501.0).was_reset, "it has enumerated anew, so the first packet is lost"
     core.feed(CLEAR, 502.0)
     assert not status(core, 503.0).was_reset
+
+
+def test_the_unit_takes_back_its_reset_mark_by_itself_15_minutes_after_power_up():
+    core = PositionerCore()
+    core.power_cycle(100.0, keep_position=False)
+    assert status(core, 100.0 + SELF_CLEAR_S - 1.0).was_reset
+    assert not status(core, 100.0 + SELF_CLEAR_S + 1.0).was_reset
 
 
 def test_an_axis_that_a_fault_has_disabled_takes_no_target_after_a_power_cycle_before_the_status_is_cleared():

@@ -1,0 +1,110 @@
+"""What became of the axes while the link was down: a count that was lost then is no reference any more."""
+
+import asyncio
+import contextlib
+
+import pytest
+
+from daemon.base.timeloop import VirtualTimeLoop
+from drivers.errors import LinkLostError
+from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
+from drivers.positioners.pozsol.positioner import PozsolPositioner
+from sim_drivers.pozsol.core import PositionerCore
+from sim_drivers.pozsol.setup import Setup
+from sim_drivers.transports import InMemoryStream
+from solar.frames import Angles
+
+A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
+B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
+OUTAGE_S = 1200.0
+
+
+class Cable:
+    """A driver and its unit, between which the cable can be pulled."""
+
+    def __init__(self):
+        self.now = asyncio.get_running_loop().time
+        self.core = PositionerCore(self.now(), Setup(own_target=lambda _now: Angles(-10.0, 80.0)))
+        self.line = InMemoryStream(self.core, self.now)
+        self.positioner = PozsolPositioner(self.line, self.now, A, B)
+
+    async def out(self, upset=None):
+        """Pull the cable, upset the unit, and open anew after longer than it keeps its reset mark."""
+        self.line.link_up = False
+        await self.positioner.close()
+        if upset is not None:
+            upset(self.now())
+        await asyncio.sleep(OUTAGE_S)
+        self.core.advance(self.now())
+        self.line.link_up = True
+        await self.positioner.open()
+        return await self.positioner.read_telemetry()
+
+    async def home_both(self):
+        for axis in ("a", "b"):
+            await self.positioner.home(axis)
+            for _ in range(200):
+                await asyncio.sleep(1.0)
+                await self.positioner.read_telemetry()
+        return await self.positioner.read_telemetry()
+
+
+def run(act):
+    """Run a scene with a driver whose unit stands at 0 and 90 degrees and has been looked at."""
+
+    async def scene():
+        cable = Cable()
+        await cable.positioner.open()
+        await cable.positioner.read_telemetry()
+        await act(cable)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
+def test_a_count_that_is_lost_while_the_link_is_down_is_in_doubt_though_no_mark_tells_of_it():
+    async def act(cable):
+        seen = await cable.out(lambda now: cable.core.power_cycle(now, keep_position=False))
+        assert (seen.was_reset, seen.a_deg, seen.b_deg) == (False, -52.0, 13.0)
+        assert "axis A is at 0 after it was out of sight, and was last seen at 229" in seen.reference_doubt
+        assert "axis B is at 0 after it was out of sight, and was last seen at 282" in seen.reference_doubt
+        again = await cable.out()
+        assert again.reference_doubt == seen.reference_doubt
+        assert (await cable.home_both()).reference_doubt == ""
+        assert cable.core.truth(cable.now()) == pytest.approx((-52.0, 13.0), abs=0.3)
+
+    run(act)
+
+
+def test_a_restart_that_keeps_the_count_leaves_no_doubt_where_the_mark_is_gone():
+    async def act(cable):
+        assert (await cable.out(cable.core.power_cycle)).reference_doubt == ""
+
+    run(act)
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_move_that_goes_on_while_the_link_is_down_leaves_no_doubt(shown):
+    async def act(cable):
+        # Silent, the unit takes the target and telemetry does not show it any more.
+        cable.line.silent = not shown
+        moving = asyncio.ensure_future(cable.positioner.move_to(-10.0, 80.0))
+        await asyncio.wait((moving,), timeout=0.5)
+        cable.line.silent = False
+        seen = await cable.out()
+        with contextlib.suppress(LinkLostError):
+            await moving
+        assert (seen.a_deg, seen.b_deg) == pytest.approx((-10.0, 80.0), abs=0.5)
+        assert seen.reference_doubt == ""
+
+    run(act)
+
+
+@pytest.mark.parametrize("fault", ["own_tracking", "button_in"])
+def test_who_was_moved_while_the_link_was_down_is_in_doubt_unless_the_unit_moves_of_its_own_accord(fault):
+    async def act(cable):
+        seen = await cable.out(lambda now: cable.core.inject(fault, now))
+        assert seen.a_deg < -9.0
+        assert seen.reference_doubt.startswith("axis A is at") is (fault == "button_in")
+
+    run(act)
