@@ -72,8 +72,8 @@ class Motion(MotionState):
         Where the alarms about the positioner are raised.
     folder
         Where doubts, and where the axes rest, are kept over a restart.
-    polling
-        How often to look at the positioner.
+    polling, begins_anew
+        How often to look at the positioner; whether where it rested before says nothing.
     """
 
     def __init__(
@@ -89,6 +89,8 @@ class Motion(MotionState):
         alarms: Alarms,
         folder: StateFolder,
         polling: Polling = OFTEN,
+        *,
+        begins_anew: bool = False,
     ) -> None:
         self._positioner = positioner
         self._limits = limits
@@ -97,7 +99,7 @@ class Motion(MotionState):
         self._changed = changed
         self._polling = polling
         doubts = Doubts(folder)
-        place = KeptPlace(folder, positioner, doubts.reference)
+        place = KeptPlace(folder, positioner, doubts.reference, begins_anew=begins_anew)
         guard = Guard(positioner, expected, doubts, place, clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
         self._has_reference_run = expected.has_reference_run

@@ -35,14 +35,16 @@ class KeptPlace:
     folder
         Of the file.
     positioner
-        Not connected yet; one that makes no use of it is told nothing, and nothing is kept.
+        Not connected yet; for one that makes no use of it nothing is kept.
     doubt
         Why its reference has been in doubt since before the restart, or None.
+    begins_anew
+        Where it rested before says nothing, and nothing is kept.
     """
 
-    def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None) -> None:
+    def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None, *, begins_anew: bool) -> None:
         self._file = StateFile(folder, FILE_NAME, _Kept, log, "where the axes stand")
-        self._positioner = positioner if isinstance(positioner, Recalling) else None
+        self._positioner = positioner if isinstance(positioner, Recalling) and not begins_anew else None
         self._rested: Pose | None = None
         self._known = False, False
         if self._positioner is not None:

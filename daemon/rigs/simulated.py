@@ -105,7 +105,10 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
     trackers = () if role is Role.CUBE else settings.trackers
     return Rig(
         cube=None if role is Role.TRACKER else build_cube_of(settings, role, clock),
-        trackers=tuple(TrackerInstruments(build_positioner(own, clock), build_load(own)) for _, own in trackers),
+        trackers=tuple(
+            TrackerInstruments(build_positioner(own, clock), build_load(own), begins_anew=settings.instruments.bench)
+            for _, own in trackers
+        ),
         wind_speed_m_s=None,
         simulated=settings.instruments.bench,
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
@@ -217,7 +220,7 @@ def _build_tracker(
     """Return where a tracker's axes truly stand, and its instruments."""
     truth, positioner = build_simulated_positioner(settings, clock)
     load = _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
-    return truth, TrackerInstruments(positioner, load)
+    return truth, TrackerInstruments(positioner, load, begins_anew=True)
 
 
 class _Module(PvSource):

@@ -17,10 +17,22 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrackerInstruments:
-    """The instruments of one tracker: its positioner, and the load on its module or None."""
+    """The instruments of one tracker.
+
+    Attributes
+    ----------
+    positioner
+        Its drive.
+    load
+        On its module, or None.
+    begins_anew
+        The positioner is a simulated one that begins at one and the same place whenever it is started: where it rested
+        before says nothing.
+    """
 
     positioner: Positioner
     load: ElectronicLoad | None = None
+    begins_anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,6 +137,7 @@ class Tracker:
             self.alarms,
             folder,
             polling,
+            begins_anew=instruments.begins_anew,
         )
         self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised)
         pointing = build_pointing(settings, clock.utc(), folder, common)

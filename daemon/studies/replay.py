@@ -126,7 +126,7 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
         service = Service(
             settings,
             Role.TRACKER,
-            Rig(None, (TrackerInstruments(positioner),), None, simulated=True),
+            Rig(None, (TrackerInstruments(positioner, begins_anew=True),), None, simulated=True),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             Bus(),

@@ -21,6 +21,7 @@ class ServiceRig(HandledRig):
     """The rig, with what tests want to know of it."""
 
     kept_in = StateFolder
+    begins_anew = True
 
     def keep_in(self, directory):
         return self.kept_in(directory)

@@ -179,7 +179,7 @@ def test_what_is_absent_wrong_or_hangs_is_one_sentence_and_2(start_bench, tmp_pa
     for arguments, sentence in cases.items():
         refused(arguments, sentence)
     bench.ask("freeze", "positioner")
-    refused(("positioner", "--port", positioner), "is in its bootloader or hangs")
+    refused(("positioner", "--port", positioner), "hangs, is in its bootloader, or is another device")
     bench.ask("thaw", "positioner")
     bench.ask("identity", "positioner", "29C3")
     refused(("positioner", "--port", positioner), "board '29C3', not 36A1: nothing is sent to it")

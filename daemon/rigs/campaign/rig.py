@@ -111,9 +111,12 @@ class HandledRig:
         Why the service is to hold its trackers from the start, or None.
     synchronised
         What the kernel says of the PC's clock; None: nothing.
+    begins_anew
+        Whether where the positioner rested before says nothing.
     """
 
     hold_why: str | None = None
+    begins_anew = False
     synchronised: bool | None = None
 
     def __init__(
@@ -183,8 +186,12 @@ class HandledRig:
             Rig(
                 self.cube,
                 (
-                    TrackerInstruments(self.positioner, None if settings.load.driver == "none" else self.load),
-                    *(TrackerInstruments(positioner) for positioner in self.others),
+                    TrackerInstruments(
+                        self.positioner,
+                        None if settings.load.driver == "none" else self.load,
+                        begins_anew=self.begins_anew,
+                    ),
+                    *(TrackerInstruments(one, begins_anew=self.begins_anew) for one in self.others),
                 ),
                 lambda: self.wind_m_s,
                 simulated=True,

@@ -206,8 +206,7 @@ class PozsolPositioner:
         """Send stop now; whoever is in the middle of sending something else sends no more."""
         self._stops += 1
         self._watch.break_off_run()
-        packet = encode_command(Field.ACTION, wire.STOP)
-        first = self._nothing_sent
+        packet, first = encode_command(Field.ACTION, wire.STOP), self._nothing_sent
         await self._transmit(packet)
         if first:
             await asyncio.sleep(wire.COMMAND_SPACING_S)
@@ -275,10 +274,9 @@ class PozsolPositioner:
                 return PositionerIdentity(board, firmware, serial, self._line.simulated)
             waited_s = self._now() - max(start_s + self._line.boot_s, restarted_s or start_s)
             if waited_s > self._hear_within_s and not known:
-                message = "sends no telemetry: it is in its bootloader or hangs, or this is another device"
-                raise ConnectError(_DEVICE, message)
+                raise ConnectError(_DEVICE, "sends no telemetry: it hangs, is in its bootloader, or is another device")
             if waited_s > self._know_within_s:
-                names = ", ".join(f"{field.value}" for field in missing)
+                names = ", ".join(str(field.value) for field in missing)
                 raise IdentityError(_DEVICE, f"sends something, but not the fields {names} of a positioner")
             await asyncio.sleep(_LOOK_EVERY_S)
 

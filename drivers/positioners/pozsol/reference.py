@@ -127,7 +127,8 @@ class LastKnown:
 
     def recall(self, axis: AxisName, place: float) -> None:
         """Take over where an axis stood before this process began."""
-        self._seen[axis], self._lost[axis] = place, 0.0
+        self._seen[axis] = self._shown[axis] = place
+        self._lost[axis] = 0.0
 
     def referenced(self, axis: AxisName) -> None:
         """Take note that the count was set on the end switch: it is true from there on."""

@@ -7,6 +7,7 @@ import pytest
 
 from tests.daemon.motion.test_home_again import stuck_on_its_way
 from tests.support.phases import quiet
+from tests.support.rig import ServiceRig
 
 FILE_NAME = "place.json"
 
@@ -25,8 +26,9 @@ async def homed_after_its_count_was_lost(rig):
 
 
 @pytest.fixture
-def kept(run_rig, tmp_path):
+def kept(run_rig, tmp_path, monkeypatch):
     """The folder of a service that ended while its axes stood where those of the next one begin."""
+    monkeypatch.setattr(ServiceRig, "begins_anew", False)
     run_rig(stopped_where_it_began, store={"directory": tmp_path})
     (tmp_path / "operator.json").unlink()
     return tmp_path
@@ -58,3 +60,25 @@ def test_the_place_follows_the_axes_and_is_not_written_while_they_rest(run_rig, 
         assert ((kept / FILE_NAME).stat().st_mtime_ns, (kept / FILE_NAME).read_bytes()) == written
 
     run_rig(scenario, store={"directory": kept})
+
+
+def rested_elsewhere(kept):
+    """Let B have rested 50 units from where it begins now."""
+    places = json.loads((kept / FILE_NAME).read_text())
+    (kept / FILE_NAME).write_text(json.dumps({**places, "b": places["b"] - 50.0}))
+
+
+def test_a_count_that_is_not_where_the_axes_rested_before_the_restart_is_in_doubt(run_rig, kept):
+    async def scenario(rig):
+        await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
+        assert "axis B is at" in rig.motion.doubt
+        assert "it was moved by hand, or its count is lost" in rig.motion.doubt
+
+    rested_elsewhere(kept)
+    run_rig(scenario, store={"directory": kept}, motion={"rehome": "operator"})
+
+
+def test_a_simulated_positioner_that_begins_anew_is_expected_nowhere(run_rig, kept, monkeypatch):
+    monkeypatch.setattr(ServiceRig, "begins_anew", True)
+    rested_elsewhere(kept)
+    run_rig(quiet, store={"directory": kept})

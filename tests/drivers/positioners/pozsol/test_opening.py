@@ -102,7 +102,7 @@ def test_a_stop_while_it_is_not_known_who_it_is_is_not_sent():
 def test_a_silent_unit_is_told_within_seconds_and_one_without_some_fields_a_little_later():
     async def silent(positioner, unit, now):
         unit.silent = True
-        await fails_after(positioner.open(), now, 2.54, ConnectError, "sends no telemetry: it is in its bootloader")
+        await fails_after(positioner.open(), now, 2.54, ConnectError, "sends no telemetry: it hangs")
         unit.boot_s = 3.0
         await fails_after(positioner.open(), now, 5.54, ConnectError, "sends no telemetry")
 

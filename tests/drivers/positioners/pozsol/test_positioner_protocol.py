@@ -225,7 +225,7 @@ def test_another_board_a_silent_unit_and_a_foreign_stream_are_refused_and_nothin
             assert (await other.open()).board == "29C3"
             await other.close()
             host.freeze()
-            with pytest.raises(ConnectError, match="no telemetry: it is in its bootloader"):
+            with pytest.raises(ConnectError, match="no telemetry: it hangs"):
                 await positioner.open()
             host.thaw()
             assert not host.received
