@@ -93,10 +93,6 @@ class Mount:
                 return azimuth_deg + turn_deg
         return azimuth_deg
 
-    def crosses_its_stop(self) -> bool:
-        """Return whether no turn holds the equator's half of the sky as a whole: the stop lies in the sun's way."""
-        return not any(self._holds_the_day(turn_deg) for turn_deg in _TURNS)
-
     def __str__(self) -> str:
         return (
             f"azimuth {self.azimuth_min_deg:g} to {self.azimuth_max_deg:g} and"
@@ -104,7 +100,11 @@ class Mount:
         )
 
     def _turned(self, azimuth_deg: float) -> float | None:
-        """Return the azimuth in the turn that holds the whole day, or else nearest to the middle of the range."""
+        """Return the azimuth in the turn that holds the whole day, or else nearest to the middle of the range.
+
+        Where two hold it, that without negative azimuths: Yaesu's controllers, -180 to 450 to Hamlib, take -20 for 340
+        and say 340, where nobody sent them.
+        """
         relative_deg = (azimuth_deg - self.equator_azimuth_deg + 180.0) % TURN_DEG - 180.0
         count_deg = self.equator_azimuth_deg + relative_deg
         inside = [turn for turn in _TURNS if self.azimuth_min_deg <= count_deg + turn <= self.azimuth_max_deg]
@@ -113,7 +113,11 @@ class Mount:
             return None
         best = min(
             inside,
-            key=lambda turn: (not self._holds_the_day(turn), abs(self.equator_azimuth_deg + turn - middle_deg)),
+            key=lambda turn: (
+                not self._holds_the_day(turn),
+                self.equator_azimuth_deg + turn < 90.0,
+                abs(self.equator_azimuth_deg + turn - middle_deg),
+            ),
         )
         return count_deg + best
 
