@@ -25,6 +25,7 @@ _SETTINGS = {
     "range": ":SENS:VOLT:DC:RANG?",
     "integration": ":SENS:VOLT:DC:NPLC?",
     "filter": ":SENS:VOLT:DC:AVER:STAT?",
+    "relative": ":SENS:VOLT:DC:REF:STAT?",
     "autozero": ":SYST:AZER:STAT?",
     "free running": ":INIT:CONT?",
     "reading format": ":FORM:ELEM?",
