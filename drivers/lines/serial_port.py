@@ -164,6 +164,11 @@ def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
     return ConnectError(device, f"{path} cannot be opened: {text}")
 
 
+def keeps_sending(device: str) -> ConnectError:
+    """Return the error for what sends on and on although nobody has asked it."""
+    return ConnectError(device, "what is there keeps sending unasked: is it this instrument, and the speed right?")
+
+
 def _open_raw(device: str, path: str) -> int | None:
     """Return a descriptor on the port, made raw and empty before anything else happened; None where none is needed."""
     if sys.platform == "win32":

@@ -9,6 +9,7 @@ import re
 import socket
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
+from drivers.lines.serial_port import keeps_sending
 from drivers.transcript import Tap, no_tap
 
 SOCKET_RESOURCE = re.compile(r"TCPIP\d*::(?P<host>[A-Za-z0-9._-]+)::(?P<port>\d{1,5})::SOCKET", re.IGNORECASE)
@@ -16,6 +17,7 @@ SOCKET_RESOURCE = re.compile(r"TCPIP\d*::(?P<host>[A-Za-z0-9._-]+)::(?P<port>\d{
 
 _CONNECT_S = 5.0
 _LONGEST_LINE = 65536
+_LONGEST_DRAIN_S = 3.0
 
 
 class SocketLine:
@@ -99,17 +101,20 @@ class SocketLine:
         """Do nothing: a raw socket has no device clear."""
 
     async def drain(self, quiet_s: float) -> None:
-        """Throw away what comes until nothing has come for a time."""
+        """Throw away what comes until nothing has come for a time; `ConnectError` for what goes on and on."""
         reader = self._reader
         if reader is None:
             raise LinkLostError(self._device, "has to be opened first")
+        now = asyncio.get_running_loop().time
+        until_s = now() + _LONGEST_DRAIN_S
         with contextlib.suppress(TimeoutError):
-            while True:
+            while now() < until_s:
                 async with asyncio.timeout(quiet_s):
                     data = await reader.read(_LONGEST_LINE)
                 if not data:
                     raise self._gone()
                 self._tap("<", data)
+            raise keeps_sending(self._device)
 
     def _gone(self) -> LinkLostError:
         return LinkLostError(self._device, f"{self._host}:{self._port} has closed the connection")

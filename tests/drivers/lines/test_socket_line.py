@@ -1,6 +1,7 @@
-"""An instrument's socket that does not open."""
+"""An instrument's socket that does not open, or is another one."""
 
 import asyncio
+import contextlib
 
 import pytest
 
@@ -23,3 +24,26 @@ def test_who_does_not_answer_is_given_up_after_five_seconds(monkeypatch):
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         begin_s = runner.get_loop().time()
         assert runner.run(opened_for_s()) - begin_s == pytest.approx(5.0)
+
+
+def test_what_sends_on_and_on_is_told_within_seconds():
+    async def act():
+        over = asyncio.Event()
+
+        async def talk(_reader, writer):
+            with contextlib.suppress(OSError):
+                while not writer.is_closing():
+                    writer.write(b"wind 3.2 m/s\n")
+                    await asyncio.sleep(0.01)
+            over.set()
+
+        async with await asyncio.start_server(talk, "127.0.0.1", 0) as server:
+            line = SocketLine("cube", *server.sockets[0].getsockname())
+            await line.open()
+            async with asyncio.timeout(60.0):
+                with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
+                    await line.drain(0.5)
+            await line.close()
+            await over.wait()
+
+    asyncio.run(act())

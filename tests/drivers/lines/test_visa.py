@@ -5,6 +5,8 @@ import os
 import select
 import sys
 import termios
+import threading
+import time
 
 import pytest
 
@@ -94,6 +96,29 @@ def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(en
         assert line.receive(10.0).endswith("fresh")
         with pytest.raises(DeadlineError):
             line.receive(0.0)
+
+
+def test_what_sends_on_and_on_is_told_within_seconds(ends):
+    instrument, path = ends
+    over = threading.Event()
+
+    def talk():
+        for _ in range(3000):
+            os.write(instrument, b"wind 3.2 m/s\n")
+            if over.wait(0.01):
+                return
+
+    talker = threading.Thread(target=talk)
+    with opened(path) as line:
+        talker.start()
+        begin_s = time.monotonic()
+        try:
+            with pytest.raises(ConnectError, match="keeps sending unasked: is it this instrument"):
+                line.drain(0.5)
+        finally:
+            over.set()
+            talker.join()
+        assert time.monotonic() - begin_s < 60.0
 
 
 def test_a_line_that_is_gone_is_a_lost_link_and_can_be_closed(ends):
