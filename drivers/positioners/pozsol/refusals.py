@@ -43,4 +43,8 @@ def likely_cause(seen: Telemetry) -> str:
     if seen.autonomous:
         return f"its own mode is on ({seen.details['mode']})"
     shown = f"destinations {seen.destination_a:g} and {seen.destination_b:g}"
-    return f"it shows {shown} and no reason; is the geometry in instruments.positioner that of this unit?"
+    # After its supply was low the unit takes no target for five seconds more, and tells nobody.
+    return (
+        f"it shows {shown} and no reason; was its motor supply low until just now, or is the geometry in"
+        " instruments.positioner not that of this unit?"
+    )
