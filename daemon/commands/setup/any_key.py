@@ -67,6 +67,10 @@ def _keys() -> Iterator[Callable[[], bool]]:
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal, termios.TCSAFLUSH)
+    # Ctrl-Z and Ctrl-\ would leave a move without anybody who looks, and Ctrl-S the next line waiting: keys as others.
+    flags, *rest, characters = termios.tcgetattr(terminal)
+    characters[termios.VSUSP] = characters[termios.VQUIT] = b"\0"
+    termios.tcsetattr(terminal, termios.TCSANOW, [flags & ~termios.IXON, *rest, characters])
     try:
         yield lambda: bool(select.select([terminal], [], [], 0)[0])
     finally:

@@ -1,0 +1,24 @@
+"""Which keys stop a move, on a pseudo-terminal."""
+
+import os
+import pty
+import select
+
+import pytest
+
+from daemon.commands.setup.any_key import stop_keys
+
+WITHIN_S = 10.0
+
+
+@pytest.mark.parametrize("key", [b"x", b"\x1a", b"\x1c", b"\x13"], ids=["x", "Ctrl-Z", "Ctrl-\\", "Ctrl-S"])
+def test_a_key_stops_whatever_else_it_does_to_a_program(monkeypatch, key):
+    ours, theirs = pty.openpty()
+    with os.fdopen(ours, "wb", 0) as person, os.fdopen(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with stop_keys() as keys:
+            assert not keys.pressed()
+            person.write(key)
+            select.select([terminal], [], [], WITHIN_S)
+            assert keys.pressed()
+            assert not keys.left
