@@ -136,21 +136,22 @@ def rollback(
     if not configs:
         raise UserError("there is no configuration in /etc/heliocube: name it with --config")
     tell, done = teller(as_json=as_json), []
-    units = installed.stop_units() if installation is not None else []
-    try:
-        for path in configs:
-            for sentence in roll_back(path, program, os.environ):
-                tell(sentence)
-                done.append(sentence)
-        if installation is not None:
-            installation.switch()
-            if units:
-                # A unit may take a minute to start: whoever does not wait for it knows how far this came.
-                sentence = f"{program.name} is in use; starting {', '.join(units)}"
-                tell(sentence)
-                done.append(sentence)
-    finally:
-        failed = installed.start_units(units)
+    with installed.interruptible():
+        units = installed.stop_units() if installation is not None else []
+        try:
+            for path in configs:
+                for sentence in roll_back(path, program, os.environ):
+                    tell(sentence)
+                    done.append(sentence)
+            if installation is not None:
+                installation.switch()
+                if units:
+                    # A unit may take a minute to start: whoever does not wait for it knows how far this came.
+                    sentence = f"{program.name} is in use; starting {', '.join(units)}"
+                    tell(sentence)
+                    done.append(sentence)
+        finally:
+            failed = installed.start_units(units)
     for unit in failed:
         tell(f"{unit} does not start: see 'systemctl status {unit}'")
     where = "is in use" if installation is not None else "can be started"

@@ -2,12 +2,15 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from daemon.base.errors import UserError
+from daemon.base.errors import InterruptedEarlyError, UserError
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
@@ -127,11 +130,43 @@ def stop_units() -> list[str]:
         return []
     # One that the newer release cannot even start is the first reason to go back.
     running = [unit for unit in _UNITS if _systemctl("is-active", unit).stdout.strip() in _WANTED]
-    for at, unit in enumerate(running):
-        if _systemctl("stop", unit).returncode != 0:
+    for at, unit in enumerate(running, 1):
+        try:
+            _stop(unit)
+        except BaseException:
+            # It may stop all the same, later.
             start_units(running[:at])
-            raise UserError(f"{unit} does not stop: see 'systemctl status {unit}'; nothing has been changed")
+            raise
     return running
+
+
+def _stop(unit: str) -> None:
+    if _systemctl("stop", unit).returncode != 0:
+        raise UserError(f"{unit} does not stop: see 'systemctl status {unit}'; nothing has been changed")
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Take a lost connection and the order to end for Ctrl-C, so that what was stopped is started again.
+
+    Raises
+    ------
+    InterruptedEarlyError
+        In place of `KeyboardInterrupt`.
+    """
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    # One that is ignored, as under nohup, stays so.
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in heard}
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptedEarlyError(
+            "interrupted: units that ran are started again; give the command again, and it goes on where it was"
+        ) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def start_units(units: list[str]) -> list[str]:

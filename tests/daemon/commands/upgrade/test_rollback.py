@@ -1,8 +1,11 @@
 """The way back to the release before: held, with the records that came since, and nothing that is newer lost."""
 
+import contextlib
+import gc
 import json
 import os
 import shutil
+import signal
 import sqlite3
 import sys
 from contextlib import closing
@@ -325,5 +328,33 @@ def test_a_unit_that_does_not_stop_leaves_the_others_running(heliocube, config, 
     code, _, err = heliocube("rollback", "-c", config)
     assert code == 2
     assert "heliocube-cube does not stop" in err
-    assert (tmp_path / "asked").read_text().splitlines()[-1] == "start heliocube-tracker"
+    # It may have been late only, and be stopped by now.
+    asked = (tmp_path / "asked").read_text().splitlines()
+    assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
+    assert (installation.parent / "current").resolve() == installation / "newer"
+
+
+# An interrupted call of systemctl is left to end by itself.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("by", ["INT", "HUP", "TERM"])
+def test_what_ran_is_started_again_although_somebody_or_a_lost_connection_ends_it(
+    heliocube, config, installation, tmp_path, by
+):
+    manager = tmp_path / "path" / "systemctl"
+    manager.write_text(f'{manager.read_text()}[ "$*" != "stop heliocube-cube" ] || kill -{by} $PPID\n')
+    missed = []
+    handlers = {name: signal.signal(name, lambda *_: missed.append("ends")) for name in (signal.SIGHUP, signal.SIGTERM)}
+    try:
+        code, out, err = heliocube("rollback", "-c", config)
+        assert signal.getsignal(signal.SIGHUP) is not signal.default_int_handler
+    finally:
+        for name, handler in handlers.items():
+            signal.signal(name, handler)
+        gc.collect()
+        with contextlib.suppress(ChildProcessError):
+            os.wait()
+    assert (code, out, missed) == (130, "", [])
+    assert err.startswith("heliocube: interrupted: units that ran are started again; give the command again, and it")
+    asked = (tmp_path / "asked").read_text().splitlines()
+    assert asked[-2:] == ["start heliocube-tracker", "start heliocube-cube"]
     assert (installation.parent / "current").resolve() == installation / "newer"
