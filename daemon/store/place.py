@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 RECORDS_NAME = "records"
 _USUAL_FILE = "heliocube.toml"
 # What systemd tells the units in deploy/, and not the shell of a person.
-_OF_THE_UNITS = Path("/var/lib/heliocube")
+OF_THE_UNITS = Path("/var/lib/heliocube")
 
 
 def default_place(file: Path, environment: Mapping[str, str]) -> Path:
@@ -34,7 +34,7 @@ def default_place(file: Path, environment: Mapping[str, str]) -> Path:
 
 def to_read(file: Path, environment: Mapping[str, str]) -> Path:
     """Return the same folder for a person who reads it, whom systemd has told nothing."""
-    found, units = default_place(file, environment), _OF_THE_UNITS / file.stem
+    found, units = default_place(file, environment), OF_THE_UNITS / file.stem
     return units if units.exists() and not found.exists() else found
 
 

@@ -26,7 +26,9 @@ def setup(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="The configuration to write, such as /etc/heliocube/tracker.toml.")
     ],
-    role: Annotated[RoleChoice | None, typer.Option(help="What the machine will do; asked unless given.")] = None,
+    role: Annotated[
+        RoleChoice | None, typer.Option(help="What the machine will do; asked, but for the file of a unit.")
+    ] = None,
     anew: Annotated[bool, typer.Option("--anew", help="Forget what was answered before.")] = False,
 ) -> None:
     """Set a new rig up: ask for its site, look at its instruments, make the first move, write its configuration.
@@ -36,7 +38,7 @@ def setup(
     """
     from rich.console import Console
 
-    from daemon.commands.setup.dialogue import SetupDialogue
+    from daemon.commands.setup.dialogue import SetupDialogue, unit_role
     from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
     from daemon.commands.setup.screen import SetupScreen
     from daemon.commands.setup.steps import A_BENCH, RIG, ROLE
@@ -55,8 +57,9 @@ def setup(
     dialogue = SetupDialogue(kept, file)
     screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
     _greet(screen, file, place, len(kept.answers))
-    if role is not None and ROLE not in kept.answers:
-        dialogue.take(role.value)
+    chosen = unit_role(file) if role is None else role.value
+    if chosen is not None and ROLE not in kept.answers:
+        dialogue.take(chosen)
     keep_answers(place, dialogue.kept)
     try:
         while (step := dialogue.step()) is not None:

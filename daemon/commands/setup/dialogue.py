@@ -18,6 +18,9 @@ from daemon.config.template import FILE_NAME
 
 KEY_NAME, TOKEN_NAME = "bridge.key", "api.token"
 NEW_KEY = "new"
+# As deploy/ lays them down, each read by the unit of its role.
+_INSTALLED = Path("/etc/heliocube")
+_UNITS = {_INSTALLED / f"{role}.toml": role for role in ("cube", "tracker")}
 _NONE = ("none", "-")
 _YES = {"y": "yes", "n": "no"}
 
@@ -118,6 +121,8 @@ class SetupDialogue:
             changed["offered"] = {}
         before, self._kept = self._kept, self._kept.model_copy(update=changed)
         try:
+            if step.name == ROLE:
+                self._check_role(str(value))
             if step.name in (RIG, BENCH):
                 self._read_bench()
             if step.name == KEY:
@@ -208,12 +213,24 @@ class SetupDialogue:
             return problem
         return f"{problem}; {key} is not asked for here: answer what fits it, and change both in the file afterwards"
 
+    def _check_role(self, role: str) -> None:
+        if self._file.parent == _INSTALLED and unit_role(self._file) != role:
+            raise UserError(
+                f"no unit starts {self._file} as {role}: cube and tracker are two units, on one machine too; set up"
+                " each, 'heliocube setup /etc/heliocube/cube.toml' and 'heliocube setup /etc/heliocube/tracker.toml'"
+            )
+
     def _check_key(self, name: str) -> None:
         path = self._file.parent / _at_home(self.key_file())
         if name != NEW_KEY:
             load_key(path)
         elif path.exists():
             raise UserError(f"{path} is there already: name it, or move it away for a new one")
+
+
+def unit_role(file: Path) -> str | None:
+    """Return in which role an installed unit starts a configuration, or None where none does."""
+    return _UNITS.get(file)
 
 
 def _meant(step: SetupStep, said: str, key: keys.Key | None) -> Answer:

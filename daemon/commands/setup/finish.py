@@ -11,12 +11,9 @@ from daemon.api.token import generate_token, write_token
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file, rewrite_file
 from daemon.bridge.signing import generate_key, write_key
-from daemon.commands.setup.dialogue import SetupDialogue
+from daemon.commands.setup.dialogue import SetupDialogue, unit_role
 from daemon.config.template import example
-from daemon.store.place import RECORDS_NAME
-
-# As deploy/ lays them down, each read by the unit of its role.
-_INSTALLED = {role: Path("/etc/heliocube") / f"{role}.toml" for role in ("cube", "tracker")}
+from daemon.store.place import OF_THE_UNITS, RECORDS_NAME
 
 
 def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
@@ -28,9 +25,10 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
         Something cannot be written; what had been written before stays, and the setup may be taken up again.
     """
     values = dialogue.values()
-    values.setdefault("store.directory", None)
-    values["store.directory"] = values["store.directory"] or RECORDS_NAME
     role = cast("Literal['both', 'cube', 'tracker']", dialogue.role())
+    # A unit may write nowhere else.
+    place = str(OF_THE_UNITS / role) if unit_role(file) == role else RECORDS_NAME
+    values["store.directory"] = values.get("store.directory") or place
     text = example(role, values, dialogue.known.chosen())
     done = []
     try:
@@ -59,7 +57,7 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
 
 def start_lines(file: Path, role: str) -> list[str]:
     """Return how the service is started with a configuration: by its unit, where the installation has one for it."""
-    if _INSTALLED.get(role) != file:
+    if unit_role(file) != role:
         return [f"heliocube run --role {role} --config {file}"]
     if role == "cube":
         return ["sudo systemctl start heliocube-cube"]

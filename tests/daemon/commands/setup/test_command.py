@@ -174,6 +174,33 @@ def test_an_installed_service_is_started_by_its_unit_and_held(file, role, lines)
     assert start_lines(Path(file), role) == lines
 
 
+@pytest.fixture
+def installed(monkeypatch, tmp_path):
+    """The folder of configurations of an installed machine, each file with the unit that reads it."""
+    units = {tmp_path / f"{role}.toml": role for role in ("cube", "tracker")}
+    monkeypatch.setattr("daemon.commands.setup.dialogue._INSTALLED", tmp_path)
+    monkeypatch.setattr("daemon.commands.setup.dialogue._UNITS", units)
+    return tmp_path
+
+
+def test_the_file_of_a_unit_is_for_its_role_and_keeps_records_where_the_unit_may(setup, installed):
+    file = installed / "cube.toml"
+    done = setup(file, *CUBE, "new", options=())
+    assert done.exit_code == 0, done.output
+    assert "What will this machine do" not in done.output
+    assert "sudo systemctl start heliocube-cube" in done.output
+    assert load_settings(file).store.directory == Path("/var/lib/heliocube/cube")
+
+
+@pytest.mark.parametrize(("name", "role"), [("both", "both"), ("tracker", "both"), ("tracker", "cube")])
+def test_on_an_installed_machine_a_role_that_no_unit_starts_is_refused(setup, installed, name, role):
+    refused = setup(installed / f"{name}.toml", *CUBE, options=("--role", role))
+    assert str(refused.exception).startswith(f"no unit starts {installed / name}.toml as {role}: cube and tracker are")
+    assert not list(installed.iterdir())
+    asked = setup(installed / "rig.toml", "both", options=())
+    assert "cube and tracker are two units" in " ".join(asked.output.split())
+
+
 def test_a_folder_that_takes_no_file_is_refused_before_anything_is_asked(setup, tmp_path):
     (tmp_path / "file").write_text("")
     done = setup(tmp_path / "file" / "cube.toml", *CUBE)
