@@ -45,15 +45,32 @@ def main() -> None:
 def _until_the_answer_is_written() -> Iterator[None]:
     """Leave with a sentence and a code of its own where standard output takes no more, as on a full disk."""
     try:
-        yield
-    finally:
         try:
+            yield
+        except SystemExit as leaving:
+            # Of a reader that has gone the libraries make the code of a defect.
+            if isinstance(leaving.__context__, BrokenPipeError):
+                leaving.code = ExitCode.UNWRITTEN
+            raise
+        finally:
             sys.stdout.flush()
-        except OSError as error:
-            # Python would try again at its end what is left.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            sys.stderr.write(f"heliocube: the answer cannot be written to standard output: {error.strerror}\n")
-            sys.exit(ExitCode.UNWRITTEN)
+    except OSError as error:
+        # An answer longer than what Python gathers is refused before its end, and maybe not once more then.
+        if error.filename is not None or _takes_more():
+            raise
+        # Python would try again at its end what is left.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.stderr.write(f"heliocube: the answer cannot be written to standard output: {error.strerror}\n")
+        sys.exit(ExitCode.UNWRITTEN)
+
+
+def _takes_more() -> bool:
+    """Try whether standard output takes the end of a line."""
+    try:
+        os.write(sys.stdout.fileno(), b"\n")
+    except OSError:
+        return False
+    return True
 
 
 def _refuse_a_damaged_installation() -> None:

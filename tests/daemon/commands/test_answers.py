@@ -131,7 +131,11 @@ def test_a_terminal_breaks_lines_between_words_and_a_file_gets_them_whole(tmp_pa
         assert wrapped("  store   the disk is full: free it", terminal) == "  store   the disk is full: free it"
 
 
-@pytest.mark.parametrize("words", ["--version", "config check FILE", "config check FILE --json", "gain --lat 45"])
+# The last is longer than what Python gathers before it writes.
+@pytest.mark.parametrize(
+    "words",
+    ["--version", "config check FILE", "config check FILE --json", "gain --lat 45", "gain --lat-range 0:65:1 --json"],
+)
 def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
     file, told = tmp_path / "heliocube.toml", tmp_path / "told"
     file.touch()
@@ -140,6 +144,17 @@ def test_an_answer_that_cannot_be_written_is_one_sentence(tmp_path, words):
         code = forks.start(given, full, err).wait(90)
     why = "heliocube: the answer cannot be written to standard output: No space left on device\n"
     assert (code, told.read_text()) == (7, why)
+
+
+@pytest.mark.parametrize("words", [["config", "check", "FILE"], ["gain", "--lat-range", "0:65:1", "--json"]])
+def test_a_reader_that_has_gone_is_no_defect_of_the_program(tmp_path, words):
+    file, told = tmp_path / "heliocube.toml", tmp_path / "told"
+    file.touch()
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as pipe, told.open("w") as err:
+        code = forks.start([file if word == "FILE" else word for word in words], pipe, err).wait(90)
+    assert (code, told.read_text()) == (7, "")
 
 
 def test_a_standard_output_that_is_closed_is_one_that_nobody_reads():
