@@ -45,6 +45,7 @@ _MAGNITUDES = {
     "kph": ("speed", 1 / 3.6),
     "mph": ("speed", 0.44704),
     "kn": ("speed", 1852 / 3600),
+    "kt": ("speed", 1852 / 3600),
     "knots": ("speed", 1852 / 3600),
     "s": ("time", 1.0),
     "sec": ("time", 1.0),
@@ -247,10 +248,10 @@ def converted(value: Any, unit: str, wanted: str) -> float | None:
 
 def number_with_unit(text: str, key: Key) -> float | None:
     """Return the number that ``"54 km/h"`` means for a key, in the key's unit; None where it means none."""
-    found = re.fullmatch(r"\s*([-+]?[0-9]+(?:[.,][0-9]+)?)\s*(.*?)\s*", text)
+    found = re.fullmatch(r"\s*([-+]?[0-9]+(?:[.,][0-9]+)?)\s*(.*?)\s*", text.replace("−", "-"))
     if found is None:
         return None
-    value, unit = float(found[1].replace(",", ".")), found[2].lower()
+    value, unit = float(found[1].replace(",", ".")), found[2].lower().replace("°", "deg").replace("²", "2")
     if unit in ("", key.unit.lower()):
         return value
     return converted(value, unit.replace("/", "_"), split_unit(key.name)[1])

@@ -296,7 +296,7 @@ class WindInput(Section):
     json_path: JsonPath = Field(
         "", description="Where the speed is in a JSON message; empty where the message is the number."
     )
-    unit: Literal["m/s", "km/h", "mph", "kn"] = Field("m/s", description="Unit of the speed.")
+    unit: Literal["m/s", "km/h", "mph", "kn", "kt"] = Field("m/s", description="Unit of the speed.")
 
 
 class SafeInput(Section):

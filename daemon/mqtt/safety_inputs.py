@@ -11,7 +11,7 @@ from daemon.mqtt.topics import find
 from daemon.tracker.stow import StowStatus, release_in_s
 
 _LONGEST = 65536
-_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+_M_S = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600}
 _STRONGEST_M_S = 150.0
 
 # Called with what the sentence is about, and the sentence, or None when it is true no more.

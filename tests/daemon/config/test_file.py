@@ -141,8 +141,8 @@ def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problem
         ("[law]\nalbedo = nan", "law.albedo = nan: must be a number from 0 to 1"),
         ("[safety]\nstow_wind_m_s = inf", "safety.stow_wind_m_s = inf: must be a number above 0 and up to 40 m/s"),
         (
-            "[safety]\nstow_wind_m_s = '54 km/h'",
-            'safety.stow_wind_m_s = "54 km/h": must be a number above 0 and up to 40 m/s; did you mean 15, without',
+            "[safety]\nstow_wind_m_s = '36 kt'",
+            'safety.stow_wind_m_s = "36 kt": must be a number above 0 and up to 40 m/s; did you mean 18.52, without',
         ),
         (
             "[bridge]\ninsecure = 'True'",

@@ -116,9 +116,10 @@ def test_a_path_that_finds_nothing_is_one_sentence(payload):
     assert sentence.endswith(("nothing at wind.speed", "not JSON"))
 
 
-def test_units_are_converted():
-    readings, _, _, _ = wind(unit="km/h")
-    readings.take(said("54"))
+@pytest.mark.parametrize(("unit", "told"), [("km/h", "54"), ("kn", "29.1576674"), ("kt", "29.1576674")])
+def test_units_are_converted(unit, told):
+    readings, _, _, _ = wind(unit=unit)
+    readings.take(said(told))
     assert readings.strongest_since_last_read() == pytest.approx(15.0)
 
 

@@ -13,6 +13,7 @@ from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
 from daemon.commands.setup.steps import MOVE, SKIPPED
+from daemon.config import keys
 from tests.support import ROOT
 
 SITE = ["Roof", "48.7", "2.2", "156"]
@@ -168,6 +169,19 @@ def test_numbers_are_taken_with_their_units(file):
     assert dialogue.settings().site.altitude_m == 156.0
     walk(dialogue, {**POZSOL, "safety.stow_wind_m_s": "54 km/h"})
     assert dialogue.settings().safety.stow_wind_m_s == 15.0
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "meant"),
+    [
+        ("safety.stow_wind_m_s", "30 kt", 15.43333333),
+        ("limits.a_min_deg", "−4.5°", -4.5),
+        ("instruments.positioner.slowest_deg_per_s", "0.5 °/s", 0.5),
+        ("cube.minimum_w_m2", "-20 W/m²", -20.0),
+    ],
+)
+def test_units_are_taken_as_people_write_them(name, said, meant):
+    assert keys.number_with_unit(said, keys.keys()[name]) == meant
 
 
 def test_a_number_stays_as_exact_with_its_unit_as_it_was_typed(file):
