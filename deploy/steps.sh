@@ -31,6 +31,19 @@ link() { # TARGET LINK: replaces a link in one step
   mv -fT "$2.new" "$2"
 }
 
+# A release of its own by hard links: what runs keeps its files, whatever dpkg replaces, and the release before stays. One
+# of the same name may be the one that runs: it stays until the new one is whole.
+lay_down() { # VERSION
+  release=$opt/releases/$1
+  rm -rf "$release.new" "$release.old"
+  mkdir -p "$opt/releases"
+  cp -al "$opt/package" "$release.new"
+  touch "$release.new/.complete"
+  [ ! -e "$release" ] || mv -T "$release" "$release.old"
+  mv -T "$release.new" "$release"
+  rm -rf "$release.old"
+}
+
 # The release that was current until now may still be running; those before it go.
 use_release() { # ID
   before=''

@@ -32,6 +32,29 @@ def test_installing_a_release_again_leaves_the_one_before_it(tmp_path):
     assert use("3") == ("3", {"2", "3"})
 
 
+def test_a_package_of_the_same_version_takes_nothing_away_before_it_is_whole(tmp_path):
+    opt = tmp_path / "opt" / "heliocube"
+    program, release = opt / "package" / "bin" / "heliocube", opt / "releases" / "1"
+    program.parent.mkdir(parents=True)
+
+    def lay_down(before=""):
+        return run(
+            "sh", "-euc", f'. deploy/steps.sh; {before} lay_down "$0"', "1", cwd=ROOT, env={"root": str(tmp_path)}
+        )
+
+    for text in ("older", "newer"):
+        program.unlink(missing_ok=True)
+        program.write_text(text)
+        done = lay_down()
+        assert (done.returncode, done.stderr) == (0, "")
+        assert (release / "bin" / "heliocube").samefile(program)
+        assert [path.name for path in release.parent.iterdir()] == ["1"]
+    # As where the supply fails, or the disk is full.
+    assert lay_down("cp() { return 1; };").returncode == 1
+    assert (release / ".complete").exists()
+    assert (release / "bin" / "heliocube").read_text() == "newer"
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="installing needs root")
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
 @pytest.mark.parametrize(
