@@ -35,7 +35,7 @@ def check_file(
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import KeyFileError, load_key
-    from daemon.commands.kept import with_place
+    from daemon.commands.kept import with_records
     from daemon.config.file import ConfigError, load_settings_with_topics
     from daemon.config.section import beside
     from daemon.cube.calibration import calibration_in_force
@@ -43,7 +43,7 @@ def check_file(
     from daemon.mqtt.topics import unusable
     from daemon.notify.recipients import recipients_of
 
-    settings = with_place(load_settings_with_topics(path, unusable), path, os.environ)
+    settings = with_records(load_settings_with_topics(path, unusable), path, os.environ)
     problems = []
     try:
         calibration_in_force(settings.cube)

@@ -34,3 +34,9 @@ def records_of(settings: "Settings", file: Path, environment: Mapping[str, str])
     if settings.store.directory is not None or not settings.real:
         return settings.store.directory
     return to_read(file, environment)
+
+
+def with_records(settings: "Settings", file: Path, environment: Mapping[str, str]) -> "Settings":
+    """Return the settings with the folder that the service of a file keeps its records in, for those who look at it."""
+    store = settings.store.model_copy(update={"directory": records_of(settings, file, environment)})
+    return settings.model_copy(update={"store": store})

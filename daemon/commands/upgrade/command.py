@@ -49,13 +49,16 @@ def self_check(
 
 
 def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
+    import os
+
+    from daemon.commands.kept import with_records
     from daemon.commands.upgrade import machine, running
     from daemon.config.file import load_settings
 
     yield machine.program()
     yield machine.configuration(config, role)
     try:
-        settings = _in_its_place(load_settings(config), config)
+        settings = with_records(load_settings(config), config, os.environ)
     except UserError:
         return
     yield machine.store(settings)
@@ -68,16 +71,6 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
     chosen = _role(settings, role)
     if chosen is not None:
         yield from _alone(settings, chosen)
-
-
-def _in_its_place(settings: "Settings", config: Path) -> "Settings":
-    """Return the settings with the folder that their service keeps its records in, also where they name none."""
-    import os
-
-    from daemon.commands.kept import records_of
-
-    directory = records_of(settings, config, os.environ)
-    return settings.model_copy(update={"store": settings.store.model_copy(update={"directory": directory})})
 
 
 def _role(settings: "Settings", role: RoleChoice | None) -> "Role | None":

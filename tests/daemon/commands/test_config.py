@@ -1,3 +1,4 @@
+import json
 import stat
 
 import pytest
@@ -172,6 +173,19 @@ def test_a_store_that_cannot_be_made_is_a_problem(heliocube, tmp_path):
     code, _, err = heliocube("config", "check", path)
     assert code == 2
     assert f"store.directory: {tmp_path / 'file'} is no folder" in err
+
+
+def test_the_store_of_a_unit_s_file_without_a_folder_is_where_its_unit_keeps_it(heliocube, tmp_path, monkeypatch):
+    """Whoever looks as the service's user may not write beside the file, and the unit does not either."""
+    path, kept = tmp_path / "etc" / "east.toml", tmp_path / "lib" / "east"
+    monkeypatch.setattr("daemon.store.place.OF_THE_UNITS", kept.parent)
+    kept.mkdir(parents=True)
+    path.parent.mkdir()
+    path.write_text(
+        '[instruments]\nkind = "real"\n[instruments.positioner]\nport = "/dev/no-port"\n[bridge]\ninsecure = true\n'
+    )
+    code, out, _ = heliocube("config", "check", "--role", "tracker", "--json", path)
+    assert (code, json.loads(out)["sets_up"]["store"]) == (0, str(kept))
 
 
 def test_probe_tells_every_instrument_that_does_not_answer_and_what_else_is_wrong_at_once(heliocube, tmp_path):
