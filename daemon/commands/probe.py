@@ -185,10 +185,13 @@ def _settings(
 
 def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool) -> None:
     """Run to the end; what goes wrong with the instrument is one sentence and exit code 2."""
+    from daemon.base.process import as_ctrl_c
     from drivers.errors import DeviceError
 
     try:
-        found = asyncio.run(work)
+        # An axis that moves is stopped, whatever ends the program.
+        with as_ctrl_c():
+            found = asyncio.run(work)
     except DeviceError as error:
         raise UserError(str(error)) from error
     if as_json:

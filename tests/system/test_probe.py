@@ -4,6 +4,8 @@ import fcntl
 import json
 import os
 import re
+import signal
+import time
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from sim_drivers.pozsol.setup import Setup
 from sim_drivers.voltmeter.core import VoltmeterCore
 from tests.support import forks
 from tests.support.addresses import free_port
+from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
 
@@ -93,6 +96,21 @@ def test_a_small_move_is_timed_and_the_axes_come_back(start_bench):
     assert len(speeds) == 4
     assert all(1.5 < speed < 4.0 for speed in speeds)
     assert bench.state()["pose"] == pytest.approx({"a_deg": 0.0, "b_deg": 90.0}, abs=0.5)
+
+
+def test_the_order_to_end_stops_the_move(start_bench, tmp_path):
+    bench = start_bench("--weather", "clear", "--start", "2022-06-21T12:00Z")
+    begin_deg = bench.state()["pose"]["a_deg"]
+    with (tmp_path / "told").open("w+") as told:
+        words = ["probe", "positioner", "-c", bench.config, "--seconds", "1", "--move-deg", "20"]
+        process = forks.start(words, told, told)
+        wait_until(lambda: abs(bench.state()["pose"]["a_deg"] - begin_deg) > 0.5, 90.0, "A to move")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(90) == 130
+    pose = bench.state()["pose"]
+    assert abs(pose["a_deg"] - begin_deg) < 15.0
+    time.sleep(3.0)
+    assert bench.state()["pose"] == pose, "it has gone on"
 
 
 def test_what_was_recorded_from_a_meter_runs_against_the_simulated_one(start_bench, tmp_path):

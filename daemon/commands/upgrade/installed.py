@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.base.errors import InterruptedEarlyError, UserError
+from daemon.base.process import as_ctrl_c
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
@@ -154,19 +154,13 @@ def interruptible() -> Iterator[None]:
     InterruptedEarlyError
         In place of `KeyboardInterrupt`.
     """
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    # One that is ignored, as under nohup, stays so.
-    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, signal.default_int_handler) for number in heard}
     try:
-        yield
+        with as_ctrl_c():
+            yield
     except KeyboardInterrupt:
         raise InterruptedEarlyError(
             "interrupted: units that ran are started again; give the command again, and it goes on where it was"
         ) from None
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def start_units(units: list[str]) -> list[str]:
