@@ -34,7 +34,8 @@ while [ $# -gt 0 ]; do
     -h | --help) usage; exit 0 ;;
     --remove) remove=yes; shift; continue ;;
     --notify) notify=yes; shift; continue ;;
-    --role | --from | --python | --root) [ $# -ge 2 ] || fail "$1 needs a value; see --help" ;;
+    # An empty one is a variable that nobody has set, and an empty --root would be this machine.
+    --role | --from | --python | --root) [ -n "${2-}" ] || fail "$1 needs a value; see --help" ;;
     *) fail "'$1' is no option; see --help" ;;
   esac
   case $1 in

@@ -381,6 +381,7 @@ def test_a_machine_that_cannot_boot_a_container_says_so_and_is_no_failure(tmp_pa
     [
         (["--role", "sun"], "--role sun: must be cube, tracker, both or archive"),
         (["--role"], "--role needs a value"),
+        (["--root", "", "--role", "sun"], "--root needs a value"),
         (["--frm", "x"], "'--frm' is no option"),
         (["--root", "/nowhere/at/all"], "--root /nowhere/at/all: there is no such folder"),
         (["--from", "gone.whl"], "--from gone.whl: there is no such wheel"),
