@@ -93,7 +93,7 @@ class Store:
     directory
         Of the file; made if it is missing.
     batch_s, keep_days
-        Longest time until a record is written [s]; how many days with records are kept.
+        Longest time until a record is written [s]; how many days with records are kept, None for all.
     origin
         This run of the service.
     clock
@@ -108,7 +108,7 @@ class Store:
         self,
         directory: Path,
         batch_s: float,
-        keep_days: int,
+        keep_days: int | None,
         origin: Origin,
         clock: Clock,
         publish: Callable[[Event], None],
@@ -252,9 +252,9 @@ class Store:
                 if connection.in_transaction:
                     connection.execute("ROLLBACK")
             raise
-        if not days <= self._days:
+        if self._keep_days is not None and not days <= self._days:
             self._days |= days
-            self._thin(connection)
+            self._thin(connection, self._keep_days)
 
     def _begin_run(self, connection: sqlite3.Connection) -> int:
         marks = ", ".join("?" * len(RUN_COLUMNS))
@@ -265,9 +265,9 @@ class Store:
         assert cursor.lastrowid is not None  # noqa: S101 - narrowing; an insertion has one
         return cursor.lastrowid
 
-    def _thin(self, connection: sqlite3.Connection) -> None:
+    def _thin(self, connection: sqlite3.Connection, keep_days: int) -> None:
         """Forget the oldest days. Days that have records are counted: a clock set wrong cannot empty the store."""
-        last = connection.execute("SELECT day FROM days ORDER BY day DESC LIMIT 1 OFFSET ?", (self._keep_days,))
+        last = connection.execute("SELECT day FROM days ORDER BY day DESC LIMIT 1 OFFSET ?", (keep_days,))
         found = last.fetchone()
         if found is None:
             return

@@ -218,7 +218,8 @@ def keeping(
                 tracker=name,
                 id=new_run_id(),
             )
-            stores[name] = Store(directory, settings.store.batch_s, settings.store.keep_days, origin, clock, _ignore)
+            # What a person has had simulated goes when they remove it.
+            stores[name] = Store(directory, settings.store.batch_s, None, origin, clock, _ignore)
         taken = 0
 
         def keep(name: str, record: Record) -> None:
