@@ -114,7 +114,9 @@ class Courier:
         self._outages = {recipient.name: Outage(log, f"the way to {recipient.name}") for recipient in people}
         self._heart = Outage(log, "the heartbeat")
         self._beat_s = -settings.heartbeat_every_s
-        self._ways: list[_Way] = [self._beat, *(partial(self._tell, *one) for one in self._backlogs)]
+        self._ways: dict[_Way, Outage] = {self._beat: self._heart} | {
+            partial(self._tell, *one): self._outages[one[0].name] for one in self._backlogs
+        }
         self._under_way: dict[_Way, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
@@ -139,9 +141,13 @@ class Courier:
             log.info("%s", notice.title)
             for _, backlog in self._backlogs:
                 backlog.put(notice)
-        for way in self._ways:
-            if way not in self._under_way or self._under_way[way].done():
-                self._under_way[way] = asyncio.create_task(way())
+        for way, outage in self._ways.items():
+            before = self._under_way.get(way)
+            if before is not None and not before.done():
+                continue
+            if before is not None and (error := before.exception()) is not None:
+                outage.down(self._clock.monotonic(), f"it cannot be used: {ascii(error)[:200]}")
+            self._under_way[way] = asyncio.create_task(way())
         return self._under_way.values()
 
     async def _ask(self, service: Address, watch: ServiceWatch) -> list[Notice]:
@@ -207,6 +213,9 @@ async def beat(address: str) -> str | None:
             reply.raise_for_status()
     except (httpx.HTTPError, httpx.InvalidURL, TimeoutError) as error:
         return _reason(error)
+    except (OSError, ValueError, ImportError) as error:
+        # The proxy or the certificates that the environment names are none.
+        return f"it cannot be asked: {ascii(error)[:200]}"
     return None
 
 

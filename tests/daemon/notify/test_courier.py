@@ -236,6 +236,31 @@ def test_a_way_that_fails_as_nobody_expected_is_logged_and_costs_no_other(lab, t
     told(scenario)
 
 
+def test_a_way_whose_own_code_raises_is_told_as_down_once_and_as_back(lab, caplog):
+    caplog.set_level("INFO")
+
+    class Raising(Way):
+        async def tell(self, notice):
+            assert self.free.is_set(), "of its own"
+            return await super().tell(notice)
+
+    async def scenario():
+        way, clock = Raising("roof"), HandClock()
+        way.free.clear()
+        lab.alarms = [lab.alarm()]
+        async with httpx.AsyncClient(trust_env=False) as client:
+            courier = Courier(NotifySettings(), [parse_address(lab.address)], [way], clock, client)
+            for _ in range(4):
+                await asyncio.wait(await courier.step())
+            way.free.set()
+            await asyncio.gather(*await courier.step())
+        down, back = (line for line in caplog.messages if line.startswith("the way to roof"))
+        assert down.startswith("the way to roof is down: it cannot be used: AssertionError(")
+        assert (back, way.told) == ("the way to roof is back", ["stow-wanted"])
+
+    asyncio.run(scenario())
+
+
 def test_a_way_that_takes_its_time_keeps_neither_the_next_round_nor_the_others_waiting(lab):
     async def scenario():
         slow, quick = Way("slow"), Way("quick")
@@ -259,5 +284,20 @@ def test_the_heart_beats_while_it_works(lab, told):
         for _ in range(7):
             await step()
         assert lab.beats == 3
+
+    told(scenario, heartbeat=f"http://{lab.address}/beat", heartbeat_every_s=30.0)
+
+
+def test_a_heartbeat_that_cannot_even_be_tried_is_told_once_until_it_works(lab, told, monkeypatch, caplog):
+    monkeypatch.setenv("HTTP_PROXY", "foo://proxy:1")
+
+    async def scenario(step):
+        for _ in range(5):
+            await step(30.0)
+        (line,) = caplog.messages
+        assert line.startswith("the heartbeat is down: it cannot be asked: ValueError(")
+        monkeypatch.delenv("HTTP_PROXY")
+        await step(30.0)
+        assert lab.beats == 1
 
     told(scenario, heartbeat=f"http://{lab.address}/beat", heartbeat_every_s=30.0)
