@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
+from daemon.base.addresses import check_database_hosts
 from daemon.base.errors import ExitCode, UserError
 from daemon.base.files import read_secret
-from drivers.settings import check_host
 
 if TYPE_CHECKING:
     import psycopg
@@ -75,7 +75,7 @@ def parse_archive(text: str) -> ArchiveAddress:
         parts = urlsplit(url)
         password, database = parts.password, parts.path.strip("/")
         _ = parts.port
-        check_host(parts.hostname or "")
+        check_database_hosts(url)
     except ValueError as error:
         # Without the text, which may hold a password.
         raise ArchiveError(f"this is no address of an archive ({error}); an archive is {_HOW}") from None
@@ -134,7 +134,8 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
         )
     except psycopg.OperationalError as error:
         raise _reason(address, error) from None
-    except psycopg.Error as error:
+    except (psycopg.Error, UnicodeError) as error:
+        # A UnicodeError is that of a host in the environment that has no name.
         raise ArchiveError(f"{address.url} is no address of a database: {one_line(error)}") from None
 
 
@@ -172,6 +173,8 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
         "does not exist": "make it with createdb or createuser, or correct the address",
         "permission denied for database": "grant CONNECT on it to this user",
         "invalid": "correct the address",
+        "could not parse network address": "correct the address",
+        "definition of service": "correct the address, or write the service's file",
     }
     for part, remedy in remedies.items():
         if part in text:

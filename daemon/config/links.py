@@ -8,14 +8,14 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
 
-from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
+from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, check_database_hosts, parse_address
 from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
 from drivers.settings import check_host, text_of
 
 _CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
 _WEB = re.compile(r"https?://[^\s/]\S*")
 # User and password would be divided by a colon.
-_ARCHIVE = re.compile(r"postgres(ql)?://([^:@/\s#]+@)?[^@/\s#]*/[^/\s#]+")
+_ARCHIVE = re.compile(r"postgres(ql)?://([^:@/\s#]+@)?[^@/?\s#]*/[^/?\s#]+(\?[^\s#]*)?")
 _TOPICS = re.compile(r"([^/#+$\s]+|\+)(/([^/#+\s]+|\+))+/records")
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
@@ -64,7 +64,7 @@ def _web(text: str) -> str:
 def _archive(text: str) -> str:
     if not _ARCHIVE.fullmatch(text):
         raise ValueError("not an address of a database without a password")
-    check_host(urlsplit(text).hostname or "")
+    check_database_hosts(text)
     return text
 
 

@@ -2,7 +2,15 @@
 
 import pytest
 
-from daemon.archive.address import ArchiveAddress, ArchiveError, is_archive, load_password, parse_archive
+from daemon.archive.address import (
+    ArchiveAddress,
+    ArchiveAwayError,
+    ArchiveError,
+    connected,
+    is_archive,
+    load_password,
+    parse_archive,
+)
 
 
 def test_a_database_and_an_installation_behind_it():
@@ -22,6 +30,8 @@ def test_a_database_and_an_installation_behind_it():
         ("postgresql://db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
         ("postgresql://me:secret@db.plant:port/a", "an archive is postgresql://USER@HOST/DATABASE"),
         ("postgresql://me:secret@db..plant/a", "a part of the host's name is empty or longer than 63 letters"),
+        ("postgresql:///a?host=db..plant", "a part of the host's name is empty or longer than 63 letters"),
+        ("postgresql://db.plant/a?host=/run/a..b,b..c", "a part of the host's name is empty or longer than 63 letters"),
         ("postgresql://me:secret@db.plant/a", "postgresql://me:...@db.plant/a holds a password"),
         ("postgresql://db.plant/a?password=secret", "the address holds a password"),
     ],
@@ -31,6 +41,28 @@ def test_no_archive(text, part):
         parse_archive(text)
     assert part in str(error.value)
     assert "secret" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("query", "part"),
+    [
+        ("hostaddr=300.1.1.1", "could not parse network address"),
+        ("service=nowhere", "definition of service"),
+        ("port=70000", "correct the address"),
+    ],
+)
+def test_what_no_wait_can_mend_is_none_that_does_not_answer(query, part):
+    pytest.importorskip("psycopg")
+    with pytest.raises(ArchiveError, match=part) as error:
+        connected(parse_archive(f"postgresql:///plant?{query}"), "a test")
+    assert not isinstance(error.value, ArchiveAwayError)
+
+
+def test_a_host_of_the_environment_that_has_no_name_is_one_sentence(monkeypatch):
+    pytest.importorskip("psycopg")
+    monkeypatch.setenv("PGHOST", "db..plant")
+    with pytest.raises(ArchiveError, match="is no address of a database"):
+        connected(parse_archive("postgresql:///plant"), "a test")
 
 
 def test_a_password_is_one_line_that_no_other_user_reads(tmp_path):

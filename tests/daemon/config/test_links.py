@@ -23,3 +23,14 @@ def test_a_host_has_no_name_that_nobody_can_look_up(tmp_path, key, host, good):
         return
     with pytest.raises(ConfigError, match=rf"has 1 problem:\n  {key.split()[0]} = "):
         load_settings(file)
+
+
+@pytest.mark.parametrize(("host", "good"), [("db.plant", True), ("/run/a..b,db.plant", True), ("db..plant", False)])
+def test_a_host_and_files_may_stand_behind_the_database(tmp_path, host, good):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"archive.database = 'postgresql:///db?sslrootcert=/etc/ca.pem&host={host}'")
+    if good:
+        load_settings(file)
+        return
+    with pytest.raises(ConfigError, match=r"has 1 problem:\n  archive.database = "):
+        load_settings(file)
