@@ -23,7 +23,7 @@ from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
-from daemon.store.batches import MOST_NUMBER, Batch, encoded, identified, next_batch
+from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, identified, next_batch
 from daemon.store.runs import StoredRun, runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading
 
@@ -124,33 +124,45 @@ class ArchiveFeed:
         try:
             while True:
                 try:
-                    batch = await asyncio.to_thread(self._next)
+                    page = await asyncio.to_thread(self._next)
                 except (UserError, sqlite3.Error) as error:
                     # The store's own outage is told by the store.
                     log.debug("nothing is sent to the archive: %s", error)
                     await asyncio.sleep(self._every_s)
                     continue
-                if batch is None:
+                if page is None:
                     self._confirmed_s = self._clock.monotonic()
                     await asyncio.sleep(self._every_s)
                 else:
-                    await self._deliver(batch)
+                    await self._deliver(*page)
         finally:
             self._save()
 
-    def _next(self) -> Batch | None:
-        """Return the next page, of the oldest run first, None if all is confirmed; raises if the store is not read."""
+    def _next(self) -> tuple[Batch, bytes] | None:
+        """Return the next page and its message, of the oldest run first, None if all is confirmed.
+
+        It is no longer than the broker takes, except for a single record. Raises if the store is not read.
+        """
         runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
         with closing(open_for_reading(self._path)) as connection:
-            return self._page_of(connection, sorted(runs, key=lambda each: each.run))
+            ordered, most = sorted(runs, key=lambda each: each.run), MOST_ROWS
+            while batch := self._page_of(connection, ordered, most):
+                payload = encoded(batch)
+                if self._fits(batch, payload):
+                    return batch, payload
+                most = batch.count // 2
+        return None
 
-    def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun]) -> Batch | None:
+    def _fits(self, batch: Batch, payload: bytes) -> bool:
+        return batch.count == 1 or len(payload) <= self._link.most_bytes
+
+    def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun], most: int) -> Batch | None:
         origins = {run: identified(run, stored) for run, stored in runs}
         self._through = {origin.id: self._through.get(origin.id, -1) for origin in origins.values()}
         for place, (run, origin) in enumerate(origins.items()):
             if origin.id in self._finished:
                 continue
-            batch = next_batch(connection, run, origin, self._through[origin.id])
+            batch = next_batch(connection, run, origin, self._through[origin.id], most)
             if batch is not None:
                 return batch
             if place < len(runs) - _ALIVE:
@@ -158,13 +170,13 @@ class ArchiveFeed:
                 self._finished.add(origin.id)
         return None
 
-    async def _deliver(self, batch: Batch) -> None:
-        """Send one page until it is confirmed."""
-        message = Message(self._topic, encoded(batch), 1)
+    async def _deliver(self, batch: Batch, payload: bytes) -> None:
+        """Send one page until it is confirmed, or is too long for a broker that has come since."""
+        message = Message(self._topic, payload, 1)
         self._asked, self._is_kept = batch, False
         self._answered.clear()
         self._backoff.reset()
-        while True:
+        while self._fits(batch, payload):
             self._link.send_now(message)
             await wait_at_most(self._answered, self._backoff.next_s() * self._speed)
             if self._is_kept:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import socket
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Coroutine
@@ -24,6 +25,8 @@ _LEAVE_S = 1.0
 _FAILURES = 128
 _OTHER_VERSION = 132
 _MOST_INCOMING = 1000
+# The topic and what else is in a packet.
+_AROUND_BYTES = 512
 
 # What the library has to say is told by our own sentences.
 _library_log = logging.getLogger("heliocube.mqtt.library")
@@ -106,6 +109,11 @@ class Connection:
                 raise ConnectionLostError(self._reason(error)) from None
             raise
 
+    @property
+    def most_bytes(self) -> float:
+        """How long a payload may be, as far as the broker says."""
+        return self._client.most_bytes - _AROUND_BYTES
+
     async def publish(self, message: Message) -> None:
         """Send a message and wait until it is on its way (QoS 0) or confirmed (QoS 1)."""
         try:
@@ -150,7 +158,10 @@ class Connection:
         cause = self._client.ending or error
         if isinstance(cause, aiomqtt.MqttError) and not isinstance(cause, aiomqtt.MqttCodeError):
             return f"{self._place} does not answer"
-        ended = f"ended the connection; if that repeats, another client has the client id {self._client.identifier}"
+        ended = (
+            f"ended the connection; if that repeats, another client has the client id {self._client.identifier}, or a"
+            " message was too long for the broker"
+        )
         return f"{self._place} {_REFUSALS.get(_code(getattr(cause, 'rc', None)), ended)}"
 
 
@@ -186,6 +197,12 @@ class _Client(aiomqtt.Client):
     settings: MqttSettings
     refusal: str | None = None
     dialled = False
+    most_bytes: float = math.inf
+
+    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any = None) -> None:
+        # Of a broker of MQTT 3.1.1 there are no properties, and of most others none of this name.
+        self.most_bytes = getattr(properties, "MaximumPacketSize", math.inf)
+        super()._on_connect(client, userdata, flags, reason_code, properties)
 
     def _client_connect(self) -> None:
         """Dial, in a thread: files may be read here, and names looked up."""

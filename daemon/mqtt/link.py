@@ -78,6 +78,7 @@ class Link:
         self._reported_back_s = -math.inf
         self._unsteady = False
         self._renounced = False
+        self._most_bytes = math.inf
         self._reported_dropped = 0
         self._since_utc_s = clock.utc()
         self._dropped_since_utc_s: float | None = None
@@ -87,6 +88,11 @@ class Link:
     def connected(self) -> bool:
         """Whether there is a connection now."""
         return self._connected
+
+    @property
+    def most_bytes(self) -> float:
+        """How long a payload may be, as far as the broker of the last connection has said."""
+        return self._most_bytes
 
     @property
     def status(self) -> LinkStatus:
@@ -170,6 +176,7 @@ class Link:
         will = Message(self._topics.status, OFFLINE, 1, retain=True)
         connection = Connection(self._settings, self._client_id, will, self._speed, modern=self._modern)
         await connection.open()
+        self._most_bytes = connection.most_bytes
         timers: list[asyncio.TimerHandle] = []
         try:
             try:
@@ -199,7 +206,7 @@ class Link:
         await connection.publish(Message(self._topics.status, ONLINE, 1, retain=True))
         for messages in self._births:
             for message in messages():
-                await connection.publish(message)
+                await self._publish_on(connection, message)
         self._connected, self._since_utc_s = True, self._clock.utc()
         self._connections += 1
         self._down_why = None
@@ -218,13 +225,23 @@ class Link:
         while True:
             message = await self._outbox.take()
             try:
-                await connection.publish(message)
+                self._sent += await self._publish_on(connection, message)
             except ConnectionLostError:
                 if message.qos:
                     self._outbox.put_back(message)
                     self._date_the_first_loss()
                 raise
-            self._sent += 1
+
+    async def _publish_on(self, connection: Connection, message: Message) -> bool:
+        """Publish what the broker takes, and return whether it does: it would end the connection at what is longer."""
+        length, wrong = len(message.payload), None
+        if length > self._most_bytes:
+            most = f"the broker takes no message of more than {self._most_bytes:.0f} bytes"
+            wrong = f"{most}, and one for {message.topic} has {length}: raise its limit (mosquitto: max_packet_size)"
+        self.trouble(f"the length on {message.topic}", wrong)
+        if wrong is None:
+            await connection.publish(message)
+        return wrong is None
 
     async def _receive_all(self, connection: Connection) -> None:
         async for message in connection.incoming():

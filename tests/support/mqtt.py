@@ -37,7 +37,7 @@ def broker(tmp_path):
 
 @pytest.fixture
 def make_broker(tmp_path):
-    """Make a broker with users, an access list or TLS."""
+    """Make a broker with users, an access list, TLS or a limit of messages."""
     made = []
 
     def make(**how):

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 from random import Random
 
 import pytest
@@ -11,11 +12,13 @@ from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.mqtt.archive_feed import STATE_NAME, ArchiveFeed
 from daemon.mqtt.connection import Incoming
+from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
 from daemon.store.schema import FILE_NAME
 from daemon.store.store import Store
-from tests.support.archive import T0, Sender, origin, pose
+from tests.support.archive import T0, Sender, event, origin, pose
+from tests.support.mqtt import needs_mosquitto, until
 
 KEPT = "lab/roof/records/kept"
 
@@ -24,6 +27,7 @@ class HandLink:
     """A link to an archive that answers each page as the test says; `kept` has what it has confirmed."""
 
     connected = True
+    most_bytes = math.inf
 
     def __init__(self):
         self.answers = []
@@ -200,3 +204,39 @@ def test_an_hour_without_an_archive_is_an_alarm_and_the_records_wait_where_they_
         assert len(sender.rows()) == 3
 
     virtual(scenario)
+
+
+def test_a_page_is_no_longer_than_the_broker_takes_except_for_a_single_record(tmp_path):
+    async def scenario():
+        link, run = HandLink(), origin()
+        service = Service(tmp_path, link)
+        service.keep(*(pose(n) for n in range(100)), event(100, "long " * 400), run=run)
+        link.answers = [None]
+        sending = asyncio.create_task(service.send_for(1000.0))
+        await asyncio.sleep(1.0)
+        assert [page["through"] for page in link.pages] == [100]
+        link.most_bytes = 2000
+        await sending
+        assert link.kept == {(run.id, number) for number in range(101)}
+        short = [len(json.dumps(page, separators=(",", ":"))) for page in link.pages[1:-1]]
+        assert 1000 < max(short) <= 2000
+        assert [row[0] for row in link.pages[-1]["records"]["events"]["rows"]] == [100]
+
+    virtual(scenario)
+
+
+@needs_mosquitto
+def test_what_is_longer_than_the_broker_takes_is_shown_and_costs_no_connection(tmp_path, make_broker):
+    async def scenario():
+        broker = make_broker(most_bytes=5000).start()
+        sender = Sender(tmp_path / "store", broker.port)
+        sender.link.at_birth(lambda: [Message("lab/roof/config", b"x" * 5001)])
+        sender.keep(*(pose(n) for n in range(300)))
+        async with sender.sending():
+            await until(lambda: sender.link.status.sent >= 1, "a page")
+        longest = "the broker takes no message of more than 4488 bytes, and one for lab/roof/config has 5001"
+        assert sender.link.status.troubles == (f"{longest}: raise its limit (mosquitto: max_packet_size)",)
+        assert sender.link.status.connections == 1
+        sender.store.close()
+
+    asyncio.run(scenario())
