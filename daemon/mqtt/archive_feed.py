@@ -14,7 +14,6 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import Clock
-from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import wait_at_most
@@ -25,7 +24,7 @@ from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
 from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, identified, next_batch
 from daemon.store.runs import StoredRun, runs_of
-from daemon.store.schema import FILE_NAME, open_for_reading
+from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
 
 log = logging.getLogger("heliocube.mqtt.archive")
 
@@ -125,9 +124,9 @@ class ArchiveFeed:
             while True:
                 try:
                     page = await asyncio.to_thread(self._next)
-                except (UserError, sqlite3.Error) as error:
-                    # The store's own outage is told by the store.
-                    log.debug("nothing is sent to the archive: %s", error)
+                except Exception as error:  # noqa: BLE001 - nothing in a damaged store may end the service; it is shown
+                    # One that cannot be read for a moment is told by the store.
+                    self._complain(str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error))
                     await asyncio.sleep(self._every_s)
                     continue
                 if page is None:
@@ -192,16 +191,17 @@ class ArchiveFeed:
         if now_s - self._saved_s >= _SAVE_EVERY_S:
             self._save()
 
-    def _complain(self) -> None:
-        """Say that nothing is confirmed, once that has lasted."""
+    def _complain(self, why: str = "") -> None:
+        """Say that nothing is confirmed, once that has lasted, and why where that is not for want of an archive."""
+        because = f" ({why})" if why else ""
         waited_s = (self._clock.monotonic() - self._confirmed_s) / self._speed
         if waited_s >= _ALARM_AFTER_S:
-            what = f"no archive has confirmed records of {self._topic} for {waited_s / 3600.0:.0f} h"
+            what = f"no archive has confirmed records of {self._topic} for {waited_s / 3600.0:.0f} h{because}"
             self._alarm("archive-behind", f"{what}: they wait in the store, which keeps {self._keep_days} days")
-        if waited_s >= _TROUBLE_AFTER_S and self._link.connected:
+        if waited_s >= _TROUBLE_AFTER_S and (why or self._link.connected):
             self._link.trouble(
                 "archive",
-                f"no archive confirms the records of {self._topic}: they wait in the store, which keeps"
+                f"no archive confirms the records of {self._topic}{because}: they wait in the store, which keeps"
                 f" {self._keep_days} days; see heliocube archive there",
             )
 

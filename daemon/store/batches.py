@@ -111,13 +111,20 @@ def _rows_after(
 
 
 def encoded(batch: Batch) -> bytes:
-    """Return a page as the JSON of a message."""
+    """Return a page as the JSON of a message; raises `BatchError` for what only a damaged store has."""
     kinds = {
         name: {"columns": ["number", *(column.name for column in _COLUMNS[name])], "rows": rows}
         for name, rows in batch.rows.items()
     }
     page = {"format": FORMAT, "run": asdict(batch.origin), "through": batch.through, "records": kinds}
-    return json.dumps(page, separators=(",", ":")).encode()
+    try:
+        return json.dumps(page, separators=(",", ":")).encode()
+    except TypeError:
+        least, most = (choose(row[0] for table in batch.rows.values() for row in table) for choose in (min, max))
+        raise BatchError(
+            f"a record from number {least} to {most} of the run {batch.origin.id!a}, or what is known of the run,"
+            " is damaged in the store"
+        ) from None
 
 
 def decoded(payload: bytes) -> Batch:

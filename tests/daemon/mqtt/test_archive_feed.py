@@ -4,6 +4,8 @@ import asyncio
 import contextlib
 import json
 import math
+import sqlite3
+from contextlib import closing
 from random import Random
 
 import pytest
@@ -183,6 +185,38 @@ def test_a_store_that_cannot_be_read_has_not_been_confirmed(tmp_path):
         assert service.alarms == {}
         await service.send_for(200.0)
         assert service.alarms["archive-behind"].startswith("no archive has confirmed records of lab/roof/records for 1")
+
+    virtual(scenario)
+
+
+def blob(path):
+    """Something in the place of a number, as rubbish on a page may look."""
+    with closing(sqlite3.connect(path)) as store, store:
+        store.execute("UPDATE poses SET a_deg = x'00' WHERE number = 1500")
+
+
+def rubbish(path):
+    """Pages in the middle that nobody writes to any more."""
+    with closing(sqlite3.connect(path)) as store:
+        store.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    whole = bytearray(path.read_bytes())
+    middle = len(whole) // 8192 * 4096
+    whole[middle : middle + 16384] = b"\xa5" * 16384
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize(("spoil", "why"), [(blob, "is damaged in the store"), (rubbish, "'heliocube store salvage ")])
+def test_a_store_that_is_damaged_further_on_is_told_and_ends_nothing(tmp_path, spoil, why):
+    async def scenario():
+        link = HandLink()
+        service = Service(tmp_path, link)
+        service.keep(*(pose(n) for n in range(3000)))
+        spoil(tmp_path / FILE_NAME)
+        await service.send_for(4000.0)
+        assert 0 < len(link.kept) <= 1500
+        assert why in link.troubles["archive"]
+        assert service.alarms["archive-behind"].startswith("no archive has confirmed records of lab/roof/records for 1")
+        assert why in service.alarms["archive-behind"]
 
     virtual(scenario)
 
