@@ -86,8 +86,6 @@ def export(
                 return {name: table.copy(connection, writer, start, end) for name, table in tables.items()}
         except sqlite3.Error as error:
             raise unreadable(directory / FILE_NAME, error) from None
-        except OSError as error:
-            raise UserError(f"{out} cannot take the tables: {error.strerror}") from None
 
 
 class _Table:

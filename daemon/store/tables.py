@@ -1,5 +1,6 @@
 """Records as tables: one file per kind, CSV or Parquet, the same bytes for the same records."""
 
+import contextlib
 import csv
 import math
 from collections.abc import Callable, Mapping
@@ -184,17 +185,24 @@ class TableWriter:
                 self._tables[kind] = make(directory / f"{name}.{format}", its_columns)
         except OSError as error:
             self.discard()
-            raise TableError(f"{directory} cannot take the results: {error.strerror}") from None
+            raise self._full(error) from None
 
     def write(self, record: Row) -> None:
-        """Append one record to the table of its kind."""
-        self._tables[type(record)].append(with_irradiances(record))
+        """Append one record to the table of its kind; raises `TableError` where the disk does not take it."""
+        try:
+            self._tables[type(record)].append(with_irradiances(record))
+        except OSError as error:
+            raise self._full(error) from None
 
     def close(self) -> None:
-        """Finish all tables and give them their names. May be called again."""
+        """Finish all tables and give them their names; raises `TableError`, and leaves nothing. May be called again."""
+        try:
+            for table in self._tables.values():
+                table.finish()
+        except OSError as error:
+            self.discard()
+            raise self._full(error) from None
         tables, self._tables = self._tables, {}
-        for table in tables.values():
-            table.finish()
         for table in tables.values():
             table.part.replace(table.path)
 
@@ -202,10 +210,15 @@ class TableWriter:
         """Remove what was written, and the directory if it was made for it and is empty."""
         tables, self._tables = self._tables, {}
         for table in tables.values():
-            table.finish()
+            # On a disk that is full it cannot even be finished, and nobody wants it.
+            with contextlib.suppress(Exception):
+                table.finish()
             table.part.unlink(missing_ok=True)
         if self._made and self._directory.is_dir() and not any(self._directory.iterdir()):
             self._directory.rmdir()
+
+    def _full(self, error: OSError) -> TableError:
+        return TableError(f"{self._directory} cannot take the results: {error.strerror}")
 
     def __enter__(self) -> Self:
         return self

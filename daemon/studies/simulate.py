@@ -21,7 +21,7 @@ from daemon.motion.motion import SIMULATED
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.rig import Role
 from daemon.service.service import Service
-from daemon.store.tables import TableWriter
+from daemon.store.tables import TableError, TableWriter
 from daemon.studies.simulated_day import SIMULATED_COLUMNS, PlaneInsolation, Poses, placed
 from solar.ephemeris import DAY_S, sun_day
 
@@ -100,7 +100,17 @@ def simulate(
         loop = runner.get_loop()
         clock = LoopClock(loop.time, start_utc_s)
         bus = Bus()
-        bus.subscribe(lambda record: tables.write(placed(record, latitude_deg)))
+        full: list[TableError] = []
+
+        def write(record: Record) -> None:
+            # Raised where the simulation waits: whoever publishes has nothing to do with the disk.
+            if not full:
+                try:
+                    tables.write(placed(record, latitude_deg))
+                except TableError as error:
+                    full.append(error)
+
+        bus.subscribe(write)
         bus.subscribe(tally.count)
         bus.subscribe(poses.note)
         service = Service(
@@ -116,7 +126,7 @@ def simulate(
             polling=SIMULATED,
         )
         try:
-            runner.run(_until_end(service, days * DAY_S, progress))
+            runner.run(_until_end(service, days * DAY_S, progress, full))
         except KeyboardInterrupt:
             interrupted_utc_s = clock.utc()
     end_utc_s = end_utc_s if interrupted_utc_s is None else interrupted_utc_s
@@ -126,7 +136,9 @@ def simulate(
     return summary
 
 
-async def _until_end(service: Service, duration_s: float, progress: Callable[[float], None]) -> None:
+async def _until_end(
+    service: Service, duration_s: float, progress: Callable[[float], None], full: Sequence[TableError]
+) -> None:
     stop = asyncio.Event()
 
     async def count_down() -> None:
@@ -136,6 +148,8 @@ async def _until_end(service: Service, duration_s: float, progress: Callable[[fl
             await asyncio.sleep(step_s)
             elapsed_s += step_s
             progress(elapsed_s / duration_s)
+            if full:
+                raise full[0]
         stop.set()
 
     await service.run(stop, count_down())

@@ -1,6 +1,7 @@
 """Records that cannot be written wait, and the tracker does the same as ever."""
 
 import asyncio
+import hashlib
 import logging
 import queue
 import subprocess
@@ -9,9 +10,10 @@ import threading
 import pytest
 
 from daemon.base.clock import SystemClock
-from daemon.base.records import Decision, Mode, Scan
+from daemon.base.records import Decision, Event, Mode, Scan
 from daemon.store.export import export
 from daemon.store.store import Store
+from daemon.store.tables import TableError, TableWriter
 from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import scan
 from tests.support.phases import tracking
@@ -113,3 +115,23 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
     assert told.get(timeout=20).text == "writes again; nothing was lost"
     assert told.empty()
     assert count(small_disk, "scans") == len(rig.of(Scan))
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_tables_that_a_disk_does_not_take_are_one_sentence_and_leave_nothing(small_disk, form):
+    def write():
+        with TableWriter(small_disk / "out", form) as tables:
+            # Of chance, which Parquet cannot make smaller.
+            for number in range(100_000):
+                tables.write(Event(number, 0.0, "test", hashlib.sha256(b"%d" % number).hexdigest()))
+
+    with pytest.raises(TableError, match=r"/out cannot take the results: "):
+        write()
+    assert list(small_disk.iterdir()) == []
+
+
+def test_a_simulation_whose_tables_a_disk_does_not_take_is_one_sentence(small_disk, heliocube):
+    code, _, err = heliocube("simulate", "--start", "2022-10-12T10:00", "--days", "0.3", "--out", small_disk / "out")
+    sentence = f"heliocube: {small_disk / 'out'} cannot take the results: No space left on device\n"
+    assert (code, err) == (2, sentence)
+    assert list(small_disk.iterdir()) == []
