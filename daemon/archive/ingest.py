@@ -105,6 +105,8 @@ class Ingester:
                 if not self._began and not isinstance(error, ArchiveAwayError):
                     raise
                 self._database.down(self._clock.monotonic(), str(error))
+                # Whoever did not tell this in time would be ended and started anew, as long as the database is away.
+                self._manager.ready()
             except (ConnectionLostError, UserError) as error:
                 self._broker.down(self._clock.monotonic(), str(error))
             self._manager.watchdog()

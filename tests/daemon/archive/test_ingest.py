@@ -9,7 +9,11 @@ import threading
 import pytest
 
 from daemon.archive.address import ArchiveAwayError, parse_archive
+from daemon.archive.ingest import Ingester
 from daemon.archive.writer import ArchiveWriter, SentPage
+from daemon.base.clock import SystemClock
+from daemon.base.process import Notifier
+from daemon.config.links import ArchiveSettings, MqttSettings
 from tests.support import forks
 from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
@@ -198,3 +202,22 @@ def test_a_database_without_rights_is_one_sentence(postgres, database, heliocube
     )
     code, _, err = heliocube("archive", "--to", database + "x")
     assert (code, "make it with createdb" in err, len(err.splitlines())) == (2, True, 1)
+
+
+def test_a_database_that_is_away_at_the_start_keeps_no_manager_waiting():
+    class Manager(Notifier):
+        ready_told = False
+
+        def ready(self):
+            self.ready_told = True
+
+    async def scenario():
+        manager = Manager({}, 0)
+        address = parse_archive("postgresql://archive@127.0.0.1:1/none")
+        work = asyncio.create_task(Ingester(MqttSettings(), ArchiveSettings(), address, SystemClock(), manager).run())
+        await until(lambda: manager.ready_told or work.done(), "the word to the manager")
+        assert not work.done()
+        work.cancel()
+        await asyncio.wait([work])
+
+    asyncio.run(scenario())
