@@ -1,5 +1,6 @@
 """Days of an archive as Parquet: a file for each kind of record and UTC day, which DuckDB reads as one table."""
 
+import contextlib
 import os
 import re
 from collections.abc import Iterator
@@ -147,14 +148,17 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
     count = _count(connection, table)
     if not again and rows_in(path) == count:
         return ArchivedDay(kind, day, path, count, written=False)
+    part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(path.name + ".part")
         _write(connection, kind, table, part)
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
+        # It would keep the room that a full disk lacks.
+        with contextlib.suppress(OSError):
+            part.unlink()
         raise UserError(f"--out: {path} cannot be written: {error.strerror}") from None
     return ArchivedDay(kind, day, path, count, written=True)
 

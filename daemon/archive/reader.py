@@ -1,6 +1,7 @@
 """Records of one installation out of an archive, as a store: whatever reads a store reads them."""
 
 import math
+import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
@@ -141,6 +142,13 @@ def _bound(utc_s: float) -> datetime | str:
 def copied(reader: ArchiveReader, start_utc_s: float, end_utc_s: float) -> Iterator[Path]:
     """Have the records of a span as a store in a folder that goes afterwards; raises `ArchiveError` without one."""
     with TemporaryDirectory(prefix="heliocube-archive-") as folder:
-        if not reader.copy(Path(folder), start_utc_s, end_utc_s):
+        try:
+            count = reader.copy(Path(folder), start_utc_s, end_utc_s)
+        except sqlite3.Error as error:
+            raise ArchiveError(
+                f"{folder} cannot take the records of {reader.installation} ({error}): make room there, name another"
+                " folder with TMPDIR, or ask for a shorter time"
+            ) from None
+        if not count:
             raise ArchiveError(f"{reader.address.url} has no record of {reader.installation} in that time")
         yield Path(folder)

@@ -1,0 +1,49 @@
+"""Records of an archive on their way to a disk that is full."""
+
+import hashlib
+import tempfile
+from contextlib import closing
+from datetime import date
+
+import pytest
+
+from daemon.archive.address import ArchiveError, parse_archive
+from daemon.archive.parquet import write_days
+from daemon.archive.reader import ArchiveReader, copied
+from daemon.archive.writer import ArchiveWriter, SentPage
+from daemon.base.errors import UserError
+from tests.daemon.store.test_full_disk import small_disk
+from tests.support.archive import T0, batch_of, origin
+
+__all__ = ["small_disk"]
+
+
+@pytest.fixture
+def address(database):
+    """Of an archive with more than the small disk takes."""
+    # Of chance, which Parquet cannot make smaller.
+    texts = ("".join(hashlib.sha256(b"%d %d" % (n, m)).hexdigest() for m in range(4)) for n in range(5000))
+    rows = [(n, T0 + n, float(n), "test", text, None) for n, text in enumerate(texts)]
+    with closing(ArchiveWriter(parse_archive(database))) as writer:
+        writer.prepare()
+        writer.take([SentPage("lab/roof", batch_of(origin(), {"events": rows}))])
+    return parse_archive(database)
+
+
+def test_a_copy_that_a_full_disk_does_not_take_is_one_sentence(address, small_disk, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(small_disk))
+    with (
+        closing(ArchiveReader(address)) as reader,
+        pytest.raises(
+            ArchiveError, match=r"cannot take the records of lab/roof \(database or disk is full\): make room"
+        ),
+        copied(reader, T0, T0 + 9000.0),
+    ):
+        pass
+    assert list(small_disk.iterdir()) == []
+
+
+def test_a_day_that_a_full_disk_does_not_take_leaves_no_part_of_its_file(address, small_disk):
+    with pytest.raises(UserError, match=r"records.parquet cannot be written"):
+        list(write_days(address, small_disk / "days", date(2026, 1, 1)))
+    assert [path for path in small_disk.rglob("*") if path.is_file()] == []
