@@ -189,11 +189,11 @@ class Store:
 
     def _moved_aside(self, error: Exception) -> bool:
         """Move what cannot be used out of the way, if that is what is wrong; return whether a new store can begin."""
-        kind = self._unusable(error)
-        # A disk that damages one store after the other is not filled with them.
-        if kind is None or not self._clock.monotonic() - self._moved_s >= _MOVE_AGAIN_S:
-            return False
         try:
+            kind = self._unusable(error)
+            # A disk that damages one store after the other is not filled with them.
+            if kind is None or not self._clock.monotonic() - self._moved_s >= _MOVE_AGAIN_S:
+                return False
             aside = move_aside(self._path, kind, self._clock.utc())
         except OSError:
             return False
@@ -201,7 +201,6 @@ class Store:
         self._run = None
         self._days.clear()
         log.error("the store %s cannot be used (%s): it is %s now, and a new one begins", self._path, error, aside)
-        self._check_aside()
         return True
 
     def _unusable(self, error: Exception) -> str | None:

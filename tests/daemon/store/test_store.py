@@ -1,5 +1,6 @@
 """What a store keeps: a record once, and the days that the newest leave room for."""
 
+import queue
 import time
 from contextlib import closing
 
@@ -70,3 +71,14 @@ def test_after_one_record_from_the_future_the_oldest_days_still_give_way(tmp_pat
     store.close()
     # The day of the future is one of the three.
     assert count(tmp_path, "events") == 3
+
+
+def test_a_place_that_the_disk_does_not_even_look_at_is_told_and_tried_again(tmp_path):
+    # As a folder that is closed to the service, or a disk that fails: what is there cannot be told.
+    told, folder = queue.Queue(), tmp_path / ("x" * 300)
+    store = Store(folder, 0.01, 3, ORIGIN, SystemClock(), print, lambda *alarm: told.put(alarm))
+    store.keep(scan(0))
+    name, text = told.get(timeout=60)
+    assert (name, "File name too long; records wait in memory" in text) == ("store-down", True)
+    assert store.status.down_why.endswith("File name too long")
+    store.close()
