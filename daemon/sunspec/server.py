@@ -131,7 +131,8 @@ class SunSpecServer:
         host = str(writer.get_extra_info("peername", ("?",))[0])
         framing, pace = TcpServer(), RateLimit(_QUESTIONS_PER_S / self._speed, _QUESTIONS_AT_ONCE)
         try:
-            with contextlib.suppress(OSError, TimeoutError, BrokenStreamError):
+            # Cancelled by the end of the service: the library reports a connection that ends so as an exception.
+            with contextlib.suppress(OSError, TimeoutError, BrokenStreamError, asyncio.CancelledError):
                 while data := await self._more(reader):
                     for asked in framing.feed(data, 0.0):
                         self._asked_s[writer] = self._clock.monotonic()

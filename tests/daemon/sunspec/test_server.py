@@ -1,6 +1,7 @@
 """The device on a real port: garbage, a port that is taken, and clients that come and go."""
 
 import asyncio
+import contextlib
 import socket
 
 import pytest
@@ -125,5 +126,20 @@ def test_a_port_that_is_taken_is_told_once_and_tried_again(serve):
             assert "address already in use; set sunspec.listen to another port" in only.text
         await rig.until(lambda: server.port == port, 30, "the port")
         await ended(task)
+
+    serve(scenario)
+
+
+def test_the_end_of_the_service_logs_nothing_of_clients_that_are_connected(serve, caplog):
+    async def scenario(rig, server, port):
+        task = await running(rig, server)
+        connections = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+        await rig.until(lambda: len(server._asked_s) == 2, 9, "two clients")
+        await ended(task)
+        for reader, writer in connections:
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+            writer.close()
+        assert [line.name for line in caplog.records if line.name == "asyncio"] == []
 
     serve(scenario)
