@@ -69,7 +69,7 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
     Raises
     ------
     UserError
-        The archive cannot be read, or this user may not.
+        The archive cannot be read, or this user may not, or a file not be renamed; its day is not dropped.
     """
     with closing(connected(address, "heliocube parquet")) as connection, telling(address):
         connection.autocommit = True
@@ -77,7 +77,11 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
         for kind, day in days_of(connection):
             if day >= before:
                 continue
-            dropped = _dropped(connection, kind, day, out)
+            try:
+                dropped = _dropped(connection, kind, day, out)
+            except OSError as error:
+                path = file_of(out, kind, day)
+                raise UserError(f"--out: {path} cannot be kept for good: {error.strerror}") from None
             if dropped is not None:
                 yield dropped
 

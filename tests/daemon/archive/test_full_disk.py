@@ -1,6 +1,7 @@
-"""Records of an archive on their way to a disk that is full."""
+"""Records of an archive on their way to a disk that is full, or that nobody may write to."""
 
 import hashlib
+import subprocess
 import tempfile
 from contextlib import closing
 from datetime import date
@@ -8,12 +9,12 @@ from datetime import date
 import pytest
 
 from daemon.archive.address import ArchiveError, parse_archive
-from daemon.archive.parquet import write_days
+from daemon.archive.parquet import drop_days, write_days
 from daemon.archive.reader import ArchiveReader, copied
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
 from tests.daemon.store.test_full_disk import small_disk
-from tests.support.archive import T0, batch_of, origin
+from tests.support.archive import T0, batch_of, origin, pose_row
 
 __all__ = ["small_disk"]
 
@@ -47,3 +48,15 @@ def test_a_day_that_a_full_disk_does_not_take_leaves_no_part_of_its_file(address
     with pytest.raises(UserError, match=r"records.parquet cannot be written"):
         list(write_days(address, small_disk / "days", date(2026, 1, 1)))
     assert [path for path in small_disk.rglob("*") if path.is_file()] == []
+
+
+def test_a_day_whose_file_may_not_be_renamed_is_not_dropped_and_that_is_one_sentence(database, small_disk, postgres):
+    address, today = parse_archive(database), date(2026, 1, 1)
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+    assert len(list(write_days(address, small_disk / "days", today))) == 1
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    with pytest.raises(UserError, match=r"--out: .*/records.parquet cannot be kept for good: Read-only file system"):
+        list(drop_days(address, small_disk / "days", today))
+    assert postgres.sql("SELECT count(*) FROM heliocube.poses", database.rpartition("/")[2]) == [(1,)]
