@@ -34,6 +34,8 @@ _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
 _MOST_LISTENERS = 64
 # The service waits up to 6 s for a command's effect before it answers.
 _COMMAND_S = 15.0
+# By then the page that has given an order has given it up, and says so.
+_OLD_S = 40.0
 _KINDS = ("scans", "poses", "decisions", "curves", "modes", "moves", "events")
 _READABLE = ("sun", "days", *(f"history/{kind}" for kind in _KINDS))
 _READ_S = 30.0
@@ -48,13 +50,14 @@ class Dashboard:
     fleet
         The services.
     clock
-        For sessions.
+        For sessions, and the age of orders.
     hosts
         Names under which browsers reach the dashboard.
     """
 
     def __init__(self, fleet: Fleet, clock: Clock, hosts: Collection[str]) -> None:
         self._fleet = fleet
+        self._monotonic = clock.monotonic
         self._sessions = Sessions(clock.monotonic)
         self._closing = asyncio.Event()
         self.app = Starlette(
@@ -95,8 +98,9 @@ class Dashboard:
         with self._fleet.listening() as listener:
             while not self._closing.is_set():
                 messages = await listener.next()
-                # A beat shows a page whose services are all gone that the dashboard is not.
-                yield "".join(f"data: {message}\n\n" for message in messages) or "event: beat\ndata: \n\n"
+                # A beat shows a page whose services are all gone that the dashboard is not; orders bear its time.
+                beat = f"event: beat\ndata: {self._monotonic():.3f}\n\n"
+                yield beat + "".join(f"data: {message}\n\n" for message in messages)
 
     async def _read(self, request: Request) -> Response:
         """Hand on what a service has of a kind, as it comes."""
@@ -164,6 +168,7 @@ class Dashboard:
             raise HTTPException(400, f"there is no command {ascii(name)[:40]}")
         if service is None:
             raise HTTPException(404, "the dashboard has no such service")
+        self._refuse_old(str(name), given)
         reply = await self._order(session, service, str(name), given)
         _said(reply)
         return Response(reply.content, status_code=reply.status_code, media_type="application/json")
@@ -171,6 +176,7 @@ class Dashboard:
     async def _stow_all(self, request: Request) -> Response:
         given = await _body(request)
         session = self._require(request)
+        self._refuse_old("stow", given)
         services = list(self._fleet.services.values())
         found = await asyncio.gather(*(self._stow(session, service, given) for service in services))
         return JSONResponse({"results": found})
@@ -194,6 +200,13 @@ class Dashboard:
         return await self._fleet.client.post(
             f"{service.url}/api/{name}", content=content, headers=headers, timeout=_COMMAND_S
         )
+
+    def _refuse_old(self, name: str, given: dict[str, Any]) -> None:
+        """Refuse an order that was under way for long, where it says when it was given; never a stop."""
+        given_s = given.pop("given_s", None)
+        if name != "stop" and isinstance(given_s, int | float) and not given_s >= self._monotonic() - _OLD_S:
+            late = f"the order came more than {_OLD_S:g} s after it was given, and is not carried out: give it again"
+            raise HTTPException(409, late)
 
     def _require(self, request: Request) -> Session:
         session = self._sessions.find(request.cookies.get(COOKIE))

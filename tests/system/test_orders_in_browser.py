@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import time
 
 import pytest
 
@@ -174,6 +175,40 @@ def test_an_order_without_an_answer_is_said_to_have_none_and_given_up_in_the_end
     page.sees(".outcome", "Stop: sent to tracker, SIRTA, and no answer yet: look at the tracker.")
     page.page.clock.fast_forward(30_000)
     page.sees(".outcome", "Stop: The dashboard does not answer. The order may not have arrived: look at the tracker.")
+    assert page.complaints == []
+
+
+def test_an_order_says_when_it_was_given_by_the_clock_of_the_dashboard(context, site, back_to_tracking):
+    page = logged_in(context, site)
+    given_s = []
+
+    def note(route):
+        given_s.append(route.request.post_data_json["given_s"])
+        route.continue_()
+
+    page.page.route("**/command", note)
+    page.page.locator(".order.hold").click()
+    page.sees(".outcome", "Hold: standing")
+    # Dashboard and test have the clock of one machine.
+    assert given_s == [pytest.approx(time.monotonic(), abs=30.0)]
+    assert page.complaints == []
+
+
+def test_what_was_pressed_while_the_page_stood_still_is_not_done_when_it_goes_on(context, site):
+    page = logged_in(context, site)
+    asked = []
+    page.page.on("request", lambda request: asked.append(request.url) if request.method == "POST" else None)
+    # A page knows no press from before its own beginning.
+    page.page.evaluate("new Promise((go) => setTimeout(go, 11000 - performance.now()))")
+    button = page.page.locator(".order.hold")
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    place = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "button": "left", "clickCount": 1}
+    late = context.new_cdp_session(page.page)
+    for kind in ("mousePressed", "mouseReleased"):
+        late.send("Input.dispatchMouseEvent", {"type": kind, "timestamp": time.time() - 60.0, **place})
+    page.sees(".outcome", "s: what was pressed meanwhile is not done.")
+    assert asked == []
     assert page.complaints == []
 
 

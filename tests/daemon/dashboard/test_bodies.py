@@ -1,5 +1,8 @@
 """What comes with an order: what cannot be meant is refused, and what is merely odd is for the service to judge."""
 
+import math
+import time
+
 import httpx
 import pytest
 
@@ -58,5 +61,24 @@ def test_what_is_no_service_of_heliocube_is_not_said_to_have_done_anything(monke
             assert found[0] == {"service": NAMES[0], "accepted": False, "status": 502, "text": sentence}
             reply = await house.order()
             assert (reply.status_code, reply.json()) == (502, {"error": sentence})
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "taken"), [(41.0, False), (math.nan, False), (10**400, False), (30.0, True), (-(10**400), True)]
+)
+def test_an_order_that_was_under_way_for_long_is_not_carried_out_unless_it_is_a_stop(ago_s, taken):
+    async def scenario(house):
+        await house.login()
+        given_s = -ago_s if isinstance(ago_s, int) else time.monotonic() - ago_s
+        words = f'{{"service": "{NAMES[0]}", "given_s": {given_s}, "name": '.replace("nan", "NaN")
+        for path, name in (("/command", "goto"), ("/stow-all", "stow")):
+            reply = await house.browser.post(path, content=f'{words}"{name}"}}')
+            assert reply.status_code == (200 if taken else 409)
+            assert taken or "more than 40 s after it was given" in reply.json()["error"]
+        assert len(house.services[NAMES[0]].asked) == 2 * taken
+        assert (await house.browser.post("/command", content=f'{words}"stop"}}')).status_code == 200
+        assert house.services[NAMES[0]].asked[-1] == ("/api/stop", {"by": "ana"})
 
     in_house(scenario)

@@ -9,6 +9,7 @@ export class Live {
     this.version = null;
     this.connected = null;
     this.lostAt = null;
+    this.ahead = NaN;
     this.start();
   }
 
@@ -33,6 +34,7 @@ export class Live {
       if (this.connected !== false) this.lostAt = Date.now();
       this.connected = false;
     } else this.connected = true;
+    if (kind === "beat") this.ahead = data - performance.now() / 1000;
     if (kind === "hello") {
       if (this.version !== null && this.version !== data.version) location.reload();
       this.version = data.version;
@@ -51,6 +53,11 @@ export class Live {
       this.services.set(data.service, service);
     }
     this.changed();
+  }
+
+  // The dashboard's time [s], as far as is known: clocks of machines differ.
+  get dashboardTime() {
+    return this.ahead + performance.now() / 1000;
   }
 
   // All trackers of all services; a cube's process, which has none, is an entry without one.

@@ -3,7 +3,7 @@
 import { fill, h, setAttr, setText } from "./dom.js";
 import { localTime, utcDay, utcTime } from "./format.js";
 import { elapsed, isOld, Live, serviceNow } from "./live.js";
-import { Orders } from "./orders.js";
+import { dropLatePresses, Orders } from "./orders.js";
 import { sunOf } from "./sun.js";
 import { control } from "./views/control.js";
 import { day } from "./views/day.js";
@@ -15,7 +15,8 @@ const VIEWS = { now, day, fleet, control };
 const THEMES = ["auto", "light", "dark"];
 
 const live = new Live(() => requestUpdate());
-const orders = new Orders(byId("outcome"), () => requestUpdate());
+const orders = new Orders(byId("outcome"), () => requestUpdate(), () => live.dashboardTime);
+dropLatePresses((...said) => orders.say(...said));
 // Each tab has its own; a new one begins with the last of any.
 let chosen = sessionStorage.getItem("tracker") ?? localStorage.getItem("tracker");
 if (chosen !== null) sessionStorage.setItem("tracker", chosen);

@@ -18,6 +18,18 @@ const MEANT_MS = 500;
 const LATE_MS = 10000;
 const GONE_MS = 40000;
 
+// Lets nothing be pressed that the page, or the whole machine, has taken long to hand on: nobody expects it any more.
+export function dropLatePresses(say) {
+  const drop = (event) => {
+    const late = performance.now() - event.timeStamp;
+    if (late < LATE_MS) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    say(`The page stood still for ${Math.round(late / 1000)} s: what was pressed meanwhile is not done.`, "warn");
+  };
+  for (const kind of ["click", "keydown"]) window.addEventListener(kind, drop, true);
+}
+
 async function call(path, body) {
   const gone = new AbortController();
   const limit = setTimeout(() => gone.abort(), GONE_MS);
@@ -36,9 +48,11 @@ async function call(path, body) {
 }
 
 export class Orders {
-  constructor(outcome, changed) {
+  // time: returns the dashboard's, which each order bears: it refuses what was under way for long.
+  constructor(outcome, changed, time) {
     this.outcome = outcome;
     this.changed = changed;
+    this.time = time;
     this.session = { by: null, services: [] };
     call("/session").then((session) => this.set(session), () => {});
   }
@@ -129,7 +143,7 @@ export class Orders {
     if (!this.may(service) && !(await this.login(service))) return false;
     const body = { service, name, ...more };
     if (entry.name) body.tracker = entry.name;
-    return this.carryOut(name, entry.label, () => call("/command", body), service);
+    return this.carryOut(name, entry.label, () => call("/command", { ...body, given_s: this.time() }), service);
   }
 
   // Says that a person has seen an alarm; one of the cube's is of no tracker.
@@ -152,7 +166,7 @@ export class Orders {
 
   async stowEach(body) {
     try {
-      const { results } = await this.awaited("Stow: sent to all", () => call("/stow-all", body));
+      const { results } = await this.awaited("Stow: sent to all", () => call("/stow-all", { ...body, given_s: this.time() }));
       const refused = results.filter(({ accepted }) => !accepted).length;
       this.say(refused ? `Stow was NOT taken by ${refused} of ${results.length} services: see the list` : `Stow was taken by all ${results.length} services.`, refused ? "bad" : "ok");
       const locked = results.find(({ status }) => status === 401);
@@ -213,8 +227,6 @@ export class Orders {
     delete this.outcome.dataset.kind;
   }
 }
-
-export { call };
 
 const outcomeOf = (error) => `${sentenceOf(error)}${error.status ? "" : " The order may not have arrived: look at the tracker."}`;
 
