@@ -25,10 +25,13 @@ from daemon.dashboard.upstream import Fleet, Upstream
 STATIC = Path(__file__).with_name("static")
 COOKIE = "heliocube"
 
+_NO_SERVICE = "what answers there is no service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
 _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "home", "clear", "relearn", "acknowledge")
 _LONGEST_BODY = 4096
 _LONGEST_READ = 1 << 20
+# What a service says of an order, and what it has of a day: 40,000 records of one kind at most.
+_LONGEST_ANSWER, _LONGEST_RECORDS = 1 << 20, 64 << 20
 _LONGEST_NAME = 60
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
 _MOST_LISTENERS = 64
@@ -110,7 +113,7 @@ class Dashboard:
             raise HTTPException(404, "the dashboard has no such service, or that has no such records")
         url = f"{service.url}/api/{what}"
         async with self._fleet.client.stream("GET", url, params=query, timeout=_READ_S) as reply:
-            content = b"".join([part async for part in reply.aiter_raw()])
+            content = await _raw(reply, _LONGEST_RECORDS)
         # As it comes: what is compressed is for the browser to open.
         kept = {name: reply.headers[name] for name in ("content-type", "content-encoding") if name in reply.headers}
         return Response(content, reply.status_code, headers=kept)
@@ -147,12 +150,10 @@ class Dashboard:
     async def _accepts(self, service: Upstream, token: str) -> bool | None:
         """Return whether a service takes a token; None where it does not answer."""
         try:
-            reply = await self._fleet.client.post(
-                f"{service.url}/api/authorised", headers=_bearer(token), timeout=_ANSWER_S
-            )
-        except httpx.HTTPError:
+            status, _ = await self._post(f"{service.url}/api/authorised", token, b"", _ANSWER_S)
+        except (httpx.HTTPError, HTTPException):
             return None
-        return reply.status_code == httpx.codes.OK
+        return status == httpx.codes.OK
 
     async def _logout(self, request: Request) -> Response:
         self._sessions.close(request.cookies.get(COOKIE))
@@ -169,9 +170,9 @@ class Dashboard:
         if service is None:
             raise HTTPException(404, "the dashboard has no such service")
         self._refuse_old(str(name), given)
-        reply = await self._order(session, service, str(name), given)
-        _said(reply)
-        return Response(reply.content, status_code=reply.status_code, media_type="application/json")
+        status, content = await self._order(session, service, str(name), given)
+        _said(content)
+        return Response(content, status_code=status, media_type="application/json")
 
     async def _stow_all(self, request: Request) -> Response:
         given = await _body(request)
@@ -183,23 +184,35 @@ class Dashboard:
 
     async def _stow(self, session: Session, service: Upstream, given: Mapping[str, Any]) -> dict[str, Any]:
         try:
-            reply = await self._order(session, service, "stow", given)
-            status, text = reply.status_code, _said(reply)
+            status, content = await self._order(session, service, "stow", given)
+            text = _said(content)
         except HTTPException as error:
             status, text = error.status_code, error.detail
         except httpx.HTTPError:
             status, text = 502, "the service does not answer"
         return {"service": service.name, "accepted": status == httpx.codes.OK, "status": status, "text": text}
 
-    async def _order(self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]) -> httpx.Response:
+    async def _order(
+        self, session: Session, service: Upstream, name: str, given: Mapping[str, Any]
+    ) -> tuple[int, bytes]:
         token = session.tokens.get(service.name)
         if token is None:
             raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
-        content = _encoded({**given, "by": session.by})
-        headers = {**_bearer(token), "Content-Type": "application/json"}
-        return await self._fleet.client.post(
-            f"{service.url}/api/{name}", content=content, headers=headers, timeout=_COMMAND_S
-        )
+        return await self._post(f"{service.url}/api/{name}", token, _encoded({**given, "by": session.by}), _COMMAND_S)
+
+    async def _post(self, url: str, token: str, content: bytes, within_s: float) -> tuple[int, bytes]:
+        """Return the status and the body of a service's answer, which may be slow or endless if it is none."""
+        headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
+        # As it is: a little that is compressed may be gigabytes.
+        headers["Accept-Encoding"] = "identity"
+        try:
+            async with (
+                asyncio.timeout(within_s),
+                self._fleet.client.stream("POST", url, content=content, headers=headers, timeout=within_s) as reply,
+            ):
+                return reply.status_code, await _raw(reply, _LONGEST_ANSWER)
+        except TimeoutError:
+            raise httpx.ReadTimeout(f"no whole answer in {within_s:g} s") from None
 
     def _refuse_old(self, name: str, given: dict[str, Any]) -> None:
         """Refuse an order that was under way for long, where it says when it was given; never a stop."""
@@ -215,17 +228,22 @@ class Dashboard:
         return session
 
 
-def _bearer(token: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {token}"}
+async def _raw(reply: httpx.Response, longest: int) -> bytes:
+    content = bytearray()
+    async for part in reply.aiter_raw():
+        content += part
+        if len(content) > longest:
+            raise HTTPException(502, _NO_SERVICE)
+    return bytes(content)
 
 
-def _said(reply: httpx.Response) -> str:
+def _said(content: bytes) -> str:
     """Return the sentence of a service's answer."""
     try:
-        found = reply.json()
+        found = json.loads(content)
         return str(found.get("text") or found["error"])
     except (ValueError, LookupError, AttributeError, RecursionError):
-        raise HTTPException(502, "what answers there is no service of heliocube: see dashboard.services") from None
+        raise HTTPException(502, _NO_SERVICE) from None
 
 
 def _session_json(session: Session | None) -> dict[str, Any]:

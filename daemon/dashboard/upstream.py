@@ -5,6 +5,7 @@ import json
 import logging
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import cast
 
 import httpx
 from httpx_sse import SSEError, aconnect_sse
@@ -19,6 +20,7 @@ log = logging.getLogger("heliocube.dashboard")
 _SILENT_S = 5.0
 _AGAIN_S = 1.0
 _BEAT_S = 2.0
+_LONGEST_EVENT = 16 << 20
 
 
 class Listener:
@@ -90,7 +92,10 @@ class Upstream:
         timeout = httpx.Timeout(_SILENT_S)
         async with aconnect_sse(self._client, "GET", f"{self.url}/api/events", timeout=timeout) as source:
             source.response.raise_for_status()
+            bounded = _Bounded(cast("httpx.AsyncByteStream", source.response.stream))
+            source.response.stream = bounded
             async for event in source.aiter_sse():
+                bounded.taken = 0
                 if event.event == "state":
                     # What is not JSON, NaN for one, would end every browser's page.
                     json.loads(event.data, parse_constant=_refuse)
@@ -147,6 +152,24 @@ class Fleet:
     def _hand_on(self, service: Upstream) -> None:
         for listener in self._listeners:
             listener.put(service.name, service.message)
+
+
+class _Bounded(httpx.AsyncByteStream):
+    """A stream of events none of which may be too long: who reads them keeps the one that has not ended."""
+
+    def __init__(self, stream: httpx.AsyncByteStream) -> None:
+        self._stream = stream
+        self.taken = 0
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        async for part in self._stream:
+            self.taken += len(part)
+            if self.taken > _LONGEST_EVENT:
+                raise ValueError("too long for an event")
+            yield part
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()
 
 
 def _refuse(constant: str) -> None:

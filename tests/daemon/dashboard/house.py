@@ -71,7 +71,11 @@ class House:
         )
 
     def _answer(self, request):
-        return self.services[f"{request.url.host}:{request.url.port}"].answer(request)
+        reply = self.services[f"{request.url.host}:{request.url.port}"].answer(request)
+        if not reply.is_stream_consumed:
+            return reply
+        # What comes from a network has not been read before.
+        return httpx.Response(reply.status_code, headers=reply.headers, stream=httpx.ByteStream(reply.content))
 
     async def login(self, token=TOKEN, by="ana"):
         return await self.browser.post("/login", json={"token": token, "by": by})
