@@ -18,6 +18,7 @@ from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
 from daemon.api.turns import ReadTurns
+from daemon.base.addresses import Places
 from daemon.base.clock import END_UTC_S, FIRST_UTC_S, Clock
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, TooManyError, parse
@@ -75,6 +76,7 @@ class Api:
         self._metrics_page = KeptPage(
             lambda: Metrics(glance(), dict(self.refusals.counts)), Metrics.text, clock.monotonic, speed
         )
+        self._places = Places(_MOST_LISTENERS)
         self._closing = asyncio.Event()
         self._turns = ReadTurns(clock.monotonic, speed)
         self._bodies = Bodies(speed)
@@ -123,15 +125,17 @@ class Api:
         """Answer a request whose token is the service's; the gate refuses any other."""
         return JSONResponse({"ok": True})
 
-    async def _events(self, _: Request) -> Response:
-        if self._feed.listeners >= _MOST_LISTENERS:
+    async def _events(self, request: Request) -> Response:
+        host = request.client.host if request.client else ""
+        if not self._places.are_free_for(host):
             raise HTTPException(503, "too many programs listen to the events already; close one")
-        return StreamingResponse(self._stream(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        stream = self._stream(host)
+        return StreamingResponse(stream, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
-    async def _stream(self) -> AsyncIterator[bytes]:
+    async def _stream(self, host: str) -> AsyncIterator[bytes]:
         """Yield the state once a second of wall time, and every record as it comes."""
         loop = asyncio.get_running_loop()
-        with self._feed.listening() as events:
+        with self._places.taken_by(host), self._feed.listening() as events:
             closing = asyncio.create_task(self._closing.wait())
             try:
                 due_s = -math.inf

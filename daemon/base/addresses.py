@@ -3,6 +3,9 @@
 import ipaddress
 import re
 import socket
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlsplit
 
@@ -88,6 +91,39 @@ def check_database_hosts(url: str) -> None:
         # Such a one is the folder of a socket.
         if not host.startswith("/"):
             check_host(host)
+
+
+class Places:
+    """Places that are taken for long, of which one far address gets no more than half.
+
+    All that comes through a tunnel or a proxy on this machine may come from loopback, which may have all.
+
+    Parameters
+    ----------
+    most
+        How many there are.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._taken: Counter[str] = Counter()
+
+    def are_free_for(self, host: str) -> bool:
+        """Return whether one who comes from there may take a place; what a proxy says of that may be any text."""
+        try:
+            near = ipaddress.ip_address(without_mapping(host)).is_loopback
+        except ValueError:
+            near = False
+        return self._taken.total() < self._most and self._taken[host] < (self._most if near else self._most // 2)
+
+    @contextmanager
+    def taken_by(self, host: str) -> Iterator[None]:
+        """Count a place as taken for as long as the context lasts."""
+        self._taken[host] += 1
+        try:
+            yield
+        finally:
+            self._taken -= Counter((host,))
 
 
 def require_key(key: bytes | None, *, insecure: bool) -> None:

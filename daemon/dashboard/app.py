@@ -17,6 +17,7 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from daemon.base.addresses import Places
 from daemon.base.clock import Clock
 from daemon.dashboard.guard import PageGuard
 from daemon.dashboard.sessions import Session, Sessions
@@ -62,6 +63,7 @@ class Dashboard:
         self._fleet = fleet
         self._monotonic = clock.monotonic
         self._sessions = Sessions(clock.monotonic)
+        self._places = Places(_MOST_LISTENERS)
         self._closing = asyncio.Event()
         self.app = Starlette(
             routes=[
@@ -90,15 +92,17 @@ class Dashboard:
     async def _health(self, _: Request) -> Response:
         return JSONResponse({"ok": True, "version": version("heliocube"), "listeners": self._fleet.listeners})
 
-    async def _events(self, _: Request) -> Response:
-        if self._fleet.listeners >= _MOST_LISTENERS:
+    async def _events(self, request: Request) -> Response:
+        host = request.client.host if request.client else ""
+        if not self._places.are_free_for(host):
             raise HTTPException(503, "too many pages are open already; close some")
-        return StreamingResponse(self._stream(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        stream = self._stream(host)
+        return StreamingResponse(stream, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
-    async def _stream(self) -> AsyncIterator[str]:
+    async def _stream(self, host: str) -> AsyncIterator[str]:
         hello = {"version": version("heliocube"), "services": list(self._fleet.services)}
         yield f"event: hello\ndata: {json.dumps(hello)}\n\n"
-        with self._fleet.listening() as listener:
+        with self._places.taken_by(host), self._fleet.listening() as listener:
             while not self._closing.is_set():
                 messages = await listener.next()
                 # A beat shows a page whose services are all gone that the dashboard is not; orders bear its time.

@@ -27,6 +27,7 @@ _GRACE_S = 1
 _CONNECTIONS = 256
 # More than the five seconds that the server keeps one for the next request.
 _REQUEST_WITHIN_S = 10.0
+_READ_WITHIN_S = 10.0
 
 
 class _Server(uvicorn.Server):
@@ -40,11 +41,12 @@ class _Server(uvicorn.Server):
 class _Connection(H11Protocol):
     """A connection that those that say nothing keep nobody out of.
 
-    It is closed where no whole request comes; and a new one that is one too many costs the one that has been waited for
-    for longest.
+    It is closed where no whole request comes, and where nothing of an answer is read; and a new one that is one too
+    many costs the one that has been waited for for longest.
     """
 
     _limit: asyncio.TimerHandle | None = None
+    _reading: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -69,7 +71,27 @@ class _Connection(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._end_wait()
+        self._end_reading()
         super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._await_reading(math.inf)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._end_reading()
+
+    def _await_reading(self, unread_before: float) -> None:
+        unread = self.transport.get_write_buffer_size()
+        if unread < unread_before:
+            self._reading = self.loop.call_later(_READ_WITHIN_S, self._await_reading, unread)
+        else:
+            self.transport.abort()
+
+    def _end_reading(self) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
@@ -190,7 +212,8 @@ def _server(dashboard: Dashboard) -> _Server:
             ws="none",
             lifespan="off",
             log_config=None,
-            log_level=logging.WARNING,
+            # Of a flood, and of what is not HTTP, there would be a line for each.
+            log_level=logging.ERROR,
             access_log=False,
             server_header=False,
             date_header=False,

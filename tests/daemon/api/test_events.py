@@ -43,3 +43,22 @@ def test_the_seventeenth_listener_is_sent_away(serve):
             writer.close()
 
     serve(scenario)
+
+
+def test_one_far_address_has_half_of_the_listeners_places(serve):
+    async def scenario(rig, call):
+        far = {"X-Forwarded-For": "192.0.2.7"}
+        connections = [await call.open("GET", "/api/events", headers=far) for _ in range(8)]
+        for reader, _ in connections:
+            await reader.readuntil(b"event: state")
+        assert (await call("GET", "/api/events", headers=far)).status == 503
+        connections.append(await call.open("GET", "/api/events", headers={"X-Forwarded-For": "192.0.2.8"}))
+        assert (await connections[-1][0].readline()).split()[1] == b"200"
+        connections.pop(0)[1].close()
+        await asyncio.sleep(2)
+        connections.append(await call.open("GET", "/api/events", headers=far))
+        assert (await connections[-1][0].readline()).split()[1] == b"200"
+        for _, writer in connections:
+            writer.close()
+
+    serve(scenario)

@@ -3,7 +3,8 @@
 import asyncio
 import os
 import signal
-from contextlib import suppress
+import socket
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 
@@ -15,6 +16,21 @@ from daemon.dashboard.serve import bind, serve
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 HALF_A_BODY = b"POST /login HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nContent-Length: 100\r\n\r\n{"
+
+
+@asynccontextmanager
+async def served():
+    """Give the address of a dashboard."""
+    bound = bind("127.0.0.1:0")
+    address = bound.getsockname()
+    serving = asyncio.create_task(
+        serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), Notifier({}, os.getpid()))
+    )
+    try:
+        yield address
+    finally:
+        signal.raise_signal(signal.SIGTERM)
+        await serving
 
 
 async def until_its_end(reader):
@@ -83,3 +99,66 @@ def test_connections_on_which_no_whole_request_comes_keep_nobody_out_for_long(fi
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
+
+
+def test_one_far_address_has_half_of_the_places_for_pages():
+    async def scenario():
+        async def listen(host):
+            connection = await asyncio.open_connection(*address)
+            head = f"GET /events HTTP/1.1\r\nHost: localhost\r\nX-Forwarded-For: {host}\r\n\r\n"
+            connection[1].write(head.encode())
+            answer = await connection[0].readuntil(b"\r\n\r\n")
+            held.append(connection[1])
+            return int(answer.split()[1])
+
+        held = []
+        async with served() as address:
+            assert [await listen("192.0.2.7") for _ in range(32)] == [200] * 32
+            assert await listen("192.0.2.7") == 503
+            assert await listen("no number") == 200
+            assert [await listen("127.0.0.1") for _ in range(31)] == [200] * 31
+            assert await listen("127.0.0.1") == 503
+            held[0].close()
+            await asyncio.sleep(5.0)
+            assert await listen("192.0.2.7") == 200
+            for one in held:
+                one.close()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+def test_who_does_not_read_his_answers_is_closed():
+    async def scenario():
+        async with served() as address:
+            with socket.socket() as silent:
+                silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                silent.connect(address)
+                # More than fits into the buffers of both ends.
+                silent.sendall((PAGE.replace(b"healthz", b"static/vendor/uPlot.iife.min.js") + b"\r\n") * 300)
+                silent.setblocking(False)
+                await asyncio.sleep(60.0)
+                reader, writer = await asyncio.open_connection(sock=silent)
+                taken = 0
+                with suppress(ConnectionError):
+                    while part := await reader.read(1 << 20):
+                        taken += len(part)
+                writer.close()
+            assert taken < 8 << 20
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+def test_what_is_not_http_is_answered_and_fills_no_log(caplog):
+    async def scenario():
+        async with served() as address:
+            for _ in range(20):
+                reader, writer = await asyncio.open_connection(*address)
+                writer.write(b"\x16\x03\x01\r\n\r\n")
+                assert (await reader.read()).startswith(b"HTTP/1.1 400 ")
+                writer.close()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+    assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
