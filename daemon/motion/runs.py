@@ -86,6 +86,7 @@ class Runs:
         self.target: Target | None = None
         self.last_move: Move | None = None
         self.last_move_started_s = -math.inf
+        self.last_homed_started_s = -math.inf
 
     def interrupt(self) -> None:
         """End the run that is on, if there is one, with a halt."""
@@ -256,6 +257,7 @@ class Runs:
         # The run clears the unit's faults, and with them what they said about the count.
         faulty = guard.telemetry is not None and bool(guard.telemetry.faults)
         doubted = faulty or doubts.reference is not None
+        started_s = self._clock.monotonic()
         self._interrupted = False
         guard.homing, guard.rested = True, None
         doubts.homing_begins()
@@ -264,6 +266,7 @@ class Runs:
         self._changed()
         try:
             await self._home_both()
+            self.last_homed_started_s = started_s
             left = None
         except _HomingFailedError as error:
             await guard.halt()

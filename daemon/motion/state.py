@@ -62,6 +62,11 @@ class MotionState:
         return self._runs.last_move_started_s
 
     @property
+    def last_homed_started_s(self) -> float:
+        """Monotonic time at which the latest reference run began that has ended well."""
+        return self._runs.last_homed_started_s
+
+    @property
     def homing(self) -> bool:
         """Whether a reference run of ours is on."""
         return self._guard.homing

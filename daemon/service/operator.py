@@ -228,6 +228,8 @@ class Operator:
 
         def seen() -> Seen | None:
             nonlocal begin
+            if motion.last_homed_started_s >= asked_s:
+                return Seen.DONE
             telemetry, pose = motion.telemetry, motion.pose
             if not motion.homing or telemetry is None or pose is None or telemetry.time_monotonic_s < asked_s:
                 # What was under way is stopped before a run begins.

@@ -187,6 +187,20 @@ def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
     run_rig(scenario)
 
 
+def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
+    async def scenario(rig):
+        await tracking(rig)
+        await at_rest(rig)
+        await operator(rig).home("reference")
+        await at_rest(rig)
+        # So fast a clock runs on for four seconds between two looks.
+        answer = await Operator(rig.tracker, 200.0).home("once more")
+        assert (answer.done, answer.seen) == (True, "done")
+        assert answer.text.startswith("standing at A ")
+
+    run_rig(scenario, simulation={"motor_speed_mm_s": 100.0})
+
+
 def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_rig):
     async def scenario(rig):
         await tracking(rig)
