@@ -6,6 +6,7 @@ import time
 import httpx
 import pytest
 
+from daemon.service.operator_commands import LONGEST_BODY
 from tests.daemon.dashboard.house import NAMES, in_house
 
 
@@ -20,7 +21,7 @@ def test_a_body_that_cannot_be_meant_is_refused(body, status):
     in_house(scenario)
 
 
-@pytest.mark.parametrize("words", [r'"\ud800"', "NaN", "-1e999", "[" * 500 + "]" * 500, '"' + "\N{SUN}" * 1200 + '"'])
+@pytest.mark.parametrize("words", [r'"\ud800"', "NaN", "-1e999", "[" * 500 + "]" * 500, '"' + "\N{SUN}" * 1100 + '"'])
 def test_an_order_is_not_held_up_by_odd_words_that_the_service_may_refuse(words):
     async def scenario(house):
         await house.login()
@@ -32,6 +33,26 @@ def test_an_order_is_not_held_up_by_odd_words_that_the_service_may_refuse(words)
             (False, "the service at 127.0.0.1:1002 has another token: log in with that one too"),
         ]
         assert [path for path, _ in house.services[NAMES[0]].asked] == ["/api/stop", "/api/stow"]
+
+    in_house(scenario)
+
+
+@pytest.mark.parametrize("why", ['"%s"' % ("x" * 3500), "[1%s]" % (",1" * 1750), '"%s"' % (r"\n" * 1750)])
+def test_an_order_that_the_dashboard_takes_is_not_too_long_for_the_service(monkeypatch, why):
+    async def scenario(house):
+        sent = []
+
+        def answer(request):
+            sent.append(len(request.content))
+            return httpx.Response(200, json={"text": "done"})
+
+        monkeypatch.setattr(house.services[NAMES[0]], "answer", answer)
+        for by in ("\N{SUN WITH FACE}" * 60, '"' * 60):
+            assert (await house.login(by=by)).status_code == 200
+            for more in range(0, 600, 20):
+                order = f'{{"service":"{NAMES[0]}","name":"stow","id":"{"x" * more}","why":{why}}}'
+                assert (await house.browser.post("/command", content=order)).status_code in (200, 413)
+        assert LONGEST_BODY - 600 < max(sent) <= LONGEST_BODY
 
     in_house(scenario)
 
