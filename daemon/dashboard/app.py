@@ -12,7 +12,7 @@ import httpx
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -265,11 +265,14 @@ def _encoded(body: Mapping[str, Any]) -> bytes:
 
 async def _body(request: Request) -> dict[str, Any]:
     content = bytearray()
-    async for chunk in request.stream():
-        # What is too long is read to its end, so that its sender gets to see the answer; there is an end to that.
-        content += chunk
-        if len(content) > _LONGEST_READ:
-            break
+    try:
+        async for chunk in request.stream():
+            # What is too long is read to its end, so that its sender gets to see the answer; there is an end to that.
+            content += chunk
+            if len(content) > _LONGEST_READ:
+                break
+    except ClientDisconnect:
+        raise HTTPException(400, "the body is not whole") from None
     if len(content) > _LONGEST_BODY:
         raise HTTPException(413, f"the body is longer than {_LONGEST_BODY} bytes")
     try:

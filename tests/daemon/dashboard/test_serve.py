@@ -150,13 +150,15 @@ def test_who_does_not_read_his_answers_is_closed():
         runner.run(scenario())
 
 
-def test_what_is_not_http_is_answered_and_fills_no_log(caplog):
+@pytest.mark.parametrize("content", [b"\x16\x03\x01\r\n\r\n", HALF_A_BODY], ids=["not HTTP", "half a body"])
+def test_what_is_not_a_whole_request_fills_no_log(caplog, content):
     async def scenario():
         async with served() as address:
             for _ in range(20):
                 reader, writer = await asyncio.open_connection(*address)
-                writer.write(b"\x16\x03\x01\r\n\r\n")
-                assert (await reader.read()).startswith(b"HTTP/1.1 400 ")
+                writer.write(content)
+                writer.write_eof()
+                await until_its_end(reader)
                 writer.close()
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
