@@ -302,6 +302,17 @@ def test_all_is_reached_with_the_keyboard_alone(site, open_page):
     playwright.expect(dialog).to_have_count(0)
 
 
+def test_the_way_past_the_head_stays_with_the_view_that_is_shown(open_page):
+    page = open_page("constructor")
+    page.sees(".hero h1", "Tracking")
+    page.show("control")
+    page.sees(".hero h1", "Tracking")
+    page.page.locator(".skip").focus()
+    page.page.keyboard.press("Enter")
+    playwright.expect(page.page.locator("#view")).to_be_focused()
+    assert page.page.locator(".goto").count() == 1
+
+
 def test_what_the_page_shows_is_what_the_interface_says(site, open_page):
     page = open_page()
     page.sees(".hero h1", "Tracking")

@@ -76,7 +76,10 @@ function head({ trackers, entry, service, state, now: time, old }) {
 
 function choose() {
   const wanted = location.hash.slice(1);
-  const name = wanted in VIEWS ? wanted : "now";
+  const known = Object.hasOwn(VIEWS, wanted);
+  // The way past the head leads to the view that is shown.
+  if (view && wanted && !known) return;
+  const name = known ? wanted : "now";
   view?.close?.();
   view = VIEWS[name](orders);
   byId("view").replaceChildren(view.node);
