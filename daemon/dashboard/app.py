@@ -32,7 +32,7 @@ _COMMANDS = ("stow", "stop", "hold", "auto", "goto", "snow", "maintenance", "hom
 # A service takes 4096 bytes, and who gives an order comes to what the page sends.
 _LONGEST_BODY = 3584
 _LONGEST_READ = 1 << 20
-# What a service says of an order, and what it has of a day: 40,000 records of one kind at most.
+# What a service says of an order, and what it has of a week: 40,000 records at most.
 _LONGEST_ANSWER, _LONGEST_RECORDS = 1 << 20, 64 << 20
 _LONGEST_NAME = 60
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{32,512}")
