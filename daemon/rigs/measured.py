@@ -60,6 +60,20 @@ def weather_notes(
     return [note for note in notes if note]
 
 
+def across_seams(utc_s: Array, *columns: Array) -> tuple[Array, ...]:
+    """Return whole minutes [s UTC] of several files and their columns with the time between two files bridged too.
+
+    It is bridged as within a file: linearly, and up to an hour.
+    """
+    step_s = np.diff(utc_s)
+    seams = np.flatnonzero((step_s > _STEP_S) & (step_s <= LONGEST_GAP_S))
+    if not seams.size:
+        return utc_s, *columns
+    between = [np.arange(utc_s[seam] + _STEP_S, utc_s[seam + 1], _STEP_S) for seam in seams]
+    minutes_s = np.sort(np.concatenate([utc_s, *between]))
+    return minutes_s, *(np.interp(minutes_s, utc_s, column) for column in columns)
+
+
 class CubeInGaps:
     """A simulated cube that does not answer while its weather is missing by day; beyond the file its weather says so.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.rigs.measured import measured_weather, weather_notes
+from daemon.rigs.measured import across_seams, measured_weather, weather_notes
 from daemon.studies.energy.names import BOUND, FIXED, choice
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import (
@@ -291,8 +291,8 @@ class Minutes(NamedTuple):
 def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
     """Read weather files.
 
-    Between records up to an hour apart the weather is linear. Where files overlap, the first counts. Impossible values
-    are missing ones, and a warning counts them.
+    Between records up to an hour apart the weather is linear, also from one file to the next. Where files overlap, the
+    first counts. Impossible values are missing ones, and a warning counts them.
 
     Raises
     ------
@@ -312,4 +312,5 @@ def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
         warnings += weather_notes(weather, site)
     utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
     utc_s, first = np.unique(utc_s, return_index=True)
-    return Minutes(utc_s=utc_s, dni_w_m2=dni[first], dhi_w_m2=dhi[first], warnings=warnings, simulated=simulated)
+    utc_s, dni, dhi = across_seams(utc_s, dni[first], dhi[first])
+    return Minutes(utc_s=utc_s, dni_w_m2=dni, dhi_w_m2=dhi, warnings=warnings, simulated=simulated)

@@ -64,6 +64,22 @@ def test_weather_that_nobody_measured_is_marked_wherever_its_results_stand(monke
     assert "SIMULATED" not in (out / "energy.txt").read_text()
 
 
+def test_what_lies_between_two_files_is_bridged_as_within_one(monkeypatch, tmp_path, capsys):
+    hours = [f"2016-06-05T{hour:02d}:00:00Z,450,500,150" for hour in range(24)]
+    found = []
+    for parts in ([hours], [hours[:12], hours[12:]], [hours[:10], hours[12:]]):
+        files = [tmp_path / f"{part[0][:13]}.csv" for part in parts]
+        for file, part in zip(files, parts, strict=True):
+            file.write_text("\n".join(["time,ghi,dni,dhi", *part]))
+        given = (*files, "--site", SITE, "--laws", "flat", "--out", tmp_path / "o", "--force", "--json")
+        assert energy(monkeypatch, *given) == 0
+        page = json.loads(capsys.readouterr().out)
+        found.append((page["minutes_of_daylight"], page["rows"][0]["energy_kwh_m2"]))
+    whole, halves, with_a_gap = found
+    assert halves == whole
+    assert with_a_gap[0] == whole[0] - 179
+
+
 WINTER = datetime(2023, 1, 1, tzinfo=UTC)
 PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
 
