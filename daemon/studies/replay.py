@@ -94,6 +94,8 @@ class _Log:
     def __init__(self, pointing: Pointing) -> None:
         self.pointing = pointing
         self.angles = array("d")
+        # Which of the row's four readings the law was given, a byte for each.
+        self.good = bytearray()
         self.modes: list[Mode] = []
         self.learned: list[tuple[int, Any]] = []
 
@@ -218,6 +220,7 @@ class _Feeder:
             FaceReading(value, self._quality(face, value), utc_s, now_s)
             for face, value in enumerate(row.irradiances_w_m2)
         )
+        self._log.good.extend(reading.quality is Quality.OK for reading in (east, south, west, zenith))
         return Scan(
             source=self._cube.name,
             session="replay",
@@ -288,11 +291,12 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: 
     writer.writerow(COLUMNS)
     laws = {Mode.TRACKING: log.pointing.chosen.name, Mode.FALLBACK: log.pointing.fallback.name}
     angles = np.frombuffer(log.angles).reshape(-1, 4)
+    good = np.frombuffer(log.good, dtype=np.bool_).reshape(-1, 4)
     site = settings.site.place()
     for first in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[first : first + _ROWS_AT_ONCE]
         utc_s = np.array([row.time_utc_s for row in some])
-        faces = np.array([row.irradiances_w_m2 for row in some])
+        faces = np.where(good[first : first + len(some)], [row.irradiances_w_m2 for row in some], np.nan)
         estimates: list[tuple[str, ...]] = [("", "", "")] * len(some)
         if log.learned:
             estimates = _estimates(log.pointing.law, faces, sun_direction(utc_s, *site), first, log.learned)
@@ -306,7 +310,7 @@ def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: 
 def _estimates(
     law: Law, faces: Array, sun: Array, first: int, learned: Sequence[tuple[int, Any]]
 ) -> list[tuple[str, ...]]:
-    """Return beam, diffuse and albedo for each row, by its own readings and by what was known of the site then."""
+    """Return beam, diffuse and albedo for each row, by its own good readings and by what was known of the site then."""
     found: list[tuple[str, ...]] = []
     ends = [begin for begin, _ in learned[1:]] + [first + len(faces)]
     for (begin, known), end in zip(learned, ends, strict=True):

@@ -169,9 +169,10 @@ def test_an_implausible_or_missing_face_is_left_out(replayed):
     for number, line in enumerate(lines):
         line[1] = "" if number % 2 else "1900"
     assert replayed(lines, "mu-prime")[-1]["mode"] == "fallback"
-    last = replayed(lines, "optimal")[-1]
+    *_, implausible, last = replayed(lines, "optimal")
     assert last["mode"] == "tracking"
     assert off_sun_deg(last) < 6.0
+    assert float(implausible["dni_est"]) == pytest.approx(float(last["dni_est"]), rel=0.01)
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "optimal"])
