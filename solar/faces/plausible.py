@@ -141,7 +141,8 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     -----
     The other three faces and the sun's position give the light (:mod:`solar.laws.light`), and the light what the face
     should read. Where that changes by more than 60 W/m2 and the face by less than a tenth of it, it stays: it is
-    frozen, or was dead from the beginning. Nothing is known of a face that the sun does not reach all the while, nor
+    frozen, or was dead from the beginning. What a single minute has is no such change, as one wrong reading of another
+    face is enough for it. Nothing is known of a face that the sun does not reach all the while, nor
     without another vertical one that it reaches: the predictions are not good enough there. A frozen face spoils the
     predictions for the others, so that of several which stay only the stillest is named.
     """
@@ -157,17 +158,24 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
         lit_beside = any(reached[other] for other in others if other != 3)
         if not (reached[face] and lit_beside and all(believed[other] for other in others)):
             continue
-        predicted = float(np.ptp(_by_the_others(faces, up, face)))
+        by_the_others = _by_the_others(faces, up, face)
+        predicted, lasting = float(np.ptp(by_the_others)), _but_for_one_minute(by_the_others)
+        changed = float(np.ptp(faces[:, face]))
         if not predicted > _PREDICTED_W_M2:
             continue
-        share = float(np.ptp(faces[:, face])) / predicted
-        if share > _FOLLOWS_SHARE:
+        if changed > _FOLLOWS_SHARE * predicted:
             found[face] = Response.FOLLOWS
-        elif share < least:
-            stillest, least = face, share
+        elif lasting > _PREDICTED_W_M2 and changed < least * lasting:
+            stillest, least = face, changed / lasting
     if stillest is not None:
         found[stillest] = Response.STAYS
     return found
+
+
+def _but_for_one_minute(w_m2: Array) -> float:
+    """Return the range of some minutes without the one that widens it most."""
+    ordered = np.sort(w_m2)
+    return float(min(ordered[-2] - ordered[0], ordered[-1] - ordered[1]))
 
 
 def _by_the_others(faces: Array, sun: Array, face: int) -> Array:

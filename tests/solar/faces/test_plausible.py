@@ -43,6 +43,16 @@ def test_a_face_that_stays_while_the_light_changes_is_named_and_no_other(face, s
     assert np.flatnonzero(found == Response.STAYS).tolist() == [face]
 
 
+@pytest.mark.parametrize("face", range(4))
+def test_one_wrong_minute_of_a_face_accuses_no_other(face):
+    utc_s = MORNING_UTC_S + 60.0 * np.arange(30)
+    sun = sun_direction(utc_s, *SITE)
+    light = sky("isotropic", sun, np.full(30, 850.0), np.full(30, 60.0), np.full(30, 1330.0))
+    faces = np.stack([light.irradiance_on(normal[None, :]) for normal in NORMALS], axis=-1)
+    faces[12, face] += 800.0
+    assert Response.STAYS not in responses(faces, sun, ALL)
+
+
 def test_nothing_is_known_of_a_face_in_its_own_shade_without_another_that_is_lit_or_under_an_even_sky():
     faces, sun = half_hour()
     faces[:, 2] = 40.0
