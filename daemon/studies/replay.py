@@ -9,14 +9,15 @@ from array import array
 from collections.abc import Callable, Coroutine, Sequence
 from pathlib import Path
 from random import Random
-from typing import Any, TextIO, cast
+from typing import Any, NamedTuple, TextIO, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.base.records import Bus, FaceReading, Mode, Quality, Scan
+from daemon.base.records import FACES, Bus, Event, FaceReading, Mode, Quality, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
@@ -45,15 +46,29 @@ _STALE_AFTER_ROWS = 2.5
 _SKIP_S = 600.0
 _AWAKE_S = 120.0
 _DEEP_NIGHT_DEG = -1.0
+_QUALITIES = tuple(Quality)
 _NO_VOLTAGES_MV = [math.nan] * 4
 _PROGRESS_EVERY_ROWS = 1000
 _ROWS_AT_ONCE = 50_000
 
 
-def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> int:
-    """Run the tracker's role on recorded readings, write one line per row to `out`, and return how many.
+class Replayed(NamedTuple):
+    """What the service made of the rows that were done: all of them, or those before Ctrl-C.
 
-    All of them, or those that were done by Ctrl-C.
+    Attributes
+    ----------
+    qualities
+        Of their readings, as places in `Quality`, shape (rows, 4).
+    events
+        What the service told meanwhile, its alarms among it.
+    """
+
+    qualities: NDArray[np.uint8]
+    events: list[Event]
+
+
+def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress: Callable[[float], None]) -> Replayed:
+    """Run the tracker's role on recorded readings and write one line per row to `out`.
 
     Parameters
     ----------
@@ -79,13 +94,14 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
         with _opened(part, out.suffix) as file:
             log = _run(settings, rows, progress)
             done = len(log.modes)
-            _write(file, settings, rows[:done], log)
+            qualities = np.frombuffer(log.qualities, dtype=np.uint8).reshape(-1, len(FACES))[:done]
+            _write(file, settings, rows[:done], log, qualities == _QUALITIES.index(Quality.OK))
         part.replace(out)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
     finally:
         part.unlink(missing_ok=True)
-    return done
+    return Replayed(qualities, log.events)
 
 
 class _Log:
@@ -94,10 +110,16 @@ class _Log:
     def __init__(self, pointing: Pointing) -> None:
         self.pointing = pointing
         self.angles = array("d")
-        # Which of the row's four readings the law was given, a byte for each.
-        self.good = bytearray()
+        # Of each reading, a byte.
+        self.qualities = bytearray()
+        self.events: list[Event] = []
         self.modes: list[Mode] = []
         self.learned: list[tuple[int, Any]] = []
+
+    def note(self, record: Record) -> None:
+        """Keep what the service tells; a subscriber of the bus."""
+        if isinstance(record, Event):
+            self.events.append(record)
 
 
 def _fitted(settings: Settings, rows: Sequence[RecordedScan]) -> Settings:
@@ -125,18 +147,20 @@ def _run(settings: Settings, rows: Sequence[RecordedScan], progress: Callable[[f
         loop = cast("VirtualTimeLoop", runner.get_loop())
         clock = LoopClock(loop.time, rows[0].time_utc_s - _WARM_UP_S)
         truth, positioner = build_simulated_positioner(settings, clock)
+        bus = Bus()
         service = Service(
             settings,
             Role.TRACKER,
             Rig(None, (TrackerInstruments(positioner, begins_anew=True),), None, simulated=True),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
-            Bus(),
+            bus,
             None,
             Notifier({}, 0),
             polling=_POLLING,
         )
         log = _Log(service.trackers[0].control.pointing)
+        bus.subscribe(log.note)
         # What Ctrl-C leaves is what was done: as good as far as it goes.
         with contextlib.suppress(KeyboardInterrupt):
             runner.run(_beside(service, _Feeder(service, truth, loop, clock, log).run(rows, progress)))
@@ -220,7 +244,7 @@ class _Feeder:
             FaceReading(value, self._quality(face, value), utc_s, now_s)
             for face, value in enumerate(row.irradiances_w_m2)
         )
-        self._log.good.extend(reading.quality is Quality.OK for reading in (east, south, west, zenith))
+        self._log.qualities.extend(_QUALITIES.index(reading.quality) for reading in (east, south, west, zenith))
         return Scan(
             source=self._cube.name,
             session="replay",
@@ -286,12 +310,11 @@ def _opened(path: Path, suffix: str) -> TextIO:
     return path.open("w", encoding="utf-8", newline="")
 
 
-def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: _Log) -> None:
+def _write(file: TextIO, settings: Settings, rows: Sequence[RecordedScan], log: _Log, good: NDArray[np.bool_]) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
     laws = {Mode.TRACKING: log.pointing.chosen.name, Mode.FALLBACK: log.pointing.fallback.name}
     angles = np.frombuffer(log.angles).reshape(-1, 4)
-    good = np.frombuffer(log.good, dtype=np.bool_).reshape(-1, 4)
     site = settings.site.place()
     for first in range(0, len(rows), _ROWS_AT_ONCE):
         some = rows[first : first + _ROWS_AT_ONCE]

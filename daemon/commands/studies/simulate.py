@@ -204,12 +204,13 @@ def replay(
     # The readings stay until the process ends: the collector need not look at them again and again.
     gc.freeze()
     with progress_bar(Console(stderr=True), "replaying") as progress:
-        done = run_replay(settings, rows, out, progress)
+        replayed = run_replay(settings, rows, out, progress)
+    done = len(replayed.qualities)
     pages: Sequence[Path] = ()
     if report_to is not None and done == len(rows):
         from daemon.studies.report.studies import report_replay
 
-        pages = report_replay(settings, span, rows, out, report_to, local, force=force)
+        pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
     if as_json:
         print_json({"simulated": True, "rows": done, "law": settings.law.driver, "table": out, "reports": pages})
     else:

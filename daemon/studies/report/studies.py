@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from daemon.base.records import FACES, Quality
+from daemon.base.records import FACES, Event, Quality
 from daemon.config.settings import Settings
 from daemon.studies.recorded import RecordedScan
+from daemon.studies.replay import Replayed
 from daemon.studies.report.material import Material, from_tables, of_tables
 from daemon.studies.report.span import ReportSpan
 from daemon.studies.report.write import with_settings, write_reports
@@ -49,24 +51,25 @@ def report_replay(
     settings: Settings,
     span: tuple[float, float],
     rows: Sequence[RecordedScan],
+    replayed: Replayed,
     positions: Path,
     out: Path,
     zone: tzinfo | None,
     *,
     force: bool,
 ) -> list[Path]:
-    """Write the report of a replay from its rows and the positions that it has written; returns the page's path."""
+    """Write the report of a replay from its rows, what became of them and the positions; returns the page's path."""
     table = pd.read_csv(positions, index_col="time")
     table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
     faces = np.array([row.irradiances_w_m2 for row in rows])
     found = of_tables(
         {
-            "scans": _scans(table, faces),
+            "scans": _scans(table, faces, replayed.qualities),
             "poses": _poses(table),
             "moves": _moves(table),
             "modes": _modes(table),
             "decisions": table[["mode", "law", "dni_est", "dhi_est", "albedo_est"]],
-            "events": table.iloc[:0],
+            "events": _events(replayed.events),
             "curves": table.iloc[:0],
         },
         span_of(*span),
@@ -86,12 +89,19 @@ def _unwatched(_share: float) -> None:
     """Take the share that is done, where nobody waits for it."""
 
 
-def _scans(table: pd.DataFrame, faces: Array) -> pd.DataFrame:
+def _scans(table: pd.DataFrame, faces: Array, qualities: NDArray[np.uint8]) -> pd.DataFrame:
+    words = np.array([quality.value for quality in Quality])
     columns: dict[str, object] = {"simulated": True}
-    for face, values in zip(FACES, faces.T, strict=True):
+    for face, values, quality in zip(FACES, faces.T, qualities.T, strict=True):
         columns[f"{face}_w_m2"] = values
-        columns[f"{face}_quality"] = np.where(np.isfinite(values), Quality.OK.value, Quality.MISSING.value)
+        columns[f"{face}_quality"] = words[quality]
     return pd.DataFrame(columns, index=table.index)
+
+
+def _events(events: Sequence[Event]) -> pd.DataFrame:
+    index = pd.to_datetime([event.time_utc_s for event in events], unit="s", utc=True)
+    columns = {"subject": [event.subject for event in events], "text": [event.text for event in events]}
+    return pd.DataFrame(columns, index=pd.DatetimeIndex(index))
 
 
 def _poses(table: pd.DataFrame) -> pd.DataFrame:

@@ -89,7 +89,7 @@ def _working(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSp
     stows = sum(stretch.mode == "stow" for stretch in motion.stretches)
     faults = sum(stretch.mode == "fault" for stretch in motion.stretches)
     what = f"{_count(len(alarms), 'alarm')}, {_count(stows, 'stow')} and {_count(faults, 'fault')}"
-    return f"It made {moves}, {valid} % of the expected scans {where} were valid, and there were {what}."
+    return f"It made {moves}, {valid} % of the expected scans {where} were valid, and the records have {what}."
 
 
 def _count(count: int, what: str) -> str:

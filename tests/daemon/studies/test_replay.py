@@ -259,7 +259,7 @@ def test_ctrl_c_leaves_the_rows_that_were_done(tmp_path):
             signal.raise_signal(signal.SIGINT)
 
     settings = settings_for(None, law="flat", site=site_values(PLACE))
-    done = replay(settings, source, tmp_path / "out.csv", interrupt)
+    done = len(replay(settings, source, tmp_path / "out.csv", interrupt).qualities)
     assert 2000 < done < len(source)
     lines = (tmp_path / "out.csv").read_text().splitlines()
     assert (len(lines), lines[-1].split(",")[0]) == (done + 1, iso_utc(source[done - 1].time_utc_s))

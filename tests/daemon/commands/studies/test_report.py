@@ -310,3 +310,19 @@ def test_simulate_and_replay_write_the_same_page(heliocube, tmp_path):
     assert heliocube("replay", faces, *site, "--out", tmp_path / "q.csv", "--report", tmp_path / "again")[0] == 2
     assert again.stat().st_mtime_ns == before
     assert not (tmp_path / "q.csv").exists(), "it was refused before the work"
+
+
+def test_the_page_of_a_replay_knows_what_the_service_did_not_believe(heliocube, tmp_path):
+    minutes = [f"2022-10-12T{11 + minute // 60}:{minute % 60:02d}Z" for minute in range(70)]
+    faces = tmp_path / "faces.csv"
+    lines = [f"{at},{220 + count % 3},0.3,{210 + count % 2},{510 + count % 5}" for count, at in enumerate(minutes)]
+    faces.write_text("\n".join(["time,east,south,west,zenith", *lines]))
+    out = ("--out", tmp_path / "p.csv", "--report", tmp_path / "pages")
+    assert heliocube("replay", faces, "--site", "48.7176,2.2090,156", "--law", "optimal", *out)[0] == 0
+    page = next((tmp_path / "pages").iterdir()).read_text(encoding="utf-8")
+    assert "south face reads next to nothing" in page
+    assert "the records have 1 alarm, no stows" in page
+    _, expected, _, _, flagged, missing = row(page, "Daylight")
+    assert int(expected) == 70
+    assert 50 < int(flagged) < 70
+    assert int(missing) == 0
