@@ -179,8 +179,8 @@ def _compare(
     text = as_text(rows, days, terms, simulated=simulated)
     page = as_page(rows, days, terms, simulated=simulated)
     if prices is not None:
-        sunless = worth.sunless_days(minutes.utc_s, days.site)
-        worths = worth.worths(rows, sum(page["days"].values()), sunless, prices)
+        years = worth.years_known(minutes.utc_s, days)
+        worths = worth.worths(rows, sum(page["days"].values()), years, prices)
         text += worth.as_text(worths, prices)
         page["worth"] = worth.as_page(worths, prices)
     with _writing_to(out):

@@ -102,6 +102,17 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
+def test_a_year_is_reckoned_from_the_daylight_that_is_known_and_not_from_days_that_are_halves(
+    monkeypatch, weather, tmp_path, capsys
+):
+    # Midnight of UTC is noon there: the day of the file is the afternoon of one solar day and the morning of the next.
+    assert energy(monkeypatch, weather, "--site", "40,179", "--laws", "flat", "--out", tmp_path, *PRICES, "--json") == 0
+    page = json.loads(capsys.readouterr().out)
+    (row,), (worth,) = page["rows"], page["worth"]["rows"]
+    assert sum(page["days"].values()) == 2
+    assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25, rel=0.01)
+
+
 def spitsbergen(monkeypatch, tmp_path, capsys, *years):
     """Return what `energy` finds in the first sixty days of years at 78 N, where the sun is back in mid-February."""
     starts = [WINTER.replace(year=year) for year in years]
