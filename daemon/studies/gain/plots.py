@@ -38,6 +38,7 @@ _MONTH_STARTS = np.cumsum([1, 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30])
 _HIGHEST_GAIN_PERCENT = 200.0
 _LOSS = 0.01
 _MOST_SKIES = 19
+_MOST_DOTS = 60
 
 
 def draw(kind: PlotKind, request: Request, columns: Columns, sky: SkySource | None, path: Path) -> None:
@@ -155,7 +156,10 @@ def daily_gain(request: Request, sky: SkySource | None) -> Figure:
         name = f"{_NAMES[device]}, tilt {tilt:.1f}°"
         panel.plot(gain.DAYS, _percent(energies, device), color=colour, linestyle=_LINES[device], label=name)
         if real is not None:
-            panel.plot(gain.DAYS, _percent(real, device), _DOTS[device], color=colour, markersize=4, markevery=6)
+            percent = _percent(real, device)
+            known = np.flatnonzero(np.isfinite(percent))
+            some = known[:: max(known.size // _MOST_DOTS, 1)]
+            panel.plot(gain.DAYS[some], percent[some], _DOTS[device], color=colour, markersize=4)
     _months(panel)
     shown = np.concatenate([line.get_ydata() for line in panel.lines])
     finite = shown[np.isfinite(shown)]

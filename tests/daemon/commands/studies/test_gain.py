@@ -1,5 +1,6 @@
 import csv
 import io
+import re
 
 import numpy as np
 import pytest
@@ -194,6 +195,14 @@ def test_figures_show_the_sky_too(heliocube, tmp_path):
             == 0
         )
         assert sky.stat().st_size > 1.05 * plain.stat().st_size
+
+
+def test_a_file_of_one_day_has_its_dot_in_the_figure_of_days(heliocube, tmp_path):
+    assert heliocube("samples", "--out", tmp_path)[0] == 0
+    figure = tmp_path / "figure.svg"
+    asked = ("--lat", 48.7176, "--day", "280:290", "--against", "vertical", "--weather", tmp_path / "clear.csv")
+    assert heliocube("gain", *asked, "--lon", 2.2, "--plot", figure)[0] == 0
+    assert len(re.findall("<use .*#d55e00", figure.read_text())) == 1
 
 
 @pytest.mark.parametrize(
