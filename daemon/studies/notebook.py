@@ -15,7 +15,7 @@ import pandas as pd
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.export import export
-from daemon.studies.inputs import settings_for
+from daemon.studies.inputs import instant, settings_for
 from daemon.studies.recorded import RecordedScan, read_csv
 from daemon.studies.replay import replay as run_replay
 from daemon.studies.simulate import simulate as run_simulation
@@ -71,7 +71,7 @@ def simulate(
         raise ValueError(f"days must be a number above 0, not {days}")
     settings = settings_for(_path(config), weather=_text(weather), law=law, site=_place(site), seed=seed)
     with TemporaryDirectory(prefix="heliocube-") as folder:
-        first, out = _instant(start), Path(folder)
+        first, out = _instant(start, "start"), Path(folder)
         _in_a_loop_of_its_own(lambda progress: run_simulation(settings, first, days, out, "parquet", progress))
         return _tables(Path(folder))
 
@@ -105,7 +105,8 @@ def read_store(
         There is no store, or the span is empty.
     """
     with TemporaryDirectory(prefix="heliocube-") as folder:
-        first, last = (None if at is None else _instant(at) for at in (start, end))
+        first = None if start is None else _instant(start, "start")
+        last = None if end is None else _instant(end, "end")
         export(Path(directory), Path(folder), "parquet", first, last, kinds)
         return _tables(Path(folder))
 
@@ -207,12 +208,8 @@ def _tables(folder: Path) -> Tables:
     return {file.stem: pd.read_parquet(file) for file in sorted(folder.glob("*.parquet"))}
 
 
-def _instant(at: str | datetime) -> datetime:
-    try:
-        found = datetime.fromisoformat(at) if isinstance(at, str) else at
-    except ValueError:
-        raise UserError(f"'{at}' is not a date or time; write 2022-10-14 or 2022-10-14T08:00Z") from None
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+def _instant(at: str | datetime, name: str) -> datetime:
+    return instant(at if isinstance(at, str) else at.isoformat(), name)
 
 
 def _place(site: Site | None) -> dict[str, object] | None:

@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 import threading
+from datetime import date
 
 import pytest
 
@@ -33,6 +34,13 @@ def test_a_replay_keeps_nothing_from_the_collector():
 def test_days_that_are_no_time_are_refused(days):
     with pytest.raises(ValueError, match=f"days must be a number above 0, not {days}"):
         heliocube.simulate("2022-10-14", days=days)
+
+
+def test_a_date_is_its_first_instant_and_a_year_beyond_the_calendar_is_refused(tmp_path):
+    with pytest.raises(heliocube.UserError, match="start: '0001-01-01' is not a date or time"):
+        heliocube.simulate("0001-01-01", days=0.01)
+    with pytest.raises(heliocube.UserError, match="there is no store"):
+        heliocube.read_store(tmp_path, start=date(2022, 10, 14))
 
 
 def test_what_is_wrong_is_told_there_too():
