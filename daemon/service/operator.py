@@ -175,8 +175,8 @@ class Operator:
             control.hold(why, by)
         self._note("hold", why, by)
         control.tick()
-        if not motion.homing:
-            # Even a tracker at rest is polled once more.
+        if control.mode is Mode.HOLD:
+            # Even a tracker at rest is polled once more. A stow or a reference run goes before a hold.
             motion.rest()
 
         def seen() -> Seen | None:

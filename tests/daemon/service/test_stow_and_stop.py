@@ -9,7 +9,7 @@ import pytest
 
 from daemon.base.clock import iso_utc
 from daemon.base.records import Mode, ModeChange, Move, MoveOutcome, Target
-from daemon.service.operator import CommandError
+from daemon.service.operator import CommandError, Operator
 from daemon.service.operator_commands import Operators, parse
 from drivers.errors import DeviceError, RefusedError
 from tests.support.motion import commands_sent
@@ -31,6 +31,18 @@ def test_wind_stows_in_mid_move_and_releases_after_its_calm(run_rig):
     rig = run_rig(scenario, safety={"stow_at_least_s": 900})
     assert rig.of(Move)[0].outcome is MoveOutcome.INTERRUPTED
     assert "16.0 m/s" in next(change.why for change in rig.of(ModeChange) if change.after is Mode.STOW)
+
+
+def test_a_hold_in_the_instant_of_a_gust_does_not_keep_the_stow_waiting(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 20.0
+        # Before anybody else has looked at the wind.
+        await Operator(rig.tracker, 1.0).hold("a look", "ana")
+        assert rig.mode is Mode.STOW
+        assert rig.motion.target is not None
+
+    run_rig(scenario)
 
 
 def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
