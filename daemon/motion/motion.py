@@ -132,6 +132,11 @@ class Motion(MotionState):
         asked = self._wanted or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
         return not (self.moving or asked) and self.connected
 
+    @property
+    def goes_home(self) -> bool:
+        """Whether a reference run of ours is on, or was asked for and comes next."""
+        return self.homing or self._home_wanted
+
     def order(self, target: Target, *, stow: bool = False) -> None:
         """Ask for a move; whatever moves is stopped first. The one door for every move in the service.
 

@@ -194,7 +194,7 @@ class Operator:
             control.refuse_goto(a_deg, b_deg)
             if obstacle := _obstacle(motion):
                 raise CommandError(f"the tracker cannot go anywhere: {obstacle}")
-            if motion.homing:
+            if motion.goes_home:
                 raise CommandError(
                     "the tracker is on a reference run and takes no target until it has ended; 'heliocube stop' ends it"
                 )

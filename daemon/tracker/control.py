@@ -270,7 +270,7 @@ class Control(Doors):
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
             doubt_why=self._motion.doubt,
-            homing=self._motion.homing,
+            homing=self._motion.goes_home,
             maintenance_why=wishes.describe("maintenance"),
             stop_why=wishes.describe("stop"),
             buttons_why=wishes.describe("buttons"),

@@ -33,7 +33,7 @@ class Situation:
     doubt_why
         Why it must not be moved but to stow, or None.
     homing
-        A reference run is on.
+        A reference run is on, or was asked for and comes next.
     maintenance_why
         Who works on the tracker, or None.
     stop_why

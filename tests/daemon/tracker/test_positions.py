@@ -192,17 +192,39 @@ def test_a_reference_run_that_was_asked_for_during_a_goto_is_made_after_auto(run
     run_rig(scenario)
 
 
-def test_a_reference_run_that_was_asked_for_late_on_a_long_way_is_made_before_the_rest_of_it(run_rig):
+@pytest.mark.parametrize("look_s", [0.0, 0.1])
+def test_a_reference_run_that_was_asked_for_late_on_a_long_way_is_made_before_the_rest_of_it(run_rig, look_s):
     async def scenario(rig):
         await quiet(rig)
         rig.control.goto(48, 80, "a look")
         rig.control.tick()
         await asyncio.sleep(70)
+        read = rig.positioner.read_telemetry
+
+        async def looked():
+            await asyncio.sleep(look_s)
+            return await read()
+
+        rig.positioner.read_telemetry = looked
         assert rig.motion.target is not None
         rig.control.home()
         rig.control.tick()
         await homed(rig)
         await rig.until(lambda: rig.motion.target is not None, 10, "the rest of the way")
+
+    run_rig(scenario)
+
+
+def test_a_reference_run_that_was_asked_for_while_a_hold_stops_a_move_is_made(run_rig):
+    async def scenario(rig):
+        await under_way(rig)
+        rig.control.hold("stay")
+        rig.control.tick()
+        await asyncio.sleep(0.1)
+        assert rig.motion.target is not None
+        assert (await operator(rig).home("and home")).seen is Seen.UNDER_WAY
+        await homed(rig)
+        await rig.until_mode(Mode.HOLD, 5)
 
     run_rig(scenario)
 
