@@ -20,7 +20,7 @@ class Parking:
     tolerance_deg
         Distance from a position that counts as being there.
     order
-        Orders a move.
+        Orders a move; returns whether it was taken.
     """
 
     def __init__(self, motion: Motion, tolerance_deg: float, order: Callable[[Target], bool]) -> None:
@@ -34,11 +34,14 @@ class Parking:
         self._parked_s = -math.inf
 
     def park(self, target: Target, now_s: float) -> None:
-        """Order a move to a position unless the tracker is there, on its way, or was sent there a moment ago."""
+        """Order a move to a position unless the tracker is there, on its way, or was sent there a moment ago.
+
+        What was refused is ordered again the next time.
+        """
         if now_s - self._parked_s < _REPARK_S or self._heads_for(target) or self._stands_at(target):
             return
-        self._parked_s = now_s
-        self._order(target)
+        if self._order(target):
+            self._parked_s = now_s
 
     def _heads_for(self, target: Target) -> bool:
         heading = self._motion.target

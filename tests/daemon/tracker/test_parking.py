@@ -15,11 +15,16 @@ def at(a_deg, b_deg):
     return Pose(0.0, 0.0, a_deg, b_deg, moving=False)
 
 
-def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None):
+def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking: None, taken=True):
     """Return at which of these times a move is ordered."""
     found = []
     motion = SimpleNamespace(pose=pose or at(20.0, 60.0), target=target, homing=homing)
-    parking = Parking(motion, 0.8, found.append)
+
+    def order(place):
+        found.append(place)
+        return taken
+
+    parking = Parking(motion, 0.8, order)
     orders = []
     for now_s in times_s:
         before = len(found)
@@ -33,6 +38,10 @@ def ordered(times_s, pose=None, target=None, homing=False, after=lambda _parking
 def test_the_first_order_goes_out_at_once_and_the_next_after_a_minute():
     assert ordered([0.0, 5.0, 59.0, 60.0, 119.0, 120.0]) == [0.0, 60.0, 120.0]
     assert ordered([0.0, 5.0], after=Parking.forget) == [0.0, 5.0]
+
+
+def test_an_order_that_was_refused_is_given_again_the_next_time():
+    assert ordered([0.0, 5.0, 10.0], taken=False) == [0.0, 5.0, 10.0]
 
 
 @pytest.mark.parametrize(("a_deg", "b_deg", "there"), [

@@ -4,6 +4,8 @@ import asyncio
 
 from daemon.base.records import Decision, Mode
 from daemon.service.state import state_json
+from tests.support.motion import show
+from tests.support.phases import quiet
 
 
 def wind_of(rig):
@@ -72,5 +74,22 @@ def test_silence_from_the_start_stows_after_its_time(run_rig):
         await asyncio.sleep(290)
         assert rig.mode is Mode.STARTING
         await rig.until_mode(Mode.STOW, 30)
+
+    run_rig(scenario)
+
+
+def test_a_button_that_was_let_go_a_moment_before_auto_keeps_no_stow_waiting(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        show(rig, button_pressed=True, status_monotonic_s=rig.clock.monotonic())
+        await rig.until(lambda: rig.control.wishes.buttons is not None, 5, "the hold")
+        rig.wind_m_s = 20.0
+        await asyncio.sleep(1.5)
+        # The unit tells its status every few seconds: by the latest one the button is still pressed.
+        rig.control.auto()
+        await rig.until_mode(Mode.STOW, 1)
+        assert rig.motion.target is None
+        show(rig, button_pressed=False)
+        await rig.until(lambda: rig.motion.target is not None, 3, "the stow")
 
     run_rig(scenario)
