@@ -236,7 +236,8 @@ class Control(Doors):
         if mode is not self.mode:
             self._enter(mode, why, now_s)
         self.why = why
-        self._motion.may_rehome = mode is Mode.FAULT and self.wishes.allow_rehoming
+        wind_known = self._stow_watch.waiting_why(now_s) is None
+        self._motion.may_rehome = mode is Mode.FAULT and wind_known and self.wishes.allow_rehoming
         self._act(now_s, mean)
         self._alarms.mute(muted=self.wishes.maintenance is not None)
         self._reminders.remind(self.wishes, sun_known=self._clock_watch.trusted)

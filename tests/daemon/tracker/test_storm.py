@@ -5,7 +5,7 @@ import asyncio
 from daemon.base.records import Decision, Mode
 from daemon.service.state import state_json
 from tests.support.motion import show
-from tests.support.phases import quiet
+from tests.support.phases import homed, quiet
 
 
 def wind_of(rig):
@@ -66,6 +66,20 @@ def test_nothing_is_tracked_before_the_wind_has_been_heard(run_rig):
         await rig.until_mode(Mode.TRACKING, 10)
 
     run_rig(scenario)
+
+
+def test_no_reference_run_is_made_unasked_before_the_wind_has_been_heard(run_rig):
+    async def scenario(rig):
+        rig.wind_m_s = None
+        await rig.until(lambda: rig.motion.connected, 10, "the connection")
+        rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
+        await asyncio.sleep(120)
+        assert rig.mode is Mode.FAULT
+        assert not rig.motion.homing
+        rig.wind_m_s = 3.0
+        await homed(rig)
+
+    run_rig(scenario, motion={"rehome": "automatic"})
 
 
 def test_silence_from_the_start_stows_after_its_time(run_rig):
