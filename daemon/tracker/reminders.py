@@ -54,9 +54,9 @@ class Reminders:
         self._alarms.set("release-changed", wishes.held_by_program)
         if wish is None or wishes.held_by_program:
             self._alarms.set("hold-forgotten", None)
-        elif sun_known and self._outlasted_a_night(wish):
+        elif sun_known:
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
-            self._alarms.set("hold-forgotten", text)
+            self._alarms.set("hold-forgotten", text if self._outlasted_a_night(wish) else None)
 
     def watch(self, outage: Outage, mode: Mode, why: str, *, sun_known: bool) -> None:
         """Raise what lasts: a positioner that does not answer, readings that are not good."""

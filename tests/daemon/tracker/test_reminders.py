@@ -117,6 +117,15 @@ def test_what_has_outlasted_a_sunrise_is_forgotten(name, since, now, forgotten):
     assert desk.raised() == {}
 
 
+def test_who_asks_anew_after_a_night_has_forgotten_nothing():
+    desk = Desk()
+    desk.at("2022-10-13T08:00")
+    old, new = (Wish(why="measuring", since_utc_s=utc_s(f"2022-10-{day}T07:30")) for day in (12, 13))
+    assert "hold-forgotten" in desk.raised(Wishes(hold=old))
+    for name in ("hold", "snow"):
+        assert desk.raised(Wishes(**{name: new})) == {}
+
+
 def test_where_the_sun_does_not_set_a_day_begins_at_its_lowest_point():
     desk = Desk("2022-06-20T23:00", latitude_deg=78.0, longitude_deg=0.0)
     wishes = Wishes(hold=Wish(why="measuring", since_utc_s=desk.utc()))
