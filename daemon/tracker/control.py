@@ -284,9 +284,9 @@ class Control(Doors):
         )
 
     def _watch_stow(self, stow_why: str | None) -> None:
-        """Tell when stow is wanted and a person keeps the tracker from it."""
+        """Tell when stow is wanted and a person keeps the tracker from it; in maintenance nothing is told."""
         stillness = self.wishes.stillness
-        if stow_why is None or stillness is None:
+        if stow_why is None or stillness is None or self.wishes.maintenance is not None:
             self._alarms.set("stow-wanted", None)
         else:
             self._alarms.set("stow-wanted", f"stow is wanted ({stow_why}), but the tracker is {stillness}; {RELEASE}")

@@ -2,8 +2,9 @@
 
 import asyncio
 
-from daemon.base.records import Decision, Mode
+from daemon.base.records import Decision, Event, Mode
 from daemon.service.state import state_json
+from tests.daemon.tracker.days import operator
 from tests.support.motion import show
 from tests.support.phases import homed, quiet
 
@@ -105,5 +106,19 @@ def test_a_button_that_was_let_go_a_moment_before_auto_keeps_no_stow_waiting(run
         assert rig.motion.target is None
         show(rig, button_pressed=False)
         await rig.until(lambda: rig.motion.target is not None, 3, "the stow")
+
+    run_rig(scenario)
+
+
+def test_maintenance_in_a_storm_raises_no_alarm_that_nobody_hears_the_end_of(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 20.0
+        await rig.until_mode(Mode.STOW, 10)
+        await operator(rig).maintenance("bearings", "ana")
+        await asyncio.sleep(30)
+        await operator(rig).auto("done")
+        assert rig.mode is Mode.STOW
+        assert not [event.text for event in rig.of(Event) if event.subject == "alarm"]
 
     run_rig(scenario)
