@@ -76,7 +76,7 @@ def next_mode(current: Mode, situation: Situation) -> tuple[Mode, str]:
     if s.maintenance_why is not None:
         return Mode.MAINTENANCE, _joined(s.maintenance_why, s.stop_why, lost_why, stow_missed)
     if lost_why is not None:
-        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why)
+        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why, stow_missed)
     if still_why is not None:
         return Mode.HOLD, _joined(still_why, stow_missed)
     if s.stow_why is not None:

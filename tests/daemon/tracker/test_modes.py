@@ -70,6 +70,7 @@ def test_every_mode_comes_with_its_reason(change, why):
         ({"stop_why": "stopped by ana", "blocked_why": "a_overcurrent"}, "a_overcurrent; stopped by ana"),
         ({"stop_why": "stopped by ana", "connected": False}, "waiting for the positioner; stopped by ana"),
         ({"buttons_why": "pressed", "blocked_why": "unplugged"}, "unplugged; pressed"),
+        ({"blocked_why": "a_overcurrent", "stow_why": "wind"}, "a_overcurrent; stow is wanted and not done (wind)"),
         ({"stop_why": "stopped by ana", "stow_why": "wind"}, "stopped by ana; stow is wanted and not done (wind)"),
         (
             {"maintenance_why": "greasing", "connected": False, "stow_why": "wind", "stop_why": "stopped by ana"},
