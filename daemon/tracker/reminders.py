@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Mode, Record
 from daemon.config.sections import SiteSettings
+from daemon.motion.state import MotionState
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
 
@@ -45,6 +45,7 @@ class Reminders:
         self._maintenance: Wish | None = None
         self._due_s = math.inf
         self._fallback_s: float | None = None
+        self._answered_s = clock.monotonic()
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
         """Remind where it is time; where the clock is in doubt the sun's position is not used."""
@@ -58,12 +59,15 @@ class Reminders:
             text = f"{wishes.describe(name)}; a night has passed since: 'heliocube auto' if it was forgotten"
             self._alarms.set("hold-forgotten", text if self._outlasted_a_night(wish) else None)
 
-    def watch(self, outage: Outage, mode: Mode, why: str, *, sun_known: bool) -> None:
+    def watch(self, motion: MotionState, mode: Mode, why: str, *, sun_known: bool) -> None:
         """Raise what lasts: a positioner that does not answer, readings that are not good."""
         now_s = self._clock.monotonic()
-        down_s = -math.inf if outage.since is None else now_s - outage.since
-        text = f"the positioner has not answered for a minute or more: {outage.reason}"
-        self._alarms.set("positioner-down", text if down_s >= _DOWN_AFTER_S else None)
+        if motion.connected:
+            self._answered_s = now_s
+            self._alarms.set("positioner-down", None)
+        elif now_s - self._answered_s >= _DOWN_AFTER_S:
+            reason = motion.outage.reason or "its driver has not come back from opening it"
+            self._alarms.set("positioner-down", f"the positioner has not answered for a minute or more: {reason}")
         if mode is not Mode.FALLBACK:
             self._fallback_s = None
         elif self._fallback_s is None:

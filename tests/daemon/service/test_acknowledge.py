@@ -99,6 +99,21 @@ def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, m
     run_rig(scenario)
 
 
+def test_a_positioner_that_is_away_for_repair_stays_acknowledged_over_a_restart(run_rig, tmp_path):
+    async def scenario(rig):
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: rig.tracker.alarms.active, 90, "the alarm")
+        rig.tracker.alarms.acknowledge("ana")
+        (alarm,) = rig.tracker.alarms.active
+        assert (alarm.name, alarm.state) == ("positioner-down", "acknowledged")
+        acknowledged_s.append(alarm.acknowledged_utc_s)
+
+    acknowledged_s = []
+    for start in ("2022-10-12T10:00", "2022-10-12T12:00"):
+        run_rig(scenario, start=start, store={"directory": tmp_path})
+    assert acknowledged_s[0] == acknowledged_s[1]
+
+
 def test_whoever_clears_has_looked_at_what_waits_for_a_person_and_at_nothing_else(serve):
     async def scenario(rig, call_http):
         await tracking(rig)

@@ -2,6 +2,7 @@
 
 import logging
 from datetime import datetime
+from types import SimpleNamespace
 
 import pytest
 
@@ -27,7 +28,7 @@ class Desk:
         self.records = []
         self._alarms = Alarms(self, lambda _record: None)
         self.reminders = Reminders(self, SiteSettings(**site), self._alarms, self.records.append)
-        self.outage = Outage(logging.getLogger("test"), "the positioner")
+        self.motion = SimpleNamespace(connected=True, outage=Outage(logging.getLogger("test"), "the positioner"))
 
     def utc(self):
         return self._utc_s
@@ -46,7 +47,7 @@ class Desk:
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def watched(self, mode=Mode.TRACKING, *, sun_known=True):
-        self.reminders.watch(self.outage, mode, "no good scan", sun_known=sun_known)
+        self.reminders.watch(self.motion, mode, "no good scan", sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def told(self, wishes):
@@ -56,13 +57,22 @@ class Desk:
 
 def test_a_positioner_that_has_not_answered_for_a_minute_is_told():
     desk = Desk()
-    desk.outage.down(desk.monotonic(), "unplugged")
+    assert desk.watched() == {}
+    desk.motion.connected = False
+    desk.motion.outage.down(desk.monotonic(), "unplugged")
     desk.later(59.0)
     assert desk.watched() == {}
     desk.later(1.0)
     assert desk.watched() == {"positioner-down": "the positioner has not answered for a minute or more: unplugged"}
-    desk.outage = Outage(logging.getLogger("test"), "the positioner")
+    desk.motion.connected = True
     assert desk.watched() == {}
+
+
+def test_a_positioner_whose_driver_never_comes_back_from_opening_it_is_told():
+    desk = Desk()
+    desk.motion.connected = False
+    desk.later(60.0)
+    assert desk.watched()["positioner-down"].endswith(": its driver has not come back from opening it")
 
 
 def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time():
