@@ -317,7 +317,7 @@ class Runs:
         while True:
             telemetry = await guard.poll(moving=True)
             self._interrupted = self._interrupted or telemetry.button_pressed
-            self._refuse_interrupted()
+            self._refuse_to_go_on()
             if guard.stray is not None:
                 text = guard.stray.text
                 await guard.quell()
@@ -340,12 +340,15 @@ class Runs:
 
     async def _unless_interrupted(self, call: Callable[[], Coroutine[Any, Any, T]]) -> T:
         """Return what the driver's call returns; it is looked at with the call itself, for a stop may come any time."""
-        self._refuse_interrupted()
+        self._refuse_to_go_on()
         return await call()
 
-    def _refuse_interrupted(self) -> None:
+    def _refuse_to_go_on(self) -> None:
+        """Raise `RefusedError` after a stop, and after motion that nobody ordered."""
         if self._interrupted:
             raise RefusedError("positioner", "a stop came in between")
+        if self._guard.unexplained is not None:
+            raise RefusedError("positioner", self._guard.unexplained)
 
     def _report(self, text: str) -> None:
         log.info(text)

@@ -126,6 +126,36 @@ def test_the_other_axis_may_not_move_during_a_reference_run(run_rig):
     run_rig(scenario)
 
 
+@pytest.mark.parametrize("clearing", [False, True])
+def test_no_reference_run_begins_after_motion_that_nobody_ordered(run_rig, monkeypatch, clearing):
+    async def scenario(rig):
+        await quiet(rig)
+        clear = rig.positioner.clear_faults
+
+        async def slowly(**how):
+            found = await clear(**how)
+            await asyncio.sleep(3)
+            return found
+
+        rig.positioner.clear_faults = slowly
+        sent = commands_sent(rig, monkeypatch)
+        if clearing:
+            rig.motion.home()
+            await asyncio.sleep(1)
+            drive_b(rig, 85.0)
+        else:
+            drive_b(rig, 85.0)
+            # Somebody asks before the next look.
+            await asyncio.sleep(0.4)
+            rig.motion.home()
+        await asyncio.sleep(20)
+        assert "B moved" in rig.motion.unexplained
+        assert not [data for _, data in sent if data.startswith(HOME_A_PACKET)]
+        assert not rig.motion.homing
+
+    run_rig(scenario)
+
+
 def test_rehoming_by_itself_never_runs_under_a_stop_or_after_unexplained_motion(run_rig):
     async def scenario(rig):
         await quiet(rig)
