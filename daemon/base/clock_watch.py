@@ -46,7 +46,8 @@ class ClockWatch:
         self._synchronised = synchronised
         self._offset_s = self._believed_s = clock.utc() - clock.monotonic()
         self._ask_s = clock.monotonic() + _SYNCHRONISE_WITHIN_S
-        self._never = False
+        # None: not asked yet, and nothing to tell of.
+        self._never: bool | None = None
         self.trusted = True
         self.corrections = 0
 
@@ -62,7 +63,7 @@ class ClockWatch:
         step_s = offset_s - self._offset_s
         self._offset_s = offset_s
         if abs(step_s) > _DISTRUST_S:
-            self.trusted = False
+            self.trusted, self._never = False, bool(self._never)
             self._ask_s = now_s + _SYNCHRONISE_WITHIN_S
         self._ask(now_s)
         if self.trusted or abs(offset_s - self._believed_s) <= _DISTRUST_S:
@@ -89,10 +90,10 @@ class ClockWatch:
     def _report(self) -> None:
         if self._alarms is None:
             return
-        if self.trusted:
-            self._alarms.set("clock", _NEVER if self._never else None)
-        else:
+        if not self.trusted:
             self._alarms.set("clock", _doubt(self._offset_s - self._believed_s))
+        elif self._never is not None:
+            self._alarms.set("clock", _NEVER if self._never else None)
 
 
 def _doubt(off_s: float) -> str:

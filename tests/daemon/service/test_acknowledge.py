@@ -99,13 +99,15 @@ def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, m
     run_rig(scenario)
 
 
-def test_a_positioner_that_is_away_for_repair_stays_acknowledged_over_a_restart(run_rig, tmp_path):
+@pytest.mark.parametrize("name", ["positioner-down", "clock"])
+def test_what_shows_only_after_minutes_stays_acknowledged_over_a_restart(run_rig, tmp_path, name):
     async def scenario(rig):
-        rig.cables.positioner.link_up = False
-        await rig.until(lambda: rig.tracker.alarms.active, 90, "the alarm")
+        rig.cables.positioner.link_up = name != "positioner-down"
+        rig.synchronised = name != "clock"
+        await rig.until(lambda: rig.tracker.alarms.active, 150, "the alarm")
         rig.tracker.alarms.acknowledge("ana")
         (alarm,) = rig.tracker.alarms.active
-        assert (alarm.name, alarm.state) == ("positioner-down", "acknowledged")
+        assert (alarm.name, alarm.state) == (name, "acknowledged")
         acknowledged_s.append(alarm.acknowledged_utc_s)
 
     acknowledged_s = []
