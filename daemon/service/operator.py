@@ -192,12 +192,12 @@ class Operator:
         before = control.wishes
         with _refusals():
             control.refuse_goto(a_deg, b_deg)
-            if obstacle := _obstacle(motion):
-                raise CommandError(f"the tracker cannot go anywhere: {obstacle}")
             if motion.goes_home:
                 raise CommandError(
                     "the tracker is on a reference run and takes no target until it has ended; 'heliocube stop' ends it"
                 )
+            if obstacle := _obstacle(motion):
+                raise CommandError(f"the tracker cannot go anywhere: {obstacle}")
             control.goto(a_deg, b_deg, why, by)
         self._note(f"goto A {a_deg:g}, B {b_deg:g} deg", why, by)
         control.tick()

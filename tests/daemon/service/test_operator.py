@@ -172,10 +172,14 @@ def test_stop_outranks_every_stow_until_auto_and_the_answer_says_so(run_rig):
     run_rig(scenario)
 
 
-def test_homing_and_clearing_tell_what_the_unit_does(run_rig):
+@pytest.mark.parametrize("in_doubt", [False, True])
+def test_homing_and_clearing_tell_what_the_unit_does(run_rig, in_doubt):
     async def scenario(rig):
         await tracking(rig)
         await at_rest(rig)
+        if in_doubt:
+            rig.unit.power_cycle(rig.clock.monotonic())
+            await rig.until_mode(Mode.FAULT, 10)
         answer = await operator(rig).home("reference")
         assert (answer.done, answer.seen) == (False, "under-way")
         assert answer.text.startswith("homing, now at A ")
