@@ -21,7 +21,7 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import look_until
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
-from daemon.motion.place import KeptPlace
+from daemon.motion.place import KeptPlace, elsewhere
 from daemon.motion.reference import Doubts
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
@@ -288,20 +288,18 @@ class Motion(MotionState):
         self._before_loss = guard.rested or self._before_loss
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
-        pose = guard.pose
-        assert pose is not None  # noqa: S101 - narrowing for the type checker; halt has just looked
+        pose, telemetry = guard.pose, guard.telemetry
+        # Narrowing for the type checker; halt has just looked.
+        assert pose is not None and telemetry is not None  # noqa: S101, PT018
         serial = f", serial {identity.serial}" if identity.serial else ""
         name = f"{identity.board}, firmware {identity.firmware}{serial}"
         told = self._note_link(name)
         before, self._before_loss = self._before_loss, None
-        if before is not None and self._jumped(before, pose):
-            text = (
-                f"positioner stands at A {pose.a_deg:z.1f}, B {pose.b_deg:.1f} deg; before the loss it stood at "
-                f"A {before.a_deg:z.1f}, B {before.b_deg:.1f} deg"
-            )
-            if told:
-                self._report(text)
-            self._guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
+        text = elsewhere(before, pose, self._settings.tolerance_deg) if before else ""
+        if text and told:
+            self._report(text)
+        if text and not telemetry.reference_doubt:
+            guard.doubts.doubt("jump", f"{text}: compare with the arms, then clear or home it")
 
     def _note_link(self, name: str = "") -> bool:
         """Take note that the unit answers; return whether there was anything to tell of it."""
@@ -311,10 +309,6 @@ class Motion(MotionState):
                 log.info("the positioner is connected: %s", name)
                 return True
         return self._reconnection.works(name)
-
-    def _jumped(self, before: Pose, after: Pose) -> bool:
-        tolerance = self._settings.tolerance_deg
-        return not (abs(before.a_deg - after.a_deg) <= tolerance and abs(before.b_deg - after.b_deg) <= tolerance)
 
     def _forget(self) -> None:
         self._guard.lost()

@@ -63,7 +63,7 @@ class KeptPlace:
             return
         a, b = self._positioner.standing()
         known = a is not None, b is not None
-        if known == self._known and self._rested is not None and _same_place(self._rested, pose):
+        if known == self._known and self._rested and not elsewhere(self._rested, pose, _CHANGED_DEG):
             return
         self._rested, self._known = pose, known
         self._file.save(_Kept(a=a, b=b))
@@ -76,5 +76,12 @@ class KeptPlace:
             return _Kept()
 
 
-def _same_place(before: Pose, now: Pose) -> bool:
-    return abs(before.a_deg - now.a_deg) <= _CHANGED_DEG and abs(before.b_deg - now.b_deg) <= _CHANGED_DEG
+def elsewhere(before: Pose, now: Pose, tolerance_deg: float) -> str:
+    """Return in words that an axis stands elsewhere than before; empty if neither does. NaN is elsewhere."""
+    turned = abs(before.a_deg - now.a_deg), abs(before.b_deg - now.b_deg)
+    if all(way <= tolerance_deg for way in turned):
+        return ""
+    return (
+        f"positioner stands at A {now.a_deg:z.1f}, B {now.b_deg:.1f} deg; before the loss it stood at "
+        f"A {before.a_deg:z.1f}, B {before.b_deg:.1f} deg"
+    )

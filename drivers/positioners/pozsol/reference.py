@@ -101,9 +101,10 @@ class LastKnown:
         way = self._seen[axis], self._shown[axis], self._told.get(axis, self._shown[axis])
         if min(way) - slip <= position <= max(way) + slip:
             return ""
+        to = f" on its way to {way[1]:.0f}" if abs(way[1] - way[0]) > slip else ""
         return (
-            f"axis {axis.upper()} is at {position:.0f} after it was out of sight, and was last seen at {way[0]:.0f} on"
-            f" its way to {way[1]:.0f}: it was moved by hand, or its count is lost"
+            f"axis {axis.upper()} has the count {position:.0f}, and had {way[0]:.0f}{to} when it was seen last: it was"
+            " moved by hand, or its count is lost"
         )
 
     def note(self, axis: AxisName, position: float, destination: float, *, trusted: bool, set_anew: bool) -> None:

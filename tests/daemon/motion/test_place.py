@@ -71,7 +71,7 @@ def rested_elsewhere(kept):
 def test_a_count_that_is_not_where_the_axes_rested_before_the_restart_is_in_doubt(run_rig, kept):
     async def scenario(rig):
         await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
-        assert "axis B is at" in rig.motion.doubt
+        assert "axis B has the count" in rig.motion.doubt
         assert "it was moved by hand, or its count is lost" in rig.motion.doubt
 
     rested_elsewhere(kept)

@@ -66,8 +66,8 @@ def test_a_count_that_is_lost_while_the_link_is_down_is_in_doubt_though_no_mark_
     async def act(cable):
         seen = await cable.out(lambda now: cable.core.power_cycle(now, keep_position=False))
         assert (seen.was_reset, seen.a_deg, seen.b_deg) == (False, -52.0, 13.0)
-        assert "axis A is at 0 after it was out of sight, and was last seen at 229" in seen.reference_doubt
-        assert "axis B is at 0 after it was out of sight, and was last seen at 282" in seen.reference_doubt
+        assert "axis A has the count 0, and had 229 when it was seen last" in seen.reference_doubt
+        assert "axis B has the count 0, and had 282 when it was seen last" in seen.reference_doubt
         again = await cable.out()
         assert again.reference_doubt == seen.reference_doubt
         assert (await cable.home_both()).reference_doubt == ""
@@ -105,6 +105,6 @@ def test_who_was_moved_while_the_link_was_down_is_in_doubt_unless_the_unit_moves
     async def act(cable):
         seen = await cable.out(lambda now: cable.core.inject(fault, now))
         assert seen.a_deg < -9.0
-        assert seen.reference_doubt.startswith("axis A is at") is (fault == "button_in")
+        assert seen.reference_doubt.startswith("axis A has the count") is (fault == "button_in")
 
     run(act)
