@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
-from daemon.base.addresses import check_database_hosts
 from daemon.base.errors import ExitCode, UserError
 from daemon.base.files import read_secret
+from daemon.config.database import check_database_hosts
 
 if TYPE_CHECKING:
     import psycopg

@@ -7,10 +7,8 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from urllib.parse import parse_qsl, urlsplit
 
 from daemon.base.errors import UserError
-from drivers.settings import check_host
 
 _FORM = re.compile(r"\[(?P<v6>[^\[\]]*)\]:(?P<port6>[0-9]{1,5})|(?P<v4>[^:\[\]]*):(?P<port4>[0-9]{1,5})", re.ASCII)
 
@@ -81,16 +79,6 @@ def without_mapping(host: str) -> str:
     """Return an IPv4 address that IPv6 has wrapped, such as ``::ffff:192.0.2.2``, as IPv4, and any other as it is."""
     mapped = getattr(ipaddress.ip_address(host), "ipv4_mapped", None)
     return host if mapped is None else str(mapped)
-
-
-def check_database_hosts(url: str) -> None:
-    """Raise a `ValueError` for the URL of a database with a host that has no name, also one behind the ?."""
-    parts = urlsplit(url)
-    hosts = [parts.hostname or "", *(value for key, value in parse_qsl(parts.query) if key == "host")]
-    for host in ",".join(hosts).split(","):
-        # Such a one is the folder of a socket.
-        if not host.startswith("/"):
-            check_host(host)
 
 
 class Places:

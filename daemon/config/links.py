@@ -8,7 +8,8 @@ from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
 
-from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, check_database_hosts, parse_address
+from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
+from daemon.config.database import check_database_hosts
 from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
 from drivers.settings import check_host, text_of
 
