@@ -142,9 +142,13 @@ class Heard:
     def extended(self, reading: Reading) -> "Heard":
         """Work out the link after a reading of the same day."""
         elapsed_s = reading.monotonic_s - self._newest_s
+        begun, waiting = self._begun, self._waiting
         if not (elapsed_s <= _LONGEST_S):
+            # The memory ages by what nobody has read; what was begun before that would be of two suns.
+            unread = (reading.utc_s, elapsed_s - self.scan_every_s, [math.nan] * len(_NONE))
+            begun, waiting = Begun(), (*waiting, unread) if math.isfinite(elapsed_s) else waiting
             elapsed_s = self.scan_every_s
-        begun, waiting = self._begun.with_reading(reading, elapsed_s), self._waiting
+        begun = begun.with_reading(reading, elapsed_s)
         if begun.elapsed_s >= _MEAN_S - 1e-3:
             begun, waiting = Begun(), (*waiting, begun.ended())
         made = self._changed(_newest_s=reading.monotonic_s, _begun=begun, _waiting=waiting)

@@ -106,6 +106,18 @@ def test_after_a_gap_a_reading_stands_for_the_rhythm_of_the_cube_and_no_longer()
     assert_alike(aim, expected_aim(in_means(readings, 3, 15.0), readings[-1].utc_s, (0.0, 90.0)))
 
 
+@pytest.mark.parametrize(("gap_s", "forgotten"), [(600.0, False), (1200.0, True), (7200.0, True)])
+def test_light_from_before_a_long_gap_is_forgotten(gap_s, forgotten):
+    law = live()
+    before, after = list(scans(4)), list(scans(3, start_s=NOON + gap_s, dni=0.0, dhi=150.0))
+    for reading in (*before, *after):
+        law.observe(reading)
+    # The fourth scan before the gap makes no mean with those after it.
+    heard = after if forgotten else [*before[:3], *after]
+    aim = law.aim(Moment(after[-1].utc_s, None, Angles(-50.0, 15.0)))
+    assert_alike(aim, expected_aim(in_means(heard, 3, 15.0), after[-1].utc_s, (-50.0, 15.0)))
+
+
 def test_a_face_that_is_missing_for_a_while_is_the_mean_of_what_there_is():
     law, readings = live(), list(scans(6))
     readings[1] = readings[1]._replace(faces_w_m2=(math.nan, *readings[1].faces_w_m2[1:]))
