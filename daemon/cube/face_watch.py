@@ -18,6 +18,8 @@ from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
 
 _BLOCK_S = 60.0
+# A cube that is read once a minute, now and then a little early, makes its block of two readings.
+_LONGEST_BLOCK_S = 150.0
 BLOCKS = 5
 """Minutes whose mean is judged: a passing shadow and the edge of a cloud are no faults."""
 BAD_LOOKS = 3
@@ -104,7 +106,7 @@ class FaceWatch:
         elapsed_s = self._clock.monotonic() - self._begun_s
         if elapsed_s < _BLOCK_S:
             return
-        if elapsed_s > 2 * _BLOCK_S:
+        if elapsed_s > _LONGEST_BLOCK_S:
             # Nothing was read for a while: a mean over the gap would mix two suns.
             self._blocks.clear()
             self._minutes.clear()

@@ -164,10 +164,11 @@ class WatchedDay:
         self.order = [0, 1, 2, 3]
         self.share = [1.0] * 4
 
-    def minutes(self, count, frozen=None, at_w_m2=0.0):
-        """Let scans come every 15 s; returns after how many minutes each face was found, None for never."""
+    def minutes(self, count, frozen=None, at_w_m2=0.0, every_s=15.0, late_s=0.0):
+        """Let scans come, up to so much late; returns after how many minutes each face was found, None for never."""
         found = [None] * 4
-        utc_s = self.clock.utc_s + 15.0 * np.arange(1, 4 * count + 1)
+        numbers = np.arange(1, int(60.0 * count / every_s) + 1)
+        utc_s = self.clock.utc_s + every_s * numbers + late_s * np.random.default_rng(2).random(numbers.size)
         sun = sun_direction(utc_s, *self.site)
         beam = np.where(utc_s % 1200 < 300, 150.0, 750.0) * (sun[:, 2] > 0)
         light = sky("perez1990", sun, beam, np.where(sun[:, 2] > -0.05, 140.0, 0.0), extraterrestrial_dni(utc_s))
@@ -182,7 +183,7 @@ class WatchedDay:
             self.watch.note(row, [value / 10 for value in row])
             for face in range(4):
                 if found[face] is None and self.watch.implausible(face):
-                    found[face] = number / 4
+                    found[face] = number * every_s / 60.0
         return found
 
     def doubted(self):
@@ -241,13 +242,20 @@ def test_each_fault_is_told_with_the_faces_that_have_it():
 
 
 @pytest.mark.parametrize(("gap_s", "looks_again"), [(90.0, True), (150.0, False)])
-def test_after_a_gap_of_two_minutes_the_five_are_gathered_anew(gap_s, looks_again):
+def test_after_a_gap_of_more_than_two_minutes_the_five_are_gathered_anew(gap_s, looks_again):
     day = WatchedDay(MORNING_UTC_S)
     assert day.minutes(6, frozen=3, at_w_m2=1800.0)[3] is None
     day.clock.utc_s += gap_s
     found = day.minutes(6, frozen=3, at_w_m2=1800.0)[3]
     assert (found < 2.0) == looks_again
     assert found < 6.0, "and the looks of before still count"
+
+
+def test_a_cube_that_is_read_once_a_minute_is_watched_over_half_an_hour_too():
+    day = WatchedDay(MORNING_UTC_S)
+    found = day.minutes(90, frozen=3, at_w_m2=250.0, every_s=60.0, late_s=0.02)
+    assert [minutes is not None for minutes in found] == [False, False, False, True]
+    assert "the same while the light changes on the others" in day.alarms.active[0].text
 
 
 @pytest.mark.parametrize("latitude_deg", [48.7, 0.0, -0.5, -33.0])

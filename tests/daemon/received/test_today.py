@@ -78,6 +78,14 @@ def test_a_gap_stands_for_nothing():
     assert feed(counted, even(200.0), 600, begin_s=4000).known_s == 1200
 
 
+def test_a_cube_that_is_read_once_a_minute_counts_whether_a_scan_is_late_or_early():
+    counted = today()
+    for number, off_s in enumerate([0.0, 0.02, -0.01, 0.0, 0.01] * 6):
+        at_s = 60.0 * number + off_s
+        counted.add(scan(at_s, even(200.0)), Pose(NOON_S + at_s, at_s, *FLAT, moving=False), NOON_S + at_s)
+    assert counted.today.known_s == pytest.approx(29 * 60.0, abs=61.0)
+
+
 def test_it_outlives_a_restart_and_ends_with_the_solar_day(tmp_path):
     folder = StateFolder(tmp_path)
     before = feed(today(tmp_path), even(200.0), 3600)
