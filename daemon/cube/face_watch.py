@@ -194,7 +194,8 @@ class FaceWatch:
         if not self._is_upright or len(self._minutes) < MINUTES:
             return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
         faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
-        return responses(faces, suns, [not self.implausible(face) for face in range(len(FACES))])
+        # Among faces that nobody can tell apart, one that stands still tells.
+        return responses(faces, suns, [why in (Doubt.NONE, Doubt.TORN) for why in self._whys])
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
         if doubt is not Doubt.NONE:

@@ -352,6 +352,16 @@ def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():
     assert day.doubted() == []
 
 
+def test_of_faces_that_no_light_explains_the_one_that_stands_still_is_named_and_the_others_are_used_again():
+    day = WatchedDay(MORNING_UTC_S - 3 * 3600.0)
+    day.minutes(150, frozen=1, at_w_m2=400.0)
+    assert day.doubted() == [0, 1, 2, 3], "until the sun has reached the south face"
+    day.minutes(40, frozen=1, at_w_m2=400.0)
+    assert day.doubted() == [1]
+    (alarm,) = day.alarms.active
+    assert "the same while the light changes on the others" in alarm.text
+
+
 def test_a_face_stuck_at_a_level_is_named_in_the_night():
     day = WatchedDay(MORNING_UTC_S + 14 * 3600.0)
     found = day.minutes(15, frozen=1, at_w_m2=200.0)
