@@ -17,13 +17,14 @@ from solar.laws.heard import Heard, solar_day
 from solar.laws.law import Aim, Estimates, Faces, Law, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import light_from_faces, usable_faces, zenith_usable
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
-from solar.laws.optimal import OptimalLaw
+from solar.laws.optimal import Choice, OptimalLaw
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
 from solar.laws.words import weighed
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
 FACES_NEEDED = 3
+_TOO_MUCH = "what the law may move in a day does not allow it (law.moves_per_day, law.travel_per_day_deg)"
 
 
 class LiveOptimalSettings(LawSettings):
@@ -155,7 +156,8 @@ class LiveOptimal(Law):
         choice = self._law.choose(*now.heading, directions[1], self._daylight_left(utc_s), directions[2])
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         moves = bool(choice.move)
-        why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves)
+        hindered = self._hindered(choice, directions[1])
+        why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves, hindered=hindered)
         target = Angles(float(choice.a_deg), float(choice.b_deg)) if moves else None
         light = self._law.light
         return Aim(
@@ -192,6 +194,14 @@ class LiveOptimal(Law):
             np.where(good, light.uniform, np.nan),
             np.full(len(faces), float(learned.albedo)),
         )
+
+    def _hindered(self, choice: Choice, sun_ahead: Array) -> str:
+        """Return what forbids a move whatever it gains, or this one although it is worth it; empty for nothing."""
+        if not self._law.affords(0.0):
+            return _TOO_MUCH
+        if choice.move or not choice.gain_w_m2 > choice.price_w_m2:
+            return ""
+        return _TOO_MUCH if sun_ahead[2] > 0.0 else "the sun is about to set"
 
     def _kept(self) -> Kept:
         return Kept(

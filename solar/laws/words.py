@@ -38,9 +38,11 @@ def out_of_shade_by(wanted: Angles, target: Angles, reason: str) -> str:
     return f"{reason}; {told}" if reason else told
 
 
-def weighed(gain_w_m2: float, price_w_m2: float, *, moves: bool) -> str:
-    """Return what a move would gain and what it costs in wear, as the law `optimal` weighs them."""
+def weighed(gain_w_m2: float, price_w_m2: float, *, moves: bool, hindered: str = "") -> str:
+    """Return what a move would gain and what it costs in wear, as the law `optimal` weighs them, or what forbids it."""
     gain, price = f"{gain_w_m2:.1f}", f"{price_w_m2:.1f}"
+    if hindered:
+        return f"{gain} W/m2 to gain, but {hindered}"
     if moves:
         return f"{gain} W/m2 to gain, more than the wear of a move is worth ({price})"
     return f"{gain} W/m2 to gain, not worth a move (from {price})"

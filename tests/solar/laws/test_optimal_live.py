@@ -1,6 +1,7 @@
 """The law `optimal` as a tracker runs it, beside the law itself fed by hand with means, suns and days."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -157,6 +158,15 @@ def test_prices_rise_with_the_budget_that_is_used_and_the_daylight_that_is_left(
         in_means(readings, 3, 15.0), now.utc_s, (0.0, 90.0))[0].price_w_m2)  # fmt: skip
 
 
+@pytest.mark.parametrize("limit", [{"travel_per_day_deg": 50.0}, {"moves_per_day": 1}])
+def test_a_move_that_the_day_does_not_allow_is_not_said_to_be_worth_nothing(limit):
+    law = live(**limit)
+    law.book(0.0)
+    aim = law.aim(Moment(NOON, None, Angles(-50.0, 15.0)))
+    assert aim.target is None
+    assert re.fullmatch(r"\d+\.\d W/m2 to gain, but what the law may move in a day does not allow it \(.*\)", aim.why)
+
+
 def test_the_settings_reach_the_law():
     law = live(thrift=3.0, travel_per_day_deg=50.0, moves_per_day=2, albedo=0.4)
     readings = list(scans(3))
@@ -230,13 +240,13 @@ def test_to_learn_anew_forgets_what_waits_too():
 
 def test_where_the_sun_does_not_set_the_day_is_as_long_as_it_is():
     site, noon_s = Site(80.0, 0.0, 0.0), 1687348800.0  # 2023-06-21 12:00 UTC
-    law = live(utc_s=noon_s, site=site, travel_per_day_deg=100.0)
-    law.book(75.0)
+    law = live(utc_s=noon_s, site=site, travel_per_day_deg=1000.0)
+    law.book(750.0)
     for hours, left in ((0.0, 0.5), (6.0, 0.25), (-6.0, 0.75)):
         utc_s = noon_s + 3600.0 * hours
         aim = law.aim(Moment(utc_s, None, Angles(0.0, 90.0)))
-        same = OptimalLaw(OptimalSettings(travel_per_day_deg=100.0), LIMITS)
-        same.resume(75.0, 1)
+        same = OptimalLaw(OptimalSettings(travel_per_day_deg=1000.0), LIMITS)
+        same.resume(750.0, 1)
         day = sun_day(utc_s, *site)
         exact = (day.noon_utc_s + DAY_S / 2 - utc_s) / DAY_S
         assert exact == pytest.approx(left, abs=0.01)
