@@ -13,7 +13,7 @@ from daemon.bridge.refusals import Statistics
 from daemon.config.sections import SiteSettings
 from daemon.cube.calibration import CubeCalibration
 from daemon.motion.motion import Motion
-from daemon.received.shadow import ShadowState
+from daemon.received.shadow import ShadowState, Travel
 from daemon.received.today import Insolation
 from daemon.service.health import LoopState
 from daemon.service.mode_times import ModesOfDay
@@ -280,7 +280,13 @@ def _version() -> str:
 
 def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
     control, now_s = tracker.control, tracker.clock.monotonic()
-    budget = control.budget
+    budget, shadow = control.budget, None if tracker.shadow is None or glance else tracker.shadow.state
+    received, day = tracker.received.counted if glance else tracker.received.today, budget.used.day
+    # A count ends with the first scan of the next day, and nobody knows when that comes.
+    if received.day != day:
+        received = Insolation(day=day)
+    if shadow is not None and shadow.received.day != day:
+        shadow = replace(shadow, received=Insolation(day=day), travel=Travel(day=day))
     return TrackerState(
         name=tracker.name,
         control=control.state,
@@ -290,8 +296,8 @@ def _tracker(tracker: Tracker, recent: Recent, *, glance: bool) -> TrackerState:
         law_shown={} if glance else control.pointing.law.shown(),
         wishes=control.wishes,
         today=DayUse(budget.used.travelled_deg, budget.used.moves, budget.travel_left_deg, budget.moves_left),
-        received=tracker.received.counted if glance else tracker.received.today,
-        shadow=None if tracker.shadow is None or glance else tracker.shadow.state,
+        received=received,
+        shadow=shadow,
         modes=tracker.mode_times.today(),
         limits=tracker.settings.limits.limits(),
         positioner=_positioner(tracker.motion, now_s),

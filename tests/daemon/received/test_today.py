@@ -139,3 +139,16 @@ def test_the_state_has_it_by_the_rig_s_own_faces(run_rig, law, least, most):
         assert found["actual_kwh_m2"] <= found["best_kwh_m2"]
 
     run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90))
+
+
+def test_what_was_received_on_another_day_is_not_shown_as_today_s_while_no_scan_comes(run_rig, tmp_path):
+    yesterday = {"day": 19_000, "since_utc_s": 19_000.4 * DAY_S, "known_s": 3600.0, "actual_kwh_m2": 0.7}
+    for name in ("received.json", "shadow-flat-received.json"):
+        (tmp_path / name).write_text(json.dumps(yesterday))
+
+    async def scenario(rig):
+        assert rig.control.state.scan is None
+        found = state_json(rig.see(Recent()))
+        assert (found["received"], found["shadow"]["received"]) == (None, None)
+
+    run_rig(scenario, law={"name": "chronometric", "shadow": "flat"}, store={"directory": tmp_path})
