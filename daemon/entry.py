@@ -29,6 +29,7 @@ def main() -> None:
         # A reason or a name may have letters that the terminal has not.
         sys.stdout.reconfigure(errors="replace")
     command, *rest = sys.argv[1:] or [""]
+    _refuse_two_trackers(rest)
     given = _plainly_given(rest) if command in _URGENT else None
     if command not in _URGENT:
         _refuse_a_damaged_installation()
@@ -39,6 +40,16 @@ def main() -> None:
             command_line()
         else:
             _at_once(command, given)
+
+
+def _refuse_two_trackers(words: Sequence[str]) -> None:
+    """Leave with code 2 where an option is given twice of which the command line would take the last alone."""
+    if sum(word.partition("=")[0] == "--tracker" for word in words) > 1:
+        sys.stderr.write(
+            "heliocube: --tracker is given more than once, and a command is for one tracker: give the command for each;"
+            " 'stop' and 'stow' without the option are for all\n"
+        )
+        sys.exit(2)
 
 
 @contextmanager

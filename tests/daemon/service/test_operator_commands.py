@@ -185,6 +185,15 @@ def test_the_program_ends_with_what_was_seen(tmp_path, command, status, body, co
     assert heard[0].get("tracker") == ("west" if "west" in command else None)
 
 
+@pytest.mark.parametrize("command", [["stow"], ["hold"], ["goto", "10", "60"]])
+@pytest.mark.parametrize("trackers", [["--tracker", "west", "--tracker", "east"], ["--tracker=west", "--tracker=east"]])
+def test_no_tracker_is_left_out_of_a_command_that_names_two(tmp_path, command, trackers):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        done = _program(tmp_path, listener, *command, *trackers)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--tracker is given more than once" in done.stderr
+
+
 @pytest.mark.parametrize("command", ["stop", "status"])
 def test_an_answer_is_told_on_a_terminal_that_knows_ascii_only(tmp_path, run_rig, command):
     page = {}
