@@ -4,7 +4,8 @@ import asyncio
 import base64
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from random import Random
 
 import numpy as np
@@ -67,7 +68,7 @@ class IvAcquisition:
         self.outage = Outage(log, "the load")
         self._reconnection = Reconnection(self.outage, random, clock.monotonic, self._notify, lost=DeviceError)
         self._rhythm = Rhythm(settings.period_s)
-        self._was_open = False
+        self._was_open = self._has_failed = False
         self.identity: str | None = None
         self.last: IvCurve | None = None
 
@@ -94,8 +95,22 @@ class IvAcquisition:
         self.identity = None
         await self._load.close()
 
+    @contextmanager
+    def _no_more_than_lost(self) -> Iterator[None]:
+        """Take what a driver does not foresee for a lost load: trackers do not end for want of a measurement."""
+        try:
+            yield
+        except DeviceError:
+            raise
+        except Exception as error:
+            if not self._has_failed:
+                self._has_failed = True
+                log.exception("the driver of the load has failed")
+            raise DeviceError("load", f"its driver has failed ({type(error).__name__}: {error})") from error
+
     async def _open(self) -> None:
-        self.identity = await self._load.open()
+        with self._no_more_than_lost():
+            self.identity = await self._load.open()
         if not self._was_open:
             self._was_open = True
             log.info("the load is open", extra={"fields": {"load": self.identity}})
@@ -115,7 +130,8 @@ class IvAcquisition:
 
     async def _curve(self) -> IvCurve:
         utc_s, start_s, before = self._clock.utc(), self._clock.monotonic(), self._zenith()
-        swept = await self._load.sweep(self._plan, lambda: self._changed(before))
+        with self._no_more_than_lost():
+            swept = await self._load.sweep(self._plan, lambda: self._changed(before))
         return self._judged(swept, utc_s, start_s, before)
 
     def _plan(self, open_circuit_v: float) -> Sequence[float]:

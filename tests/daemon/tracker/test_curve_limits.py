@@ -138,3 +138,23 @@ def test_a_load_is_released_when_it_is_lost_and_when_all_ends():
     assert measured
     assert closed == 2
     assert told == ["the load is down: load: it is gone", "the load is back"]
+
+
+def test_a_driver_that_fails_is_a_lost_load_and_its_traceback_is_logged_once(caplog):
+    def fail(*_arguments):
+        raise ValueError("no number")
+
+    async def scenario():
+        bench = Bench(Load())
+        bench.load.sweep, sweep = fail, bench.load.sweep
+        working = asyncio.create_task(bench.for_s(120.0))
+        await asyncio.sleep(60.0)
+        assert bench.acquisition.outage.reason == "load: its driver has failed (ValueError: no number)"
+        bench.load.sweep = sweep
+        curves = await working
+        return curves, [event.text for event in bench.records if isinstance(event, Event)]
+
+    curves, told = run(scenario)
+    assert len(curves) > 5
+    assert told == ["the load is down: load: its driver has failed (ValueError: no number)", "the load is back"]
+    assert len([record for record in caplog.records if record.exc_info]) == 1
