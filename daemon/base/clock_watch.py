@@ -76,6 +76,11 @@ class ClockWatch:
         """UTC [s] as it was believed last: while the clock is in doubt, what it would show had nobody set it."""
         return self._clock.monotonic() + self._believed_s
 
+    @property
+    def trusted_now(self) -> bool:
+        """Whether the time of day is right for all that is known at this instant, and not only at the last look."""
+        return self.trusted and abs(self._clock.utc() - self.believed_utc_s) <= _DISTRUST_S
+
     def _ask(self, now_s: float) -> None:
         if now_s < self._ask_s:
             return

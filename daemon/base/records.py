@@ -231,6 +231,7 @@ class CurveQuality(StrEnum):
     STOPPED = "stopped"
     NO_MAXIMUM = "no-maximum"
     DARK = "dark"
+    CLOCK = "clock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +255,7 @@ class IvCurve:
     points
         How many were measured.
     quality, why
-        ``ok``: the whole curve was measured and has a maximum; what is wrong otherwise.
+        ``ok``: the whole curve was measured and has a maximum; what is wrong otherwise. ``clock``: its time alone.
     curve
         The points, voltages and then currents, as base64 of little-endian 32-bit floats; empty unless kept.
     """

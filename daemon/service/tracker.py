@@ -172,6 +172,7 @@ class Tracker:
                 self.publish,
                 sun_elevation_deg,
                 settings.safety.scan_stale_s,
+                lambda: self._clock_watch.trusted_now,
             )
 
     @property

@@ -46,6 +46,9 @@ class IvAcquisition:
         Of UTC [s].
     scan_stale_s
         Age from which the cube's reading is not known any more.
+    time_known
+        Tells whether the time of day is believed: if not, curves go on, with a word about their time and without the
+        sun.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class IvAcquisition:
         publish: Callable[[Record], None],
         sun_elevation_deg: Callable[[float], float],
         scan_stale_s: float,
+        time_known: Callable[[], bool] = lambda: True,
     ) -> None:
         self._settings = settings
         self._load = load
@@ -64,6 +68,7 @@ class IvAcquisition:
         self._publish = publish
         self._sun_elevation_deg = sun_elevation_deg
         self._scan_stale_s = scan_stale_s
+        self._time_known = time_known
         self._zenith_w_m2, self._zenith_s = math.nan, -math.inf
         self.outage = Outage(log, "the load")
         self._reconnection = Reconnection(self.outage, random, clock.monotonic, self._notify, lost=DeviceError)
@@ -120,7 +125,7 @@ class IvAcquisition:
         self._rhythm.start(self._clock.monotonic())
         while True:
             curve = None
-            if self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
+            if not self._time_known() or self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
                 curve = await self._curve()
             self._reconnection.works()
             if curve is not None:
@@ -160,6 +165,8 @@ class IvAcquisition:
             quality, why = CurveQuality.DARK, f"the open-circuit voltage is {swept.open_circuit_v:.2f} V"
         elif found.why_not:
             quality, why = CurveQuality.NO_MAXIMUM, found.why_not
+        elif not self._time_known():
+            quality, why = CurveQuality.CLOCK, "the clock was set, and nothing tells that its time is right"
         return IvCurve(
             time_utc_s=utc_s,
             time_monotonic_s=start_s,

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from daemon.base.records import Decision, Event, Move
+from daemon.base.records import CurveQuality, Decision, Event, IvCurve, Move
 from daemon.service.rig import Role
 from tests.support.phases import at_rest, tracking
 from tests.support.rig import HandWeather
@@ -70,3 +70,24 @@ def test_after_a_step_the_chronometric_law_waits_until_the_clock_is_set_right(ru
         assert len(rig.of(Move)) > moves
 
     run_rig(scenario, law={"name": "chronometric"})
+
+
+@pytest.mark.parametrize("step_s", [3600.0, 12 * 3600.0])
+def test_curves_go_on_by_a_clock_in_doubt_and_say_that_their_time_may_be_wrong(run_rig, step_s):
+    def begun_since(rig, begin_s):
+        return [curve for curve in rig.of(IvCurve) if curve.time_monotonic_s > begin_s]
+
+    async def scenario(rig):
+        await tracking(rig)
+        assert {curve.quality for curve in rig.of(IvCurve)} == {CurveQuality.OK}
+        rig.clock.step_s, set_s = step_s, rig.clock.monotonic()
+        await asyncio.sleep(600)
+        curves = begun_since(rig, set_s)
+        assert len(curves) == pytest.approx(120, abs=2)
+        assert {curve.quality for curve in curves} == {CurveQuality.CLOCK}
+        assert all(curve.pmpp_w > 0.0 for curve in curves)
+        rig.clock.step_s, right_s = 0.0, rig.clock.monotonic()
+        await asyncio.sleep(60)
+        assert {curve.quality for curve in begun_since(rig, right_s + 5.0)} == {CurveQuality.OK}
+
+    run_rig(scenario, weather=HandWeather(dni=0, dhi=200), load={"driver": "simulated"})
