@@ -125,10 +125,18 @@ def _measurements(connection: sqlite3.Connection, name: str | None, path: Path) 
         whole = _joined(both, light, "nearest", _SCAN_WITHIN_S)
         found.append(whole.assign(tracker=name or own or f"run {run}", simulated=_simulated(connection, run)))
     if not found:
-        raise UserError(
-            f"the store {path} holds no I-V curves: they need an electronic load, section load of the configuration"
-        )
+        raise UserError(_why_none(f"the store {path}", name, list(_trackers(connection))))
     return pd.concat(found, ignore_index=True).reindex(columns=list(Measurement._fields))
+
+
+def _why_none(called: str, name: str | None, trackers: Sequence[tuple[int, str, bool]]) -> str:
+    """Return the sentence for a store of which no curve can be used."""
+    if not trackers:
+        return f"{called} holds no I-V curves: they need an electronic load, section load of the configuration"
+    there = ", ".join(sorted({f"'{own}'" for _, own, _ in trackers}))
+    if name is not None and all(one_of_several and own != name for _, own, one_of_several in trackers):
+        return f"{called} holds I-V curves of {there} and none of '{name}': name one of them, or leave the name out"
+    return f"{called} holds I-V curves of {there}, but none of quality 'ok': see their column why"
 
 
 def _trackers(connection: sqlite3.Connection) -> Iterator[tuple[int, str, bool]]:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from daemon.base.clock import SystemClock
+from daemon.base.errors import UserError
 from daemon.base.records import CurveQuality, FaceReading, IvCurve, Pose, Quality, Scan
 from daemon.store.store import Origin, Store
 from daemon.studies.compare.stored import kept_curve, read_stores
@@ -34,7 +36,7 @@ CURVE = IvCurve(
 POSE = Pose(NOON, 0.0, 10.0, 60.0, moving=False, tracker="east")
 
 
-def kept(folder, tracker):
+def kept(folder, tracker, quality=CurveQuality.OK):
     """Keep the records of two trackers in a run; it bears the name of one where there is but one."""
     origin = Origin(
         started_utc_s=NOON,
@@ -52,8 +54,8 @@ def kept(folder, tracker):
         SCAN,
         POSE,
         replace(POSE, a_deg=-20.0, tracker="west"),
-        CURVE,
-        replace(CURVE, pmpp_w=90.0, tracker="west"),
+        replace(CURVE, quality=quality),
+        replace(CURVE, pmpp_w=90.0, quality=quality, tracker="west"),
     ):
         store.keep(record)
     store.close()
@@ -76,3 +78,18 @@ def test_a_name_chooses_the_tracker_out_of_a_run_of_several(tmp_path):
     assert kept_curve([("west", folder)], "west").time_utc_s == NOON + 1
     assert np.array_equal(kept_curve([(None, folder)], "west").voltage_v, [0.0, 1.0])
     assert kept_curve([(None, folder)], "north") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "quality", "why"),
+    [
+        ("T-Cube", CurveQuality.OK, "holds I-V curves of 'east', 'west' and none of 'T-Cube'"),
+        ("west", CurveQuality.CLOCK, "holds I-V curves of 'east', 'west', but none of quality 'ok'"),
+        (None, CurveQuality.DARK, "holds I-V curves of 'east', 'west', but none of quality 'ok'"),
+    ],
+)
+def test_a_store_whose_curves_cannot_be_used_is_not_said_to_hold_none(tmp_path, name, quality, why):
+    folder = kept(tmp_path, "", quality)
+    with pytest.raises(UserError) as refused:
+        read_stores([(name, folder)])
+    assert why in str(refused.value)
