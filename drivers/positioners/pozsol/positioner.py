@@ -117,8 +117,7 @@ class PozsolPositioner:
 
     async def close(self) -> None:
         """Release the link; a move goes on."""
-        self._identified = False
-        self._nothing_sent = True
+        self._identified, self._nothing_sent = False, True
         self._watch.break_off_run()
         await self._line.close()
 
@@ -351,6 +350,7 @@ class PozsolPositioner:
             standstill.update(
                 (seen.position_a, seen.position_b), (seen.destination_a, seen.destination_b), seen.time_monotonic_s
             )
+        self._watch.stand()
 
     async def _send(self, field: Field, value: float | str, stops: int) -> float:
         """Send when the last command is long enough ago; return the time from which telemetry may show its effect."""

@@ -94,6 +94,10 @@ class LastKnown:
         """Take note of a target that is about to be sent."""
         self._told[axis] = destination
 
+    def forget_told(self) -> None:
+        """Take note that no axis is on its way any more."""
+        self._told.clear()
+
     def strayed(self, axis: AxisName, position: float, slip: float) -> str:
         """Return in words that an axis is elsewhere than what was last seen of it can have led to; empty if not."""
         if axis not in self._seen:

@@ -112,10 +112,15 @@ class PositionerWatch:
         """Take note of a target that is about to be sent: should the link be lost, the axis may have gone there."""
         self._last_known.tell(axis, destination)
 
+    def stand(self) -> None:
+        """Take note that both axes stand after a stop, which forgets what they were told."""
+        self._last_known.forget_told()
+
     def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
         start = position_of(axis, before)
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
+        self._last_known.tell(axis, 0.0)
         self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
         self._last = None
         return self.run
@@ -242,14 +247,22 @@ class PositionerWatch:
         for axis in AXES:
             position, destination, set_anew = seen[axis].position, seen[axis].destination, self._set_anew
             trusted = not self.reference.doubts(axis)
-            if trusted and self._was_out_of_sight and not status.autonomous:
+            if self._was_out_of_sight and not status.autonomous:
                 # A unit that has restarted takes its mark back by itself after 15 minutes.
                 strayed = self._last_known.strayed(axis, position, self._setups[axis].units(_UNSEEN_DEG))
                 if strayed:
-                    self.reference.note(f"{axis} strayed {seen[axis].time_s}", strayed, axis)
+                    self._note_strayed(seen[axis], axis, strayed)
                     trusted, set_anew = False, True
             self._last_known.note(axis, position, destination, trusted=trusted, set_anew=set_anew)
         self._set_anew = self._was_out_of_sight = False
+
+    def _note_strayed(self, look: AxisObservation, axis: AxisName, text: str) -> None:
+        if f"{axis} before" in self.reference.kinds:
+            # It says so already, of where the axis would stand if its end switch has lied.
+            return
+        # On a closed switch a reference run has no way that could tell who is right.
+        stands = self._last_known.at_worst(axis) if f"{axis}_low" in look.status.end_switches else None
+        self.reference.note(f"{axis} strayed {look.time_s}", text, axis, stands=stands)
 
 
 def position_of(axis: AxisName, seen: Telemetry) -> float:

@@ -108,3 +108,54 @@ def test_who_was_moved_while_the_link_was_down_is_in_doubt_unless_the_unit_moves
         assert seen.reference_doubt.startswith("axis A has the count") is (fault == "button_in")
 
     run(act)
+
+
+async def homed(cable):
+    return (await cable.home_both()).reference_doubt
+
+
+@pytest.mark.parametrize(("axis", "fault"), [("b", "re_reference"), ("a", "button_in")])
+def test_an_axis_that_is_on_its_switch_after_an_outage_is_in_doubt_until_two_reference_runs(axis, fault):
+    async def act(cable):
+        await cable.positioner.move_to(0.0, 60.0)
+        await asyncio.sleep(60.0)
+        await cable.positioner.read_telemetry()
+        seen = await cable.out(lambda now: cable.core.inject(fault, now))
+        assert seen.reference_doubt.startswith(f"axis {axis.upper()} has the count -")
+        if fault == "button_in":
+            cable.core.repair(fault, cable.now())
+        assert "home it again" in await homed(cable)
+        assert await homed(cable) == ""
+
+    run(act)
+
+
+def test_a_reference_run_that_ends_while_the_link_is_down_takes_one_more():
+    async def act(cable):
+        homing = asyncio.ensure_future(cable.positioner.home("b"))
+        await asyncio.wait((homing,), timeout=3.0)
+        seen = await cable.out()
+        with contextlib.suppress(LinkLostError):
+            await homing
+        assert seen.b_deg == pytest.approx(13.0, abs=0.2)
+        assert seen.reference_doubt == "the reference run of B did not end"
+        assert await homed(cable) == ""
+
+    run(act)
+
+
+def test_a_count_that_is_lost_in_an_outage_while_it_is_in_doubt_is_not_found_on_a_stuck_switch():
+    async def act(cable):
+        def upset(now):
+            cable.core.power_cycle(now, keep_position=False)
+            cable.core.inject("a_switch_closed", now)
+
+        await cable.positioner.home("a")
+        await asyncio.sleep(2.0)
+        await cable.positioner.halt()
+        seen = await cable.out(upset)
+        assert seen.reference_doubt.startswith("the reference run of A did not end; axis A has the count 0")
+        for _ in range(3):
+            assert "its low end switch may be stuck" in await homed(cable)
+
+    run(act)
