@@ -192,8 +192,14 @@ class Guard:
         self.watch.forget()
 
     def forget(self) -> None:
-        """Forget what was told: a person has looked."""
+        """Forget what was told, and where an axis would stand if a doubt were right: a person has looked."""
         self._currents.forget()
+        self._place.leaves()
+
+    def departs(self) -> None:
+        """Take note that a target is about to be sent: from then on the axes go there, whatever becomes of us."""
+        self.rested = None
+        self._place.leaves()
 
     async def poll(self, *, moving: bool) -> Telemetry:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""

@@ -52,7 +52,7 @@ class KeptPlace:
             self._positioner.recall(kept.a, kept.b, doubt or "")
 
     def leaves(self) -> None:
-        """Take note that an axis moves, or may."""
+        """Keep no place: an axis moves, or may, or stands elsewhere by what a person has said."""
         if self._rested is not None:
             self._rested = None
             self._file.save(_Kept())

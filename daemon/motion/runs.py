@@ -104,7 +104,6 @@ class Runs:
         start = self._guard.pose
         assert start is not None  # noqa: S101 - narrowing; a move is only taken up after a look
         outcome, why = MoveOutcome.LINK_LOST, target.why
-        self._guard.rested = None
         try:
             outcome, why = await self._attempt(target, start)
         except BaseException as error:
@@ -155,6 +154,7 @@ class Runs:
                 await guard.halt()
             if self.is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
+            guard.departs()
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
                 await self._positioner.move_to(target.a_deg, target.b_deg, first="b" if self._stow else "a")

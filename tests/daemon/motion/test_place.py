@@ -82,3 +82,33 @@ def test_a_simulated_positioner_that_begins_anew_is_expected_nowhere(run_rig, ke
     monkeypatch.setattr(ServiceRig, "begins_anew", True)
     rested_elsewhere(kept)
     run_rig(quiet, store={"directory": kept})
+
+
+def test_a_target_is_sent_after_the_place_was_forgotten(run_rig, kept, monkeypatch):
+    async def scenario(rig):
+        move_to, found = rig.positioner.move_to, []
+
+        async def move_and_look(*target, first):
+            found.append((kept / FILE_NAME).read_text())
+            await move_to(*target, first=first)
+
+        monkeypatch.setattr(rig.positioner, "move_to", move_and_look)
+        await quiet(rig)
+        assert {text.strip() for text in found} == {"{}"}
+
+    run_rig(scenario, store={"directory": kept})
+
+
+def test_what_a_person_has_cleared_is_not_in_doubt_again_after_a_restart(run_rig, kept):
+    async def cleared(rig):
+        await quiet(rig)
+        await stuck_on_its_way(rig)
+        rig.unit.repair("b_switch_closed", rig.clock.monotonic())
+        await rig.control.stop("a test")
+        rig.motion.clear_faults()
+        await asyncio.sleep(20)
+        places, seen = json.loads((kept / FILE_NAME).read_text()), rig.motion.telemetry
+        assert rig.motion.doubt is None
+        assert places == pytest.approx({"a": seen.position_a, "b": seen.position_b}, abs=0.1)
+
+    run_rig(cleared, store={"directory": kept}, motion={"rehome": "operator"})
