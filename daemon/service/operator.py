@@ -175,7 +175,7 @@ class Operator:
             control.hold(why, by)
         self._note("hold", why, by)
         control.tick()
-        if control.mode is Mode.HOLD:
+        if control.mode is not Mode.STOW and not motion.goes_home:
             # Even a tracker at rest is polled once more. A stow or a reference run goes before a hold.
             motion.rest()
 

@@ -45,6 +45,22 @@ def test_a_hold_in_the_instant_of_a_gust_does_not_keep_the_stow_waiting(run_rig)
     run_rig(scenario)
 
 
+def test_a_hold_stops_what_is_left_of_a_stow_that_was_released_in_doubt(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.unit.power_cycle(rig.clock.monotonic())
+        await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
+        operator = Operator(rig.tracker, 1.0)
+        await operator.stow("a test", "ana")
+        await operator.auto("a test", "ana")
+        assert (rig.mode, rig.motion.moving) == (Mode.FAULT, True)
+        await operator.hold("a test", "ana")
+        assert not rig.motion.moving
+        assert rig.truth().b_deg < 80.0
+
+    run_rig(scenario, motion={"rehome": "operator"})
+
+
 def test_stow_ends_a_homing_run_and_leaves_a_doubt(run_rig):
     async def scenario(rig):
         await tracking(rig)
