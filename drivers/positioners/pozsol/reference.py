@@ -115,8 +115,10 @@ class LastKnown:
         """Take note of a look: whether its count is to be trusted, and whether it was set anew since the one before."""
         if trusted:
             self.referenced(axis)
-        elif set_anew and axis in self._lost:
-            self._lost[axis] += self._seen[axis] - position
+        elif set_anew:
+            for lost in (self._lost, self._lost_if_lied):
+                if axis in lost:
+                    lost[axis] += self._seen[axis] - position
         self._seen[axis], self._shown[axis] = position, destination
         if abs(destination - self._told.get(axis, destination)) <= _SHOWS:
             self._told.pop(axis, None)

@@ -159,3 +159,23 @@ def test_a_count_that_is_lost_in_an_outage_while_it_is_in_doubt_is_not_found_on_
             assert "its low end switch may be stuck" in await homed(cable)
 
     run(act)
+
+
+def test_where_an_axis_stands_if_its_switch_has_lied_is_known_after_its_count_was_lost_too():
+    async def act(cable):
+        await cable.positioner.home("a")
+        await asyncio.sleep(5.0)
+        cable.core.inject("a_slip", cable.now())
+        for _ in range(100):
+            await asyncio.sleep(1.0)
+            await cable.positioner.read_telemetry()
+        await cable.positioner.move_to(-30.0, 90.0)
+        await asyncio.sleep(60.0)
+        seen = await cable.positioner.read_telemetry()
+        stands, _ = cable.positioner.standing()
+        assert "home it again" in seen.reference_doubt
+        assert abs(stands - seen.position_a) > 4.0
+        await cable.out(lambda now: cable.core.power_cycle(now, keep_position=False))
+        assert cable.positioner.standing()[0] == pytest.approx(stands, abs=0.1)
+
+    run(act)
