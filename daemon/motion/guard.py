@@ -311,10 +311,12 @@ class Guard:
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # On the way of a move of ours the bit alone says nothing: it may be that of the other axis' motion.
         own_run = told and not self.watch.on_its_way
-        if not self.homing and (own_run or (stray is not None and (told or telemetry.aims_home))):
+        # A run that ends on its switch before the next look has set its count anew, and shows as a jump alone.
+        ended = stray is not None and stray.jump and before is not None and before.aims_home
+        if not self.homing and (own_run or ended or (stray is not None and (told or telemetry.aims_home))):
             text = "the positioner made a reference run of its own"
             self.doubts.doubt("own run", f"{text}, its count may have changed: home it")
-            stray = stray or Stray(text, telemetry.time_monotonic_s)
+            stray = Stray(text, telemetry.time_monotonic_s) if stray is None or ended else stray
         if stray is None:
             return
         if stray.jump:

@@ -120,6 +120,19 @@ def test_a_reference_run_of_the_units_own_is_stopped_and_leaves_the_count_in_dou
     run_motion(scenario)
 
 
+def test_a_reference_run_of_the_units_own_that_ends_before_the_next_look_is_told_as_one():
+    async def scenario(rig):
+        await asleep(rig)
+        rig.unit.says["aims_home"] = True
+        await asyncio.sleep(2.0)
+        rig.unit.says.clear()
+        rig.unit.put(-52.0, 60.0)
+        await rig.until(lambda: rig.motion.unexplained, 4.0)
+        assert rig.motion.unexplained.startswith("the positioner made a reference run of its own without an order")
+
+    run_motion(scenario)
+
+
 def test_what_the_status_said_before_the_stop_is_no_run_of_its_own():
     async def scenario(rig):
         await asleep(rig)
