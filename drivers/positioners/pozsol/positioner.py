@@ -384,7 +384,7 @@ class PozsolPositioner:
             raise RefusedError(_DEVICE, "a stop came in between")
 
     async def _confirm(self, done: Callable[[Telemetry], bool], what: str, stops: int, within_s: float) -> Telemetry:
-        """Wait until `done` says so of the telemetry, and return that."""
+        """Wait until `done` says so of the telemetry, and return that; what is late says neither yes nor no."""
         deadline_s = self._now() + within_s
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
@@ -392,7 +392,7 @@ class PozsolPositioner:
             seen = self._read()
             if done(seen):
                 return seen
-            if self._now() >= deadline_s:
+            if seen.time_monotonic_s >= deadline_s:
                 raise RefusedError(_DEVICE, f"did not take {what}: {likely_cause(seen)}")
 
 

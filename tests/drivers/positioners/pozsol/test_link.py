@@ -19,6 +19,7 @@ from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.wire import Field
 from sim_drivers.bench.positioner_host import BANNER
 from tests.drivers.positioners.pozsol.test_positioner_protocol import A, B, it_is, positioner_on, until
+from tests.firmware.live import move
 
 
 async def _lost(positioner, why):
@@ -147,7 +148,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for_and_its_ref
             assert (await positioner.read_telemetry()).was_reset
             await positioner.clear_faults()
             assert not (await positioner.read_telemetry()).was_reset
-            await positioner.move_to(5.0, 80.0)
+            await move(positioner, 5.0, 80.0)
             await positioner.close()
 
     asyncio.run(scene())

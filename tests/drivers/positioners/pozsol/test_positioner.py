@@ -54,6 +54,24 @@ def test_a_halt_of_a_standing_unit_is_quick_and_of_a_moving_one_lasts_until_it_s
     on_unit(scenario)
 
 
+def test_a_target_whose_telemetry_comes_late_is_not_called_refused():
+    async def scene():
+        now = asyncio.get_running_loop().time
+        line = InMemoryStream(PositionerCore(now()), now)
+        positioner = PozsolPositioner(line, now, A, B)
+        await positioner.open()
+        moving = asyncio.create_task(positioner.move_to(-30.0, 45.0))
+        await asyncio.sleep(0.15)
+        line.silent = True
+        await asyncio.sleep(1.7)
+        assert not moving.done()
+        line.silent = False
+        await moving
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scene())
+
+
 def test_a_machine_that_was_busy_for_a_second_has_yet_sent_stop_twice():
     async def scene():
         late_s, sent, loop = [0.0], [], asyncio.get_running_loop()
