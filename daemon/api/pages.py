@@ -84,11 +84,6 @@ class Feed:
     def __init__(self) -> None:
         self._listeners: list[asyncio.Queue[bytes]] = []
 
-    @property
-    def listeners(self) -> int:
-        """How many listen."""
-        return len(self._listeners)
-
     def note(self, record: Record) -> None:
         """Take in one record."""
         if not self._listeners:

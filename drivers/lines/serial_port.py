@@ -164,6 +164,10 @@ def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
     return ConnectError(device, f"{path} cannot be opened: {text}")
 
 
+LONGEST_DRAIN_S = 3.0
+"""For how long what comes unasked is thrown away, until it is called endless."""
+
+
 def keeps_sending(device: str) -> ConnectError:
     """Return the error for what sends on and on although nobody has asked it."""
     return ConnectError(device, "what is there keeps sending unasked: is it this instrument, and the speed right?")

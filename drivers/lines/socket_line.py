@@ -9,7 +9,7 @@ import re
 import socket
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
-from drivers.lines.serial_port import keeps_sending
+from drivers.lines.serial_port import LONGEST_DRAIN_S, keeps_sending
 from drivers.transcript import Tap, no_tap
 
 SOCKET_RESOURCE = re.compile(r"TCPIP\d*::(?P<host>[A-Za-z0-9._-]+)::(?P<port>\d{1,5})::SOCKET", re.IGNORECASE)
@@ -17,7 +17,6 @@ SOCKET_RESOURCE = re.compile(r"TCPIP\d*::(?P<host>[A-Za-z0-9._-]+)::(?P<port>\d{
 
 _CONNECT_S = 5.0
 _LONGEST_LINE = 65536
-_LONGEST_DRAIN_S = 3.0
 
 
 class SocketLine:
@@ -106,7 +105,7 @@ class SocketLine:
         if reader is None:
             raise LinkLostError(self._device, "has to be opened first")
         now = asyncio.get_running_loop().time
-        until_s = now() + _LONGEST_DRAIN_S
+        until_s = now() + LONGEST_DRAIN_S
         with contextlib.suppress(TimeoutError):
             while now() < until_s:
                 async with asyncio.timeout(quiet_s):

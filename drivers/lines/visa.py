@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
 from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissingError, LinkLostError
-from drivers.lines.serial_port import cannot_open, keeps_sending, terminal_errors
+from drivers.lines.serial_port import LONGEST_DRAIN_S, cannot_open, keeps_sending, terminal_errors
 from drivers.transcript import Tap, no_tap
 
 _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
 _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
 _BITS_PER_BYTE = 10
-_LONGEST_DRAIN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,7 @@ class VisaLine:
 
     def drain(self, quiet_s: float) -> None:
         """Read until nothing has come for `quiet_s`; `ConnectError` for what goes on and on."""
-        until_s = time.monotonic() + _LONGEST_DRAIN_S + self.transfer_s
+        until_s = time.monotonic() + LONGEST_DRAIN_S + self.transfer_s
         with contextlib.suppress(DeadlineError):
             while time.monotonic() < until_s:
                 self._read(quiet_s + self.transfer_s / 10)

@@ -112,6 +112,6 @@ def test_a_listener_that_does_not_read_costs_a_bounded_queue_and_nobody_else_any
                 feed.note(Event(float(n), float(n), "test", str(n)))
             assert queue.qsize() == 500
             assert b'"text":"4500"' in queue.get_nowait()
-        assert feed.listeners == 0
+        assert len(feed._listeners) == 0
 
     asyncio.run(scenario())
