@@ -5,6 +5,7 @@ does over each kind of GPIB adapter; where clear is not supported the line is dr
 """
 
 import contextlib
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
 _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
 _BITS_PER_BYTE = 10
+# PyVISA hands out its one manager to a second thread while the first still makes it, and drops it once nobody has it.
+_making_manager = threading.Lock()
+_managers: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +123,8 @@ class VisaLine:
         settings = self._settings
         library = "@py" if settings.library == "py" else "@ivi"
         try:
-            self._manager = self._pyvisa.ResourceManager(library)
+            with _making_manager:
+                self._manager = _managers.setdefault(library, self._pyvisa.ResourceManager(library))
         except (OSError, ValueError) as error:
             message = f"NI-VISA is not installed on this PC; install it, or set {settings.section}.visa to py"
             raise DriverMissingError(settings.device, message) from error

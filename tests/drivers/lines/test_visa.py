@@ -7,10 +7,14 @@ import sys
 import termios
 import threading
 import time
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import pyvisa.highlevel
 
 from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
+from drivers.lines import visa
 from drivers.lines.visa import VisaLine, VisaSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
@@ -143,3 +147,23 @@ def test_a_line_that_is_gone_is_a_lost_link_and_can_be_closed(ends):
 def test_what_cannot_be_opened_says_what_to_do(settings, error, words):
     with pytest.raises(error, match=words):
         VisaLine(settings)
+
+
+def test_two_instruments_that_are_opened_at_once_for_the_first_time_get_one_whole_manager(ends, monkeypatch):
+    def slow_set(*members):
+        time.sleep(0.2)
+        return weakref.WeakSet(*members)
+
+    monkeypatch.setattr(pyvisa.highlevel.VisaLibraryBase, "_registry", weakref.WeakValueDictionary())
+    monkeypatch.setattr(pyvisa.highlevel, "WeakSet", slow_set)
+    monkeypatch.setattr(visa, "_managers", {})
+    _, path = ends
+    begin = threading.Barrier(2)
+
+    def open_line(resource):
+        begin.wait()
+        with contextlib.suppress(ConnectError):
+            VisaLine(VisaSettings(resource)).close()
+
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(open_line, [f"ASRL{path}::INSTR", "ASRL/dev/no-such-port::INSTR"]))
