@@ -48,4 +48,5 @@ class SimulationSettings(Section):
     )
     sensor_gain_error: NotNegative = Field(0.005, le=0.5, description="Spread of the sensors' gains, as a share.")
     sensor_noise_mv: NotNegative = Field(0.02, le=100, description="Noise of a sensor's voltage, one sigma.")
-    motor_speed_mm_s: Positive = Field(3.2, le=100, description="Speed of the positioner's actuators.")
+    # Faster ones turn an axis by more than the 10 deg/s that count as a jump of its count.
+    motor_speed_mm_s: Positive = Field(3.2, le=15, description="Speed of the positioner's actuators.")

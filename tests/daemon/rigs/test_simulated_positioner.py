@@ -3,13 +3,16 @@
 import asyncio
 
 import pytest
+from annotated_types import Le
 
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
 from daemon.base.records import Mode, Move, MoveOutcome
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
+from daemon.config.simulation import SimulationSettings
 from daemon.rigs.simulated import build_simulated_positioner
+from tests.support.phases import at_rest, tracking
 
 GEOMETRIES = {
     "other arms": {
@@ -61,6 +64,22 @@ def test_the_service_tracks_with_it(run_rig, geometry):
         assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
 
     run_rig(scenario, instruments={"positioner": geometry})
+
+
+def test_the_fastest_actuators_that_may_be_set_turn_no_axis_so_fast_that_its_count_seems_to_jump(run_rig):
+    (fastest,) = (
+        bound.le for bound in SimulationSettings.model_fields["motor_speed_mm_s"].metadata if isinstance(bound, Le)
+    )
+
+    async def scenario(rig):
+        await tracking(rig)
+        for corner in ((-50.0, 90.0), (50.0, 15.0), (-50.0, 15.0)):
+            rig.control.goto(*corner, "a test")
+            await asyncio.sleep(3)
+            await at_rest(rig)
+            assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+
+    run_rig(scenario, simulation={"motor_speed_mm_s": fastest})
 
 
 def test_a_triangle_that_opens_too_far_is_refused_in_either_sense():

@@ -12,6 +12,7 @@ from daemon.config.settings import Settings
 from daemon.service.operator import CommandError, Operator, _Approach
 from daemon.service.operator_commands import Operators, parse
 from daemon.service.rig import Role
+from sim_drivers.pozsol.setup import AxisDrive, Setup
 from tests.support.motion import commands_sent, show
 from tests.support.phases import at_rest, tracking, under_way
 from tests.support.rig import HandWeather, ServiceRig
@@ -202,7 +203,7 @@ def test_a_reference_run_that_ends_between_two_looks_is_done(run_rig):
         assert (answer.done, answer.seen) == (True, "done")
         assert answer.text.startswith("standing at A ")
 
-    run_rig(scenario, simulation={"motor_speed_mm_s": 100.0})
+    run_rig(scenario, setup=Setup(drive=AxisDrive(100.0, acceleration_mm_s2=200.0)))
 
 
 def test_clear_waits_for_a_unit_that_tells_its_status_every_three_seconds(run_rig):
