@@ -12,6 +12,8 @@ from typing import NamedTuple
 TURN_DEG = 360.0
 FLAT_WITHIN_DEG = 0.5
 """So near to the zenith the azimuth means nothing: it is held."""
+# How far beyond its range a rotator may be seen, by its run-out and by the steps of its count.
+_BEYOND_DEG = 5.0
 
 
 class RotatorPosition(NamedTuple):
@@ -75,7 +77,7 @@ class Mount:
         if wanted.elevation_deg >= 90.0 - FLAT_WITHIN_DEG:
             elevation_deg = min(90.0, self.elevation_max_deg)
             held_deg = (self.azimuth_min_deg + self.azimuth_max_deg) / 2 if here is None else here.azimuth_deg
-            azimuth_deg: float | None = min(max(held_deg, self.azimuth_min_deg), self.azimuth_max_deg)
+            azimuth_deg: float | None = self.nearest(RotatorPosition(held_deg, elevation_deg)).azimuth_deg
             reached = elevation_deg >= 90.0 - FLAT_WITHIN_DEG
         else:
             elevation_deg = wanted.elevation_deg
@@ -86,12 +88,25 @@ class Mount:
             raise UnreachableError(f"{where}, and the rotator turns {self}")
         return RotatorPosition(azimuth_deg, elevation_deg)
 
-    def counted(self, azimuth_deg: float) -> float:
-        """Return a reported azimuth in the turn that the range counts in, for those that report another one."""
-        for turn_deg in (0.0, TURN_DEG, -TURN_DEG):
-            if self.azimuth_min_deg <= azimuth_deg + turn_deg <= self.azimuth_max_deg:
-                return azimuth_deg + turn_deg
-        return azimuth_deg
+    def counted(self, azimuth_deg: float, before_deg: float | None = None) -> float:
+        """Return a reported azimuth in the turn that the range counts in, for those that report another one.
+
+        `before_deg` is what was returned for the look before: one that rests a little beyond the end of its range has
+        not gone to the other end.
+        """
+        beyond_deg = 0.0 if before_deg is None else _BEYOND_DEG
+        low_deg, high_deg = self.azimuth_min_deg - beyond_deg, self.azimuth_max_deg + beyond_deg
+        turns_deg = [azimuth_deg + turn_deg for turn_deg in _TURNS if low_deg <= azimuth_deg + turn_deg <= high_deg]
+        if before_deg is None or not turns_deg:
+            return turns_deg[0] if turns_deg else azimuth_deg
+        return min(turns_deg, key=lambda each_deg: abs(each_deg - before_deg))
+
+    def nearest(self, here: RotatorPosition) -> RotatorPosition:
+        """Return the position in the range that is nearest to one that may lie beyond."""
+        return RotatorPosition(
+            min(max(here.azimuth_deg, self.azimuth_min_deg), self.azimuth_max_deg),
+            min(max(here.elevation_deg, self.elevation_min_deg), self.elevation_max_deg),
+        )
 
     def __str__(self) -> str:
         return (

@@ -84,6 +84,8 @@ class RotctldPositioner:
         self._still_for_s = still_for_s
         self._mount: Mount | None = None
         self._aim: RotatorPosition | None = None
+        # By the last look of this connection.
+        self._azimuth_deg: float | None = None
         self._stops = 0
 
     @property
@@ -118,7 +120,7 @@ class RotctldPositioner:
 
     async def close(self) -> None:
         """Release the line; a move goes on."""
-        self._aim = None
+        self._aim = self._azimuth_deg = None
         await self._line.close()
 
     async def read_telemetry(self) -> Telemetry:
@@ -179,7 +181,7 @@ class RotctldPositioner:
         reply = await self._ask(protocol.STOP)
         if reply.error in _WITHOUT_STOP:
             # Such a rotator is sent to where it is, which ends its way as well.
-            await self._ask(protocol.SET_POSITION, *await self._position())
+            await self._ask(protocol.SET_POSITION, *self._known_mount().nearest(await self._position()))
         elif reply.error:
             raise self._unreached(protocol.STOP, reply.error)
 
@@ -242,7 +244,8 @@ class RotctldPositioner:
             raise ProtocolError(_DEVICE, f"says no position that can be read: {error}") from None
         if not (abs(azimuth_deg) <= _MOST_AZIMUTH_DEG and _LEAST_ELEVATION_DEG <= elevation_deg <= _MOST_ELEVATION_DEG):
             raise ProtocolError(_DEVICE, f"says azimuth {azimuth_deg:g}, elevation {elevation_deg:g} deg")
-        return RotatorPosition(self._known_mount().counted(azimuth_deg), elevation_deg)
+        self._azimuth_deg = self._known_mount().counted(azimuth_deg, self._azimuth_deg)
+        return RotatorPosition(self._azimuth_deg, elevation_deg)
 
     async def _ask(self, name: str, *arguments: float) -> RotctldReply:
         try:

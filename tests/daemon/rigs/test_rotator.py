@@ -85,6 +85,25 @@ def test_a_turn_around_its_stop_takes_its_time_and_is_no_fault(run_rotator):
     run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
 
 
+def test_one_that_rests_a_little_beyond_its_end_has_not_gone_to_the_other_one(run_rotator):
+    async def scenario(rig):
+        await until_tracked(rig)
+        await rig.operator.goto(0.0, 45.0, "look")
+        await rig.until(lambda: rig.stands_within(0.0, 45.0), 150, "the noon", every_s=0.5)
+        await rig.until(lambda: rig.motion.resting, 30, "rest")
+        await asyncio.sleep(15.0)
+        rig.rotator.turn(180.1, 45.0, rig.clock.monotonic())
+        await asyncio.sleep(5.0)
+        assert not alarms(rig)
+        rig.rotator.faults.add("stopless")
+        await rig.operator.stop("enough")
+        await asyncio.sleep(5.0)
+        assert rig.rotator.position(rig.clock.monotonic())[0] == pytest.approx(180.0, abs=0.2)
+        assert rig.motion.unexplained is None
+
+    run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
+
+
 def test_strong_wind_lays_it_flat_without_turning_it(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)

@@ -104,6 +104,21 @@ def test_a_reported_azimuth_is_taken_in_the_turn_of_the_range(turns, said, count
     assert mount(turns).counted(said) == counted
 
 
+@pytest.mark.parametrize(
+    ("turns", "before", "said", "counted"),
+    [
+        ((0, 360), 0.0, -0.1, -0.1),
+        ((0, 360), 0.1, 359.9, -0.1),
+        ((0, 360), 359.9, 0.1, 360.1),
+        ((0, 360), 10.0, 300.0, 300.0),
+        ((-180, 450), 355.0, 2.0, 362.0),
+        ((0, 90), 80.0, 200.0, 200.0),
+    ],
+)
+def test_at_an_end_of_the_range_it_goes_on_from_the_look_before(turns, before, said, counted):
+    assert mount(turns).counted(said, before) == pytest.approx(counted)
+
+
 def test_not_a_number_is_unreachable():
     for a_deg, b_deg in ((np.nan, 45.0), (0.0, np.nan)):
         with pytest.raises((UnreachableError, ValueError)):
