@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.api.token import check_token, load_token
-from daemon.base.addresses import DEFAULT_LISTEN, Address, parse_address
+from daemon.base.addresses import DEFAULT_LISTEN, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.base.files import parse_toml, toml_text
 
@@ -155,6 +155,9 @@ class Client:
             lines.append(f"Authorization: Bearer {self.token}")
         lines.append(f"Content-Length: {len(body)}")
         with self._connect() as connection:
+            if path != "/api/stop":
+                # An order that was given up must not be carried out minutes later.
+                connection.setsockopt(*SEND_NO_MORE_ONCE_CLOSED)
             connection.sendall("\r\n".join([*lines, "", ""]).encode("latin-1") + body)
             reply = bytearray()
             while len(reply) < _LONGEST_REPLY and (part := connection.recv(65536)):

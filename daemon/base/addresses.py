@@ -3,6 +3,7 @@
 import ipaddress
 import re
 import socket
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,8 @@ from daemon.base.errors import UserError
 _FORM = re.compile(r"\[(?P<v6>[^\[\]]*)\]:(?P<port6>[0-9]{1,5})|(?P<v4>[^:\[\]]*):(?P<port4>[0-9]{1,5})", re.ASCII)
 
 ANY_INTERFACE = "0.0.0.0"  # noqa: S104 - the kernel's word for its own choice
+SEND_NO_MORE_ONCE_CLOSED = socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+"""Option of a socket: what a stalled network still owes the other side is dropped when this side has closed."""
 
 
 class BridgeError(UserError):

@@ -155,7 +155,8 @@ class Dashboard:
     async def _accepts(self, service: Upstream, token: str) -> bool | None:
         """Return whether a service takes a token; None where it does not answer."""
         try:
-            status, _ = await self._post(f"{service.url}/api/authorised", token, b"", _ANSWER_S)
+            client = self._fleet.client
+            status, _ = await self._post(client, f"{service.url}/api/authorised", token, b"", _ANSWER_S)
         except (httpx.HTTPError, HTTPException):
             return None
         return status == httpx.codes.OK
@@ -203,9 +204,13 @@ class Dashboard:
         token = session.tokens.get(service.name)
         if token is None:
             raise HTTPException(401, f"the service at {service.name} has another token: log in with that one too")
-        return await self._post(f"{service.url}/api/{name}", token, _encoded({**given, "by": session.by}), _COMMAND_S)
+        client = self._fleet.client if name == "stop" else self._fleet.orders
+        content = _encoded({**given, "by": session.by})
+        return await self._post(client, f"{service.url}/api/{name}", token, content, _COMMAND_S)
 
-    async def _post(self, url: str, token: str, content: bytes, within_s: float) -> tuple[int, bytes]:
+    async def _post(
+        self, client: httpx.AsyncClient, url: str, token: str, content: bytes, within_s: float
+    ) -> tuple[int, bytes]:
         """Return the status and the body of a service's answer, which may be slow or endless if it is none."""
         headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
         # As it is: a little that is compressed may be gigabytes.
@@ -213,7 +218,7 @@ class Dashboard:
         try:
             async with (
                 asyncio.timeout(within_s),
-                self._fleet.client.stream("POST", url, content=content, headers=headers, timeout=within_s) as reply,
+                client.stream("POST", url, content=content, headers=headers, timeout=within_s) as reply,
             ):
                 return reply.status_code, await _raw(reply, _LONGEST_ANSWER)
         except TimeoutError:

@@ -15,7 +15,7 @@ import httpx
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from daemon.base.addresses import Address, parse_address
+from daemon.base.addresses import SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier, on_signals
@@ -174,8 +174,12 @@ async def serve(
     loop = asyncio.get_running_loop()
     limits = httpx.Limits(max_connections=None, max_keepalive_connections=2 * len(services))
     # Proxies of the environment are for the world outside.
-    async with httpx.AsyncClient(trust_env=False, limits=limits) as client:
-        fleet = Fleet(services, client, clock)
+    once = httpx.AsyncHTTPTransport(limits=limits, socket_options=[SEND_NO_MORE_ONCE_CLOSED])
+    async with (
+        httpx.AsyncClient(trust_env=False, limits=limits) as client,
+        httpx.AsyncClient(trust_env=False, transport=once) as orders,
+    ):
+        fleet = Fleet(services, client, clock, orders)
         dashboard = Dashboard(fleet, clock, hosts)
         server = _server(dashboard)
 

@@ -119,11 +119,20 @@ class Fleet:
         Of the services' local interfaces; the first is shown first.
     client, clock
         As for `Upstream`.
+    orders
+        Makes the requests of orders other than stop; `client` where it is None.
     """
 
-    def __init__(self, addresses: Sequence[Address], client: httpx.AsyncClient, clock: Clock) -> None:
+    def __init__(
+        self,
+        addresses: Sequence[Address],
+        client: httpx.AsyncClient,
+        clock: Clock,
+        orders: httpx.AsyncClient | None = None,
+    ) -> None:
         self._listeners: list[Listener] = []
         self.client = client
+        self.orders = client if orders is None else orders
         self.services = {str(address): Upstream(address, client, clock, self._hand_on) for address in addresses}
 
     @property

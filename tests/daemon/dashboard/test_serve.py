@@ -6,6 +6,7 @@ import signal
 import socket
 from contextlib import asynccontextmanager, suppress
 
+import httpx
 import pytest
 
 from daemon.base.addresses import parse_address
@@ -13,19 +14,18 @@ from daemon.base.clock import SystemClock
 from daemon.base.process import Notifier
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.serve import bind, serve
+from tests.support.endless import ACCEPTED
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 HALF_A_BODY = b"POST /login HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nContent-Length: 100\r\n\r\n{"
 
 
 @asynccontextmanager
-async def served():
+async def served(service="127.0.0.1:9"):
     """Give the address of a dashboard."""
     bound = bind("127.0.0.1:0")
     address = bound.getsockname()
-    serving = asyncio.create_task(
-        serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), Notifier({}, os.getpid()))
-    )
+    serving = asyncio.create_task(serve(bound, [parse_address(service)], [], SystemClock(), Notifier({}, os.getpid())))
     try:
         yield address
     finally:
@@ -164,3 +164,35 @@ def test_what_is_not_a_whole_request_fills_no_log(caplog, content):
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
     assert [record for record in caplog.records if record.name.startswith("uvicorn")] == []
+
+
+@pytest.mark.parametrize(("name", "is_dropped"), [("auto", True), ("stop", False)])
+def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unless_it_is_a_stop(name, is_dropped):
+    async def scenario():
+        ended = asyncio.get_running_loop().create_future()
+
+        async def answer(reader, writer):
+            head = await reader.readuntil(b"\r\n\r\n")
+            if f"/api/{name}".encode() in head:
+                try:
+                    while await reader.read(4096):
+                        pass
+                    ended.set_result("to the end")
+                except ConnectionResetError:
+                    ended.set_result("dropped")
+            elif b"/api/authorised" in head:
+                writer.write(ACCEPTED)
+            writer.close()
+
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            service = "{}:{}".format(*server.sockets[0].getsockname())
+            async with served(service) as address:
+                page = "http://{}:{}".format(*address)
+                async with httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=60.0) as browser:
+                    await browser.post("/login", json={"token": "t" * 43, "by": "ana"})
+                    order = {"name": name, "service": service, "why": "a test"}
+                    assert (await browser.post("/command", json=order)).status_code == 502
+                assert (await ended == "dropped") is is_dropped
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
