@@ -4,6 +4,7 @@
 """
 
 import math
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -29,8 +30,10 @@ def missing_by_day(weather: MeasuredWeather, site: Site, utc_s: Array) -> Array:
     return uncovered[sun_position(uncovered, *site).elevation_deg > 0.0] if uncovered.size else uncovered
 
 
-def gap_note(weather: MeasuredWeather, site: Site, from_utc_s: float, to_utc_s: float) -> str | None:
-    """Return in a sentence how much daylight is missing within the file in a span of time, or None."""
+def gap_note(
+    weather: MeasuredWeather, site: Site, from_utc_s: float = -math.inf, to_utc_s: float = math.inf
+) -> str | None:
+    """Return in a sentence how much daylight is missing within the weather in a span of time, or None."""
     begin, end = max(from_utc_s, weather.start_utc_s), min(to_utc_s, weather.end_utc_s)
     missing = missing_by_day(weather, site, np.arange(begin, end, _STEP_S))
     if not missing.size:
@@ -60,18 +63,30 @@ def weather_notes(
     return [note for note in notes if note]
 
 
-def across_seams(utc_s: Array, *columns: Array) -> tuple[Array, ...]:
-    """Return whole minutes [s UTC] of several files and their columns with the time between two files bridged too.
+def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tuple[Array, Array, Array], list[str]]:
+    """Return whole minutes [s UTC] with DNI and DHI then [W/m2], and what a person should know of the files.
 
-    It is bridged as within a file: linearly, and up to an hour.
+    What lies between two files is bridged as within one, and told as missing where it is too long. Where they overlap,
+    the first counts. Raises `UserError` where there is no whole minute.
     """
-    step_s = np.diff(utc_s)
-    seams = np.flatnonzero((step_s > _STEP_S) & (step_s <= LONGEST_GAP_S))
-    if not seams.size:
-        return utc_s, *columns
-    between = [np.arange(utc_s[seam] + _STEP_S, utc_s[seam + 1], _STEP_S) for seam in seams]
-    minutes_s = np.sort(np.concatenate([utc_s, *between]))
-    return minutes_s, *(np.interp(minutes_s, utc_s, column) for column in columns)
+    parts = zip(*map(_minutes, weathers), strict=True)
+    utc_s, dni, dhi = (np.concatenate(columns) for columns in parts)
+    utc_s, first = np.unique(utc_s, return_index=True)
+    name = weathers[0].name if len(weathers) == 1 else "the weather of all files"
+    if not utc_s.size:
+        raise UserError(f"{name} has no two records within an hour with a whole minute between them")
+    unknown = np.full(utc_s.size, np.nan)
+    values = {"ghi": dni[first], "dni": dni[first], "dhi": dhi[first], "wind_speed": unknown, "temp_air": unknown}
+    together = MeasuredWeather(name, utc_s, values)
+    notes = [note for weather in weathers for note in (weather.note(), site_mismatch(weather, site))]
+    return _minutes(together), [note for note in (*notes, gap_note(together, site)) if note]
+
+
+def _minutes(weather: MeasuredWeather) -> tuple[Array, Array, Array]:
+    minutes = np.arange(np.ceil(weather.start_utc_s / _STEP_S), weather.end_utc_s / _STEP_S + 1e-6) * _STEP_S
+    minutes = minutes[weather.covers(minutes)]
+    conditions = weather.at(minutes)
+    return minutes, conditions.dni_w_m2, conditions.dhi_w_m2
 
 
 class CubeInGaps:

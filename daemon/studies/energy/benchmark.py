@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.rigs.measured import across_seams, measured_weather, weather_notes
+from daemon.rigs.measured import by_the_minute, measured_weather
 from daemon.studies.energy.names import BOUND, FIXED, choice
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import (
@@ -299,18 +299,7 @@ def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
     UserError
         A file cannot be read.
     """
-    parts: list[tuple[Array, Array, Array]] = []
-    warnings: list[str] = []
-    simulated = False
-    for path in files:
-        weather = measured_weather(path)
-        simulated |= weather.simulated
-        minutes = np.arange(np.ceil(weather.start_utc_s / 60.0), weather.end_utc_s / 60.0 + 1e-6) * 60.0
-        minutes = minutes[weather.covers(minutes)]
-        conditions = weather.at(minutes)
-        parts.append((minutes, conditions.dni_w_m2, conditions.dhi_w_m2))
-        warnings += weather_notes(weather, site)
-    utc_s, dni, dhi = (np.concatenate(column) for column in zip(*parts, strict=True))
-    utc_s, first = np.unique(utc_s, return_index=True)
-    utc_s, dni, dhi = across_seams(utc_s, dni[first], dhi[first])
+    weathers = [measured_weather(path) for path in files]
+    (utc_s, dni, dhi), warnings = by_the_minute(weathers, site)
+    simulated = any(weather.simulated for weather in weathers)
     return Minutes(utc_s=utc_s, dni_w_m2=dni, dhi_w_m2=dhi, warnings=warnings, simulated=simulated)

@@ -84,6 +84,17 @@ WINTER = datetime(2023, 1, 1, tzinfo=UTC)
 PRICES = ("--peak-kw", 2, "--price", 0.25, "--drive-price", 600, "--drive-life-deg", 300000)
 
 
+def test_daylight_that_is_missing_between_two_files_is_told(monkeypatch, weather, tmp_path, capsys):
+    head, *lines = weather.read_text().splitlines()
+    halves = tmp_path / "morning.csv", tmp_path / "evening.csv"
+    for half, some in zip(halves, (lines[:600], lines[780:]), strict=True):
+        half.write_text("\n".join([head, *some]))
+    assert energy(monkeypatch, *halves, "--site", SITE, "--laws", "flat", "--out", tmp_path / "o", "--json") == 0
+    page = json.loads(capsys.readouterr().out)
+    (told,) = [warning for warning in page["warnings"] if "gaps of more than 60 min" in warning]
+    assert told.endswith("3.0 h of daylight are missing, the first after 2016-06-05 09:59Z, until 2016-06-05 13:00Z")
+
+
 def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, weather, tmp_path, capsys):
     given = (weather, "--site", SITE, "--laws", "flat,mu-prime,optimal,bound", "--out", tmp_path / "o")
     assert energy(monkeypatch, *given, *PRICES, "--json") == 0
