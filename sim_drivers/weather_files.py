@@ -223,13 +223,17 @@ def _csv(path: Path) -> MeasuredWeather:
         skip_blank_lines=False,
         encoding="utf-8-sig",
         # Of what else is packed pandas would tell in many words.
-        compression="gzip" if path.suffix == ".gz" else None,
+        compression="gzip" if _is_gzipped(path) else None,
     )
     found = [str(column).strip().lower() for column in frame.columns]
     frame.columns = pd.Index(found)
     for column in ("time", *IRRADIANCES):
         if column not in found:
             raise WeatherFileError(f"weather file {path} has no column {column}; found: {', '.join(found)}")
+    for column in ("time", *IRRADIANCES, *OPTIONAL, "simulated"):
+        # pandas gives the second of two that are called alike a number.
+        if found.count(column) > 1 or f"{column}.1" in found:
+            raise WeatherFileError(f"weather file {path} has two columns {column}: leave in the one that counts")
     if not isinstance(frame.index, pd.RangeIndex):
         raise WeatherFileError(f"weather file {path} has more cells in its lines than names in its header")
     cells = frame.fillna("").apply(lambda column: column.str.strip())
@@ -268,7 +272,8 @@ def _csv(path: Path) -> MeasuredWeather:
 
 
 def _bsrn(path: Path) -> MeasuredWeather:
-    frame, meta = iotools.read_bsrn(path)
+    with gzip.open(path, "rt") if _is_gzipped(path) else path.open() as file:
+        frame, meta = iotools.read_bsrn(file)
     return _from_pvlib(path, frame, Site(meta["latitude"], meta["longitude"], meta["altitude"]))
 
 
@@ -320,9 +325,13 @@ def _midc_names(header: str) -> dict[str, str]:
 
 
 def _head(path: Path) -> tuple[str, str, str]:
-    with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
+    with gzip.open(path, "rb") if _is_gzipped(path) else path.open("rb") as file:
         first, second, third = (file.readline(100_000).decode("utf-8", "replace") for _ in range(3))
     return first.lstrip("\ufeff"), second, third
+
+
+def _is_gzipped(path: Path) -> bool:
+    return path.suffix.lower() == ".gz"
 
 
 def _plausible(quantity: str) -> tuple[float, float]:

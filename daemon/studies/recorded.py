@@ -129,7 +129,7 @@ def stored_faces(
 
 
 def _opened(path: Path) -> TextIO:
-    if path.suffix == ".gz":
+    if path.suffix.lower() == ".gz":
         return cast("TextIO", gzip.open(path, "rt", encoding="utf-8-sig", newline=""))
     return path.open(encoding="utf-8-sig", newline="")
 
@@ -143,6 +143,9 @@ def _rows(path: Path, file: TextIO, impossible: list[str]) -> Iterator[RecordedS
             raise UserError(
                 f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}"
             )
+        doubled = [name for name in COLUMNS if header.count(name) > 1]
+        if doubled:
+            raise UserError(f"{path}, line 1: there are two columns {doubled[0]}; leave in the one that counts")
         places = [header.index(name) for name in COLUMNS]
         before_s = -math.inf
         for cells in reader:

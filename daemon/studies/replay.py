@@ -91,7 +91,7 @@ def replay(settings: Settings, rows: Sequence[RecordedScan], out: Path, progress
     part = out.with_name(f".{out.name}.part")
     try:
         part.parent.mkdir(parents=True, exist_ok=True)
-        with _opened(part, out.suffix) as file:
+        with _opened(part, out.suffix.lower()) as file:
             log = _run(settings, rows, progress)
             done = len(log.modes)
             qualities = np.frombuffer(log.qualities, dtype=np.uint8).reshape(-1, len(FACES))[:done]

@@ -35,6 +35,7 @@ def at(weather, text):
     return weather.at(np.array([utc(text)]))
 
 
+TWICE = "leave in the one that counts"
 EMPTY = "leave the cell empty where the value is missing"
 CSV = """time,ghi,dni,dhi,wind_speed,temp_air
 2016-06-05T12:00:00Z,800.0,900.0,80.0,3.0,20.0
@@ -44,11 +45,11 @@ CSV = """time,ghi,dni,dhi,wind_speed,temp_air
 """
 
 
-@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("packed", [None, "gz", "GZ"])
 def test_our_csv_is_read_plain_and_gzipped_and_interpolated_over_missing_cells(tmp_path, packed):
     path = written(tmp_path, CSV)
     if packed:
-        path = tmp_path / "weather.csv.gz"
+        path = tmp_path / f"weather.csv.{packed}"
         path.write_bytes(gzip.compress(CSV.encode()))
     weather = load_weather(path)
     assert weather.site is None
@@ -104,6 +105,8 @@ def test_columns_may_come_in_any_order_with_a_byte_order_mark_and_blank_lines_at
             "time,ghi,dni,dhi\n2016-06-05T12:00:00Z,1,2,3,4\n",
             "{path} has more cells in its lines than names in its header",
         ),
+        ("time,ghi,dni,dhi,ghi\n2016-06-05T12:00Z,1,2,3,4\n", "{path} has two columns ghi: " + TWICE),
+        ("time,ghi,dni,dhi,GHI\n2016-06-05T12:00Z,1,2,3,4\n", "{path} has two columns ghi: " + TWICE),
     ],
 )  # fmt: skip
 def test_a_bad_csv_is_refused_with_one_sentence_that_names_the_place(tmp_path, text, expected):
@@ -182,11 +185,11 @@ def bsrn():
     return "\n".join(head) + "\n"
 
 
-@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("packed", [None, "gz", "GZ"])
 def test_bsrn_files_are_read_with_their_site(tmp_path, packed):
     path = written(tmp_path, bsrn(), "lyn0316.dat")
     if packed:
-        path = tmp_path / "lyn0316.dat.gz"
+        path = tmp_path / f"lyn0316.dat.{packed}"
         path.write_bytes(gzip.compress(bsrn().encode()))
     weather = load_weather(path)
     assert weather.site == pytest.approx((55.791, 12.525, 50.0))

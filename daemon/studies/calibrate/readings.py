@@ -138,6 +138,10 @@ def _table(path: Path) -> tuple[pd.DataFrame, Array]:
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
+    # pandas gives the second of two that are called alike a number.
+    doubled = [name for name in frame if list(frame).count(name) > 1 or f"{name}.1" in frame]
+    if doubled:
+        raise UserError(f"{path} has two columns {doubled[0]}: leave in the one that counts")
     if frame.empty:
         raise UserError(f"{path} has a header and no data")
     times = pd.to_datetime(frame["time"], format="ISO8601", utc=True, errors="coerce")

@@ -37,7 +37,7 @@ def readings(times, dni=700.0, dhi=90.0):
 
 def write(path, lines, header="time,east,south,west,zenith"):
     text = "\n".join([header, *(",".join(line) for line in lines)]) + "\n"
-    path.write_bytes(gzip.compress(text.encode()) if path.suffix == ".gz" else text.encode())
+    path.write_bytes(gzip.compress(text.encode()) if path.suffix.lower() == ".gz" else text.encode())
     return path
 
 
@@ -185,8 +185,12 @@ def test_a_dead_face_is_found_as_on_a_rig(replayed, law):
     assert off_sun_deg(last) < 6.0
 
 
-def test_compressed_files_do_as_well(replayed):
-    assert replayed(readings(NOON + np.arange(0, 600, 5.0)), "mu-prime", name="faces.csv.gz")
+@pytest.mark.parametrize("ending", ["gz", "GZ"])
+def test_compressed_files_do_as_well(heliocube, tmp_path, ending):
+    source, out = (tmp_path / f"{name}.csv.{ending}" for name in ("faces", "positions"))
+    write(source, readings(NOON + np.arange(0, 600, 5.0)))
+    assert heliocube("replay", source, "--site", PLACE, "--out", out)[0] == 0
+    assert gzip.decompress(out.read_bytes()).startswith(",".join(COLUMNS).encode())
 
 
 def test_the_store_of_a_tracker_can_be_replayed(heliocube, tmp_path):

@@ -50,7 +50,7 @@ class LeapingLoop(asyncio.SelectorEventLoop):
 
 def written(tmp_path, text, name="cube.csv"):
     path = tmp_path / name
-    path.write_bytes(gzip.compress(text.encode()) if name.endswith(".gz") else text.encode())
+    path.write_bytes(gzip.compress(text.encode()) if name.lower().endswith(".gz") else text.encode())
     return path
 
 
@@ -86,7 +86,7 @@ def sent(path, ahead_s=7200.0, **options):
         return runner.run(main())
 
 
-@pytest.mark.parametrize("name", ["cube.csv", "cube.csv.gz"])
+@pytest.mark.parametrize("name", ["cube.csv", "cube.csv.gz", "CUBE.CSV.GZ"])
 def test_a_file_goes_out_in_its_own_rhythm_stamped_with_the_present(tmp_path, name):
     got, progress = sent(written(tmp_path, FILE, name))
     assert [when for when, _ in got] == pytest.approx([0.0, 5.0, 35.0])
@@ -135,6 +135,7 @@ def test_a_number_that_no_face_can_read_is_a_missing_reading_and_is_counted(tmp_
     [
         ("", "line 1: the column time is missing"),
         ("time,east,west,zenith\n", "line 1: the column south is missing"),
+        ("time,east,south,west,zenith,east\n", "line 1: there are two columns east; leave in the one that counts"),
         (HEADER, "has no readings below its header"),
         (HEADER + "yesterday,1,2,3,4\n", "line 2: the time 'yesterday' is not ISO 8601"),
         (HEADER + f"{START},1,2,x,4\n", "line 2: west is 'x', not a number"),

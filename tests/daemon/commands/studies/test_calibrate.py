@@ -227,6 +227,7 @@ def test_a_field_calibration_that_the_readings_cannot_support_says_what_is_missi
         ({"site": None}, "give the site of the readings"),
         ({"reference": ""}, "reference.csv is empty"),
         ({"reference": "time,ghi\n"}, "reference.csv has a header and no data"),
+        ({"reference": "time,ghi,ghi\n2022-03-11T12:00Z,1,2\n"}, "reference.csv has two columns ghi: leave in the one"),
         ({"reference": "time,dni\n2022-03-11T12:00Z,1\n"}, "has no column ghi; found: time, dni"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,much\n"}, "line 2: ghi is 'much', not a number"),
         ({"reference": "time,ghi\n2022-03-11T12:00Z,inf\n"}, "line 2: ghi is 'inf', not a number"),
