@@ -109,8 +109,8 @@ def test_an_empty_file_is_the_defaults(load):
         ("[windows]\ncoverage = 0.5", "windows.minimum_coverage"),
         ("[windws]\nmean_s = 120", "windows"),
         ("[east]\nchannel = 1", "cube.east"),
-        ("[windows]\nmean_ms = 120000", "windows.mean_s = 120"),
         ("[limits]\na_max_rad = 0.5", "limits.a_max_deg = 28.64788976"),
+        ("[safety]\nstow_wind_kts = 20", "safety.stow_wind_m_s = 10.28888889"),
         ("[instruments.voltmeter]\nrange_mv = 1000", "instruments.voltmeter.range_v = 1"),
     ],
 )
