@@ -124,8 +124,11 @@ def file_sky_source(
     spans = [np.datetime_as_string(np.datetime64(int(end), "s"), unit="D") for end in (steps[0], steps[-1])]
     name = f"SIMULATED {path.name}" if weather.simulated else path.name
     label = f"{name}, {spans[0]} to {spans[1]}, {instants.size / lit.size:.0%} of its daylight"
-    warning = "; ".join(weather_notes(weather, site)) or None
+    notes = weather_notes(weather, site)
     covered = np.unique(series.day).size
-    if warning is None and days is None and covered < _NEARLY_A_YEAR:
-        warning = f"{path.name} has {covered} days: ratios under its sky are theirs, beside the theory's whole year"
-    return SkySource(label, FILE_STEP_S, lambda _: series, warning)
+    if days is None and covered < _NEARLY_A_YEAR:
+        days_told = "1 day" if covered == 1 else f"{covered} days"
+        notes.append(
+            f"{path.name} has {days_told}: ratios under its sky are of no more, beside the theory's whole year"
+        )
+    return SkySource(label, FILE_STEP_S, lambda _: series, "; ".join(notes) or None)

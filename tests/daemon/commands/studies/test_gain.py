@@ -165,8 +165,15 @@ def test_under_a_measured_cloud_a_tracker_loses(heliocube, tmp_path):
 
 
 def test_a_day_of_weather_beside_a_year_of_theory_is_said(heliocube, tmp_path):
-    _, _, err = heliocube("gain", "--lat", "48.7", "--lon", "2.2", "--weather", weather_file(tmp_path))
-    assert err.startswith("heliocube: warning: weather.csv has 1 days")
+    file = weather_file(tmp_path)
+    given = ("gain", "--lat", "48.7", "--lon", "2.2", "--weather", file)
+    _, _, err = heliocube(*given)
+    assert err.startswith("heliocube: warning: weather.csv has 1 day: ")
+    # Whatever else there is to be said of the file.
+    file.write_text(f"{file.read_text()}\n2022-06-07T00:00Z,9999,0,0\n")
+    _, _, err = heliocube(*given)
+    assert "1 impossible value" in err
+    assert "beside the theory's whole year" in err
 
 
 @pytest.mark.parametrize(
