@@ -86,6 +86,18 @@ class DaylightWeather:
         fraction = np.divide(diffuse, total, out=np.zeros_like(total), where=total > 0.0)
         return np.where(total > 0.0, np.digitize(fraction, _DAY_TYPE_BOUNDS), -1)
 
+    def whole_days(self) -> float:
+        """Return how many days with light it is of.
+
+        Of each counts the share of its daylight that is known: the first and the last are seldom whole.
+        """
+        lit = np.flatnonzero(self.day_types() >= 0)
+        known = np.bincount(self.day)[lit]
+        per_day, east = round(DAY_S / self.step_s), round(self.site.longitude_deg * 240.0 / self.step_s)
+        instants_s = self.step_s * ((self.first_day + lit)[:, None] * per_day - east + np.arange(per_day, dtype=float))
+        daylight = np.count_nonzero(sun_direction(instants_s, *self.site)[..., 2] > 0.0, axis=1)
+        return float((known / daylight).sum())
+
 
 def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0) -> DaylightWeather:
     """Return the daylight part of weather at instants `utc_s`, multiples of `step_s`, in solar days of the site.

@@ -180,7 +180,7 @@ def _compare(
     page = as_page(rows, days, terms, simulated=simulated)
     if prices is not None:
         years = worth.years_known(minutes.utc_s, days)
-        worths = worth.worths(rows, sum(page["days"].values()), years, prices)
+        worths = worth.worths(rows, days.whole_days(), years, prices)
         text += worth.as_text(worths, prices)
         page["worth"] = worth.as_page(worths, prices)
     with _writing_to(out):

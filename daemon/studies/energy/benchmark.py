@@ -59,7 +59,8 @@ class EnergyRow:
     worst_clear_day_pct
         Least gain of a clear day.
     travel_deg_per_day, return_deg_per_day, moves_per_day
-        Means; the return is the way back to the night position, not part of the travel. NaN where nothing moves.
+        Means over `DaylightWeather.whole_days`; the return is the way back to the night position, not part of the
+        travel. NaN where nothing moves.
     """
 
     sky: str
@@ -136,11 +137,12 @@ def run_benchmark(
     """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done."""
     done = 0
     total = len(skies) * (len(law_names) + 1)
-    types = weather.day_types()
+    types, whole_days = weather.day_types(), weather.whole_days()
     for sky_name in skies:
         days = under_sky(weather, sky_name, terms)
         bound = days.bound_kwh_m2
-        summarise = partial(_row, sky_name, types=types, reference=days.chronometric_kwh_m2, bound=bound)
+        chronometric = days.chronometric_kwh_m2
+        summarise = partial(_row, sky_name, types=types, whole_days=whole_days, reference=chronometric, bound=bound)
         for name in law_names:
             progress((done + 1) / total)
             done += 1
@@ -171,7 +173,10 @@ def csv_cells(row: EnergyRow) -> list[str]:
 def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:
     """Return the tables of all skies and what they assume, for reading."""
     lines = conditions(weather, terms, simulated=simulated)
-    travel = "Travel adds A and B from the night position on; the way back to it at night is in its own column."
+    travel = (
+        "Travel adds A and B from the night position on; the way back to it at night is in its own column. A day of"
+        " which half is missing counts half."
+    )
     lines += wrap(travel, WIDTH)
     for name in dict.fromkeys(row.sky for row in rows):
         lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
@@ -224,7 +229,14 @@ def _rounded(value: float) -> str:
 
 
 def _row(
-    sky_name: str, law: str, result: Harvest, *, types: NDArray[np.intp], reference: Array, bound: Array
+    sky_name: str,
+    law: str,
+    result: Harvest,
+    *,
+    types: NDArray[np.intp],
+    whole_days: float,
+    reference: Array,
+    bound: Array,
 ) -> EnergyRow:
     energy = result.energy_kwh_m2
     lit = types >= 0
@@ -238,9 +250,9 @@ def _row(
         gain_by_type_pct=tuple(_gain(energy, reference, types == index) for index in range(len(DAY_TYPES))),
         share_pct=100.0 * float((energy - reference).sum()) / room if room > 0.0 else np.nan,
         worst_clear_day_pct=float((100.0 * (energy[clear] / reference[clear] - 1.0)).min()) if clear.any() else np.nan,
-        travel_deg_per_day=float(result.travel_deg[lit].mean()),
-        return_deg_per_day=float(result.return_deg[lit].mean()),
-        moves_per_day=float(result.moves[lit].mean()),
+        travel_deg_per_day=float(result.travel_deg[lit].sum()) / whole_days,
+        return_deg_per_day=float(result.return_deg[lit].sum()) / whole_days,
+        moves_per_day=float(result.moves[lit].sum()) / whole_days,
     )
 
 

@@ -12,7 +12,7 @@ from daemon.studies.energy.benchmark import EnergyRow
 from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.text_table import WIDTH, table
 from solar.energy import DaylightWeather
-from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
+from solar.ephemeris import DAY_S, Site, sun_position
 from solar.frames import Array
 
 _YEAR_DAYS = 365.25
@@ -69,26 +69,13 @@ class Worth:
 def years_known(utc_s: Array, weather: DaylightWeather) -> float:
     """Return how many mean years the weather at these rising instants [s] is of.
 
-    Of a day with light counts the share of its daylight that is known: the first and the last are seldom whole. A day
-    whose noon is between the instants and on which the sun does not rise counts too; but a gap of more than half a year
-    is no polar night, but time of which there are no records.
+    Days with light count as `DaylightWeather.whole_days` says. A day whose noon is between the instants and on which
+    the sun does not rise counts too; but a gap of more than half a year is no polar night, but time of which there are
+    no records.
     """
     stretches = np.split(utc_s, np.flatnonzero(np.diff(utc_s) > _LONGEST_NIGHT_S) + 1)
     sunless = sum(_sunless_between(float(stretch[0]), float(stretch[-1]), weather.site) for stretch in stretches)
-    return (float(_shares_known(weather).sum()) + sunless) / _YEAR_DAYS
-
-
-def _shares_known(weather: DaylightWeather) -> Array:
-    """Return the share of daylight that is known of each day with any light."""
-    lit = np.flatnonzero(weather.day_types() >= 0)
-    known = np.bincount(weather.day)[lit]
-    per_day, east = round(DAY_S / weather.step_s), round(weather.site.longitude_deg * 240.0 / weather.step_s)
-    instants_s = weather.step_s * (
-        (weather.first_day + lit)[:, None] * per_day - east + np.arange(per_day, dtype=float)
-    )
-    daylight = np.count_nonzero(sun_direction(instants_s, *weather.site)[..., 2] > 0.0, axis=1)
-    shares: Array = known / daylight
-    return shares
+    return (weather.whole_days() + sunless) / _YEAR_DAYS
 
 
 def _sunless_between(start_utc_s: float, end_utc_s: float, site: Site) -> int:
@@ -98,21 +85,21 @@ def _sunless_between(start_utc_s: float, end_utc_s: float, site: Site) -> int:
     return int(np.count_nonzero(sun_position(noons_utc_s, *site).elevation_deg <= 0.0))
 
 
-def worths(rows: Sequence[EnergyRow], lit_days: int, years: float, prices: Prices) -> list[Worth]:
+def worths(rows: Sequence[EnergyRow], whole_days: float, years: float, prices: Prices) -> list[Worth]:
     """Return what each law is worth; the bound, which is no tracker, is left out.
 
     Parameters
     ----------
     rows
         Of the benchmark.
-    lit_days
-        Days with light that they are of, whole or not.
+    whole_days
+        That they are of, as of `DaylightWeather.whole_days`.
     years
         As of `years_known`.
     prices
         Of energy and drives. The way back to the night position wears as any other.
     """
-    return [_worth(row, lit_days, years, prices) for row in rows if row.law != BOUND]
+    return [_worth(row, whole_days, years, prices) for row in rows if row.law != BOUND]
 
 
 def as_text(found: Sequence[Worth], prices: Prices) -> str:
@@ -134,10 +121,10 @@ def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
     return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.left} for each in found]}
 
 
-def _worth(row: EnergyRow, lit_days: int, years: float, prices: Prices) -> Worth:
+def _worth(row: EnergyRow, whole_days: float, years: float, prices: Prices) -> Worth:
     # A plane that is fixed has no drive, whatever the benchmark counts on its way from the night position.
     per_day_deg = 0.0 if row.law.startswith(FIXED) else row.travel_deg_per_day + row.return_deg_per_day
-    travel_deg = per_day_deg * lit_days / years
+    travel_deg = per_day_deg * whole_days / years
     return Worth(
         sky=row.sky,
         law=row.law,

@@ -113,15 +113,25 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
-def test_a_year_is_reckoned_from_the_daylight_that_is_known_and_not_from_days_that_are_halves(
-    monkeypatch, weather, tmp_path, capsys
-):
-    # Midnight of UTC is noon there: the day of the file is the afternoon of one solar day and the morning of the next.
-    assert energy(monkeypatch, weather, "--site", "40,179", "--laws", "flat", "--out", tmp_path, *PRICES, "--json") == 0
-    page = json.loads(capsys.readouterr().out)
-    (row,), (worth,) = page["rows"], page["worth"]["rows"]
-    assert sum(page["days"].values()) == 2
-    assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25, rel=0.01)
+def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
+    # Midnight of UTC is noon at 180 E: the day of a file is the afternoon of one solar day and the morning of the next.
+    pages = {}
+    for longitude_deg in (0, 180):
+        path = tmp_path / f"{longitude_deg}.csv"
+        minutes = [datetime(2016, 6, 5, tzinfo=UTC) + timedelta(minutes=minute) for minute in range(1440)]
+        path.write_text("\n".join(["time,ghi,dni,dhi", *(f"{at:%Y-%m-%dT%H:%M:%SZ},450,500,150" for at in minutes)]))
+        given = (path, "--site", f"40,{longitude_deg}", "--laws", "chronometric", "--out", tmp_path, "--force")
+        assert energy(monkeypatch, *given, *PRICES, "--json") == 0
+        pages[longitude_deg] = json.loads(capsys.readouterr().out)
+        assert "A day of which half is missing counts half." in " ".join((tmp_path / "energy.txt").read_text().split())
+    assert [sum(page["days"].values()) for page in pages.values()] == [1, 2]
+    (whole,), (halves,) = (page["rows"] for page in pages.values())
+    for name in ("travel_deg_per_day", "moves_per_day"):
+        assert halves[name] == pytest.approx(whole[name], rel=0.12)
+    (worth,) = pages[180]["worth"]["rows"]
+    assert worth["energy"] == pytest.approx(halves["energy_kwh_m2"] * 2 * 0.25 * 365.25, rel=0.01)
+    travel_deg = (halves["travel_deg_per_day"] + halves["return_deg_per_day"]) * 365.25
+    assert worth["wear"] == pytest.approx(travel_deg / 300000 * 600)
 
 
 def spitsbergen(monkeypatch, tmp_path, capsys, *years):
@@ -137,11 +147,9 @@ def spitsbergen(monkeypatch, tmp_path, capsys, *years):
 
 def test_days_without_sun_count_as_days_of_the_year(monkeypatch, tmp_path, capsys):
     page = spitsbergen(monkeypatch, tmp_path, capsys, 2023)
-    (row,), (worth,), lit = page["rows"], page["worth"]["rows"], sum(page["days"].values())
-    assert 10 < lit < 20
+    (row,), (worth,) = page["rows"], page["worth"]["rows"]
+    assert 10 < sum(page["days"].values()) < 20
     assert worth["energy"] == pytest.approx(row["energy_kwh_m2"] * 2 * 0.25 * 365.25 / 60)
-    travel_deg = (row["travel_deg_per_day"] + row["return_deg_per_day"]) * lit * 365.25 / 60
-    assert worth["wear"] == pytest.approx(travel_deg / 300000 * 600)
 
 
 def test_years_without_records_are_no_days_without_sun(monkeypatch, tmp_path, capsys):
