@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within, normal_from_angles
-from solar.laws.light import Light, aim_vector, light_from_faces, usable_faces
+from solar.laws.light import Light, aim_vector, light_from_faces, usable_faces, within_reach
 
 FACES_NEEDED = 3
 
@@ -73,7 +73,7 @@ def received(
     light = light_from_faces(readings, sun, albedo, usable)
     actual = irradiance_on(light, sun, albedo, normal_from_angles(a_deg, b_deg))
     chronometric = irradiance_on(light, sun, albedo, normal_from_angles(*angles_within(sun, limits)))
-    aimed = normal_from_angles(*angles_within(aim_vector(light, sun, albedo), limits))
+    aimed = normal_from_angles(*angles_within(aim_vector(within_reach(light, sun, limits), sun, albedo), limits))
     # The closed form is the best of the sun's vertical plane; at the limits another pose may be better by a little.
     best = np.maximum(irradiance_on(light, sun, albedo, aimed), np.fmax(actual, chronometric))
     known = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0) & np.isfinite(actual)

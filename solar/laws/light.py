@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array
+from solar.frames import Array, Limits, angles_within
 
 # Weight of the assumption that H is 0, beside one face's reading: it decides only where faces are missing.
 _HORIZON_PRIOR = 0.02
@@ -142,6 +142,13 @@ def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     outward = np.maximum(light.beam * across + light.horizon, 0.0) / np.maximum(across, _SMALLEST)
     up = np.maximum(light.beam * height + 0.5 * (light.uniform - np.asarray(albedo) * total), 1e-3 * total)
     return np.stack([outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9)], axis=-1)
+
+
+def within_reach(light: Light, sun: ArrayLike, limits: Limits) -> Light:
+    """Return the light without its beam where no pose inside the limits sees the sun."""
+    sun = np.asarray(sun, dtype=np.float64)
+    seen = product(sun, *angles_within(sun, limits)) > 0.0
+    return light._replace(beam=np.where(seen, light.beam, 0.0))
 
 
 def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within
 from solar.laws.in_rows import best_among, taken_by_neighbours
-from solar.laws.light import Light, aim_vector, product
+from solar.laws.light import Light, aim_vector, product, within_reach
 from solar.laws.memory import Expectation, Flags, LightMemory, OptimalSettings
 from solar.laws.site import Learned, SiteLearning
 from solar.rows.group import TrackerGroup
@@ -168,7 +168,7 @@ class OptimalLaw:
         expected = self.expect(thrift)
         a, b = np.asarray(a_deg, dtype=np.float64), np.asarray(b_deg, dtype=np.float64)
         sun = np.asarray(sun, dtype=np.float64)
-        vector = aim_vector(expected.light, sun, self.site.learned.albedo)
+        vector = aim_vector(within_reach(expected.light, sun, self._limits), sun, self.site.learned.albedo)
         # Without faces the sun is followed, at the price of a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
         best_a, best_b = angles_within(vector, self._limits)

@@ -33,6 +33,20 @@ def test_under_a_uniform_sky_every_plane_receives_what_the_sky_gives_it(dni, dhi
     np.testing.assert_allclose(found.best_w_m2, bound, atol=1.5)
 
 
+def test_where_no_pose_sees_the_sun_the_best_is_that_for_the_rest_of_the_light():
+    site, limits = Site(68.0, 2.21, 0.0), Limits(-50.0, 50.0, 15.0, 60.0)
+    day = INSTANTS[:144]
+    weather = lay_out(day, np.full(day.size, 600.0), np.full(day.size, 100.0), site, 600.0)
+    light = build_sky(weather, "isotropic")
+    low = np.full((2, len(weather.utc_s)), [[50.0], [15.0]])
+    found = received(faces_under(light, ALBEDO), weather.sun, *low, limits, ALBEDO)
+    a_deg, b_deg = (grid.ravel() for grid in np.meshgrid(np.linspace(-50, 50, 41), np.linspace(15, 60, 19)))
+    unseen = (weather.sun @ normal_from_angles(a_deg, b_deg).T).max(axis=-1) <= 0.0
+    assert unseen.sum() > 10
+    bound = best_possible(weather, light, limits, ALBEDO)
+    np.testing.assert_allclose(found.best_w_m2[unseen], bound[unseen], atol=1.5)
+
+
 def test_hand_worked_planes():
     light = Light(np.array(500.0), np.array(100.0), np.array(30.0))
     sun, up, level, away = [0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]

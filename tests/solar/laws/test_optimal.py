@@ -66,6 +66,18 @@ def test_a_short_gap_in_the_beam_moves_nothing_and_a_long_one_does():
     assert cloud[-1][1] > 80.0
 
 
+def test_a_sun_that_no_pose_sees_draws_nothing():
+    # Towards midnight of a summer far in the north: the sun stands behind, where the axis does not go.
+    limits, place, evening = Limits(-50.0, 50.0, 15.0, 60.0), (68.0, 2.2090, 0.0), 1655850600.0  # 2022-06-21 22:30
+    sun = sun_direction(evening, *place)
+    law = OptimalLaw(SETTINGS, limits)
+    for _ in range(60):
+        law.observe(sky("isotropic", sun, 600.0, 100.0, 1320.0).irradiance_on(NORMALS), sun, 60.0)
+    choice = law.decide(50.0, 15.0, sun, 1.0)
+    assert choice.move
+    np.testing.assert_allclose((choice.a_deg, choice.b_deg), (0.0, 60.0), atol=1.0)
+
+
 @pytest.mark.parametrize("thrift", [0.0, 0.09, -1.0, 101.0, math.nan])
 def test_a_thrift_that_is_no_price_is_refused(thrift):
     with pytest.raises(ValueError, match=r"not in 0\.1\.\.100"):
