@@ -80,9 +80,9 @@ class Alarms:
                 self._held[name] = text
             return
         before = self._shown.get(name)
+        if self._before:
+            self._forget(name, text)
         if text is None:
-            if self._before:
-                self._before.pop(name, None)
             if before is not None and before.on:
                 self._clear(before)
         elif before is None or not before.on:
@@ -137,7 +137,7 @@ class Alarms:
     def _raise(self, name: str, text: str, before: Alarm | None) -> None:
         now_utc_s = self._clock.utc()
         kept = self._before.pop(name, None)
-        if kept is not None and self._clock.monotonic() - self._started_s <= _SAME_AFTER_START_S:
+        if kept is not None:
             self._shown[name] = kept.alarm(name, text)
         else:
             # Of one that came back before anybody had looked, the first time counts.
@@ -165,6 +165,14 @@ class Alarms:
                 cleared_utc_s = now_utc_s if found.cleared_utc_s is None else found.cleared_utc_s
                 self._shown[name] = replace(found.alarm(name, found.text), cleared_utc_s=cleared_utc_s)
         self._saved = kept
+
+    def _forget(self, name: str, text: str | None) -> None:
+        """Forget of what was acknowledged before the start what is over, and after a while all."""
+        if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
+            self._before = {}
+        elif text is None:
+            self._before.pop(name, None)
+        self._save()
 
     def _save(self) -> None:
         if self._file is None:

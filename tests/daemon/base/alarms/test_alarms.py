@@ -164,6 +164,19 @@ def test_after_a_restart_a_new_cause_is_a_new_alarm(house, cause):
     assert house.states == {PLAIN: "raised"}
 
 
+@pytest.mark.parametrize("cause", ["over", "late"])
+def test_a_second_restart_does_not_bring_back_what_was_over_after_the_first(house, cause):
+    house.alarms.set(PLAIN, "bad")
+    house.alarms.acknowledge("ana")
+    house.restart()
+    if cause == "late":
+        house.clock.now += 3600
+    house.alarms.set(PLAIN if cause == "over" else LATCHED, None)
+    house.restart()
+    house.alarms.set(PLAIN, "bad")
+    assert house.states == {PLAIN: "raised"}
+
+
 def test_what_nobody_has_seen_and_nothing_latches_costs_no_disk(house):
     for _ in range(3):
         house.alarms.set(PLAIN, "wind")
