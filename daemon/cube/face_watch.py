@@ -213,6 +213,9 @@ class FaceWatch:
     def _report(self) -> None:
         now = f"{iso_utc(self._clock.utc())[:16].replace('T', ' ')} UTC"
         whys = {name: why for name, why in zip(FACES, self._whys, strict=True) if why is not Doubt.NONE}
+        if not whys and not self._since:
+            # Not 'it is over': what was acknowledged before a restart takes its time to be found again.
+            return
         another = bool(whys.keys() - self._since.keys())
         self._since = {name: self._since.get(name, now) for name in whys}
         parts = []

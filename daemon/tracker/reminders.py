@@ -45,6 +45,7 @@ class Reminders:
         self._maintenance: Wish | None = None
         self._due_s = math.inf
         self._fallback_s: float | None = None
+        self._without_readings = False
         self._answered_s = clock.monotonic()
 
     def remind(self, wishes: Wishes, *, sun_known: bool) -> None:
@@ -74,7 +75,10 @@ class Reminders:
             self._fallback_s = now_s
         lasts = self._fallback_s is not None and now_s - self._fallback_s >= _WITHOUT_READINGS_S
         does = "tracking by the ephemeris" if sun_known else "standing, since the clock is in doubt too,"
-        self._alarms.set("no-readings", f"{does} for a quarter of an hour: {why}" if lasts else None)
+        lasted, self._without_readings = self._without_readings, lasts
+        # Before that nobody knows whether it is over: after a restart it may be the one that was acknowledged.
+        if lasts or lasted or mode is Mode.TRACKING:
+            self._alarms.set("no-readings", f"{does} for a quarter of an hour: {why}" if lasts else None)
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
         now_s, wish = self._clock.monotonic(), wishes.maintenance

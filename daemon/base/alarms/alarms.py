@@ -11,8 +11,9 @@ from daemon.base.records import Event, Record
 
 log = logging.getLogger("heliocube.alarm")
 
-# What is raised anew within this time of a start is what was acknowledged before it, and not another one.
-_SAME_AFTER_START_S = 600.0
+# What is raised anew within this time of a start is what was acknowledged before it, and not another one: that a face
+# of the cube stands still is found after half an hour.
+_SAME_AFTER_START_S = 3600.0
 
 
 class Alarms:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kept import AlarmFile
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.records import Mode, Quality
+from daemon.base.state import StateFolder
 from daemon.config.sections import CubeSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch, face_normals
@@ -151,12 +153,12 @@ class Hand:
 class WatchedDay:
     """Faces of a day with a cloud every twenty minutes, scan by scan, before a watch."""
 
-    def __init__(self, start_utc_s, off_s=0.0, **faces):
+    def __init__(self, start_utc_s, off_s=0.0, directory=None, **faces):
         self.clock = Hand(start_utc_s, off_s)
         self.synchronised = None
         settings = Settings()
         self.site = settings.site.place()
-        self.alarms = Alarms(self.clock, lambda _record: None)
+        self.alarms = Alarms(self.clock, lambda _record: None, file=AlarmFile(StateFolder(directory)))
         clock_watch = ClockWatch(self.clock, synchronised=lambda: self.synchronised)
         cube = settings.cube.model_copy(update=faces)
         self.watch = FaceWatch(settings.site, cube, self.clock, self.alarms, clock_watch)
@@ -338,6 +340,14 @@ def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronis
     assert day.minutes(60) == [None] * 4
     assert day.alarms.active == ()
     assert day.minutes(15, frozen=3, at_w_m2=1800.0)[3] is not None
+
+
+@pytest.mark.parametrize("at_w_m2", [0.0, 250.0])
+def test_a_face_that_somebody_has_seen_is_no_new_alarm_after_a_restart(tmp_path, at_w_m2):
+    for hour in range(2):
+        day = WatchedDay(MORNING_UTC_S + 3600.0 * hour, directory=tmp_path)
+        assert day.minutes(59, frozen=3, at_w_m2=at_w_m2)[3] is not None
+        assert day.alarms.acknowledge("ana") == (("cube-face",) if hour == 0 else ())
 
 
 def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():

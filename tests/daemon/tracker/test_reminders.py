@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from daemon.base.alarms.alarms import Alarms
+from daemon.base.alarms.kept import AlarmFile
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Mode
+from daemon.base.state import StateFolder
 from daemon.config.sections import SiteSettings
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes
@@ -23,10 +25,10 @@ def utc_s(text):
 class Desk:
     """Reminders with a clock in hand, and what they have raised and told."""
 
-    def __init__(self, start="2022-10-12T14:00", **site):
+    def __init__(self, start="2022-10-12T14:00", directory=None, **site):
         self._utc_s = utc_s(start)
         self.records = []
-        self._alarms = Alarms(self, lambda _record: None)
+        self._alarms = Alarms(self, lambda _record: None, file=AlarmFile(StateFolder(directory)))
         self.reminders = Reminders(self, SiteSettings(**site), self._alarms, self.records.append)
         self.motion = SimpleNamespace(connected=True, outage=Outage(logging.getLogger("test"), "the positioner"))
 
@@ -49,6 +51,9 @@ class Desk:
     def watched(self, mode=Mode.TRACKING, *, sun_known=True):
         self.reminders.watch(self.motion, mode, "no good scan", sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}
+
+    def acknowledge(self):
+        return self._alarms.acknowledge("ana")
 
     def told(self, wishes):
         self.raised(wishes)
@@ -86,6 +91,19 @@ def test_a_quarter_of_an_hour_without_readings_is_told_and_counts_anew_each_time
         assert desk.watched(Mode.FALLBACK) == told
         assert "standing" in desk.watched(Mode.FALLBACK, sun_known=False)["no-readings"]
         assert desk.watched() == {}
+
+
+@pytest.mark.parametrize(("between", "seen_before"), [(Mode.STARTING, True), (Mode.TRACKING, False)])
+def test_readings_that_stay_away_over_a_restart_are_no_new_alarm_where_somebody_has_seen_it(
+    tmp_path, between, seen_before
+):
+    for start, first, acknowledged in [("14:00", Mode.TRACKING, True), ("14:20", between, not seen_before)]:
+        desk = Desk(f"2022-10-12T{start}", tmp_path)
+        desk.watched(first)
+        desk.watched(Mode.FALLBACK)
+        desk.later(900.0)
+        assert list(desk.watched(Mode.FALLBACK)) == ["no-readings"]
+        assert desk.acknowledge() == (("no-readings",) if acknowledged else ())
 
 
 @pytest.mark.parametrize(("age_s", "first_s"), [(HOUR_S, 23 * HOUR_S), (30 * HOUR_S, 18 * HOUR_S), (None, 24 * HOUR_S)])
