@@ -208,6 +208,25 @@ def test_a_local_time_has_the_local_date(browser, tmp_path):
     ]
 
 
+def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { hero } = await import("/static/js/views/hero.js");
+      const card = hero(null);
+      const since = "2022-09-21T23:10:00Z";
+      const alarm = { name: "reference", severity: "warning", state: "raised", tracker: null, text: "x", since };
+      const tracker = { mode: { name: "hold", since, why: "x" }, wishes: { hold: { since, why: "x" } } };
+      return ["2022-09-21T23:59:59Z", "2022-09-22T00:00:00Z"].map((now) => {
+        const context = { state: { alarms: [alarm] }, entry: { key: "made" }, tracker, now: Date.parse(now) };
+        card.update({ ...context, tracker: { ...tracker, tracker: { name: "roof" } } });
+        return [...card.node.querySelectorAll(".since, .alarm .hint, .wish p")].map((each) => each.textContent);
+      });
+    }""")
+    for before, after in zip(*said, strict=True):
+        assert "since 23:10 local" in before
+        assert "since 2022-09-21 23:10 local" in after
+
+
 def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

@@ -1,7 +1,7 @@
 // The state in one line, the alarms, and who holds what.
 
 import { fill, h, icon, setAttr, setText } from "../dom.js";
-import { at, duration, sentence } from "../format.js";
+import { at, duration, localDay, sentence } from "../format.js";
 
 // Severity of each mode, for colour; the words say the same.
 export const KIND = {
@@ -38,8 +38,10 @@ export function hero(orders) {
     simulated.hidden = !state?.simulated;
     setText(simulated.lastChild, state?.speed > 1 ? ` at ${state.speed} times real speed: nothing is moved` : ": no hardware is moved");
     const own = (state?.alarms ?? []).filter((alarm) => alarm.tracker === null || tracker === null || alarm.tracker === tracker.tracker.name);
-    fill(alarms, [own, entry.key, Boolean(tracker?.wishes.maintenance)], () => alarmList(own, tracker, now, (alarm) => orders.acknowledge(alarm, entry)));
-    fill(wishes, [tracker?.wishes, tracker ? tracker.mode.name : ""], () => wishList(tracker?.wishes ?? {}, now));
+    // A time of today has no date; after midnight it needs one.
+    const today = state ? localDay(now) : "";
+    fill(alarms, [own, entry.key, Boolean(tracker?.wishes.maintenance), today], () => alarmList(own, tracker, now, (alarm) => orders.acknowledge(alarm, entry)));
+    fill(wishes, [tracker?.wishes, today], () => wishList(tracker?.wishes ?? {}, now));
   }
 
   return { node, update };
