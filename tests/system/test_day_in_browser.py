@@ -227,6 +227,20 @@ def test_what_lasts_over_midnight_gets_its_date_then(context, tmp_path):
         assert "since 2022-09-21 23:10 local" in after
 
 
+def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    said = page.page.evaluate("""async () => {
+      const { log } = await import("/static/js/views/cards.js");
+      const card = log();
+      const texts = ["alarm: raised cube-face: the south face", "east: night -> tracking: x", "west: moved to A +1.0"];
+      const news = texts.map((text, minute) => ({ time: `2022-09-21T00:0${minute}:00Z`, text }));
+      const tracker = { tracker: { name: "east" } };
+      card.update({ state: { news, trackers: { east: tracker, west: {} } }, tracker, now: Date.parse(news[0].time) });
+      return [...card.node.querySelectorAll("li > span")].map((each) => each.textContent);
+    }""")
+    assert said == ["East: night -> tracking: x", "Alarm: raised cube-face: the south face"]
+
+
 def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

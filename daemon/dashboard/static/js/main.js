@@ -42,7 +42,7 @@ function context() {
   const time = serviceNow(service);
   return {
     live, orders, trackers, entry, service, tracker, state, now: time, extra: elapsed(service), old: Boolean(state) && isOld(service, live.connected),
-    sunDay: sunOf(service, time), several: Object.keys(state?.trackers ?? {}).length > 1,
+    sunDay: sunOf(service, time),
   };
 }
 

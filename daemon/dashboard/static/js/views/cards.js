@@ -178,9 +178,10 @@ export function log() {
   const body = h("ol", { class: "log" });
   const node = card("What happened lately", null, body);
 
-  function update({ state, tracker, several, now }) {
+  function update({ state, tracker, now }) {
     const name = tracker?.tracker.name;
-    const own = (state?.news ?? []).filter(({ text }) => !several || !name || text.startsWith(`${name}: `) || !/^[\w-]{1,32}: /.test(text));
+    const others = Object.keys(state?.trackers ?? {}).filter((each) => each !== name).map((each) => `${each}: `);
+    const own = (state?.news ?? []).filter(({ text }) => !name || !others.some((other) => text.startsWith(other)));
     // A move is known by its beginning, and comes when it has ended.
     const newest = own.sort((one, other) => (one.time < other.time ? -1 : 1)).slice(-12).reverse();
     const today = state ? localDay(now) : "";
