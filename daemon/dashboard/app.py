@@ -24,7 +24,6 @@ from daemon.dashboard.sessions import Session, Sessions
 from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
-COOKIE = "heliocube"
 
 _NO_SERVICE = "what answers there is no service of heliocube: see dashboard.services"
 _NO_OBJECT = "the body is not a JSON object"
@@ -124,7 +123,7 @@ class Dashboard:
         return Response(content, reply.status_code, headers=kept)
 
     async def _session(self, request: Request) -> Response:
-        return JSONResponse(_session_json(self._sessions.find(request.cookies.get(COOKIE))))
+        return JSONResponse(_session_json(self._sessions.find(_session_name(request))))
 
     async def _login(self, request: Request) -> Response:
         given = await _body(request)
@@ -143,13 +142,14 @@ class Dashboard:
                 raise HTTPException(502, "no service answers now, so the token cannot be tried")
             self._sessions.failed()
             raise HTTPException(401, "no service takes this token: see api.token_file of its configuration")
-        before = request.cookies.get(COOKIE)
+        before = _session_name(request)
         known = self._sessions.find(before)
         name = self._sessions.open(by, (known.tokens if known else {}) | tokens)
         self._sessions.close(before)
         response = JSONResponse(_session_json(self._sessions.find(name)))
         secure = request.url.scheme == "https"
-        response.set_cookie(COOKIE, name, max_age=30 * 86400, httponly=True, samesite="strict", secure=secure)
+        cookie = _cookie(request)
+        response.set_cookie(cookie, name, max_age=30 * 86400, httponly=True, samesite="strict", secure=secure)
         return response
 
     async def _accepts(self, service: Upstream, token: str) -> bool | None:
@@ -162,9 +162,9 @@ class Dashboard:
         return status == httpx.codes.OK
 
     async def _logout(self, request: Request) -> Response:
-        self._sessions.close(request.cookies.get(COOKIE))
+        self._sessions.close(_session_name(request))
         response = JSONResponse(_session_json(None))
-        response.delete_cookie(COOKIE)
+        response.delete_cookie(_cookie(request))
         return response
 
     async def _command(self, request: Request) -> Response:
@@ -232,10 +232,20 @@ class Dashboard:
             raise HTTPException(409, late)
 
     def _require(self, request: Request) -> Session:
-        session = self._sessions.find(request.cookies.get(COOKIE))
+        session = self._sessions.find(_session_name(request))
         if session is None:
             raise HTTPException(401, "log in first")
         return session
+
+
+def _cookie(request: Request) -> str:
+    """Return a name that no dashboard at another port has: a browser sends a host's cookies to all of its ports."""
+    port = request.headers.get("host", "").rpartition(":")[2]
+    return f"heliocube-{port}" if port.isdecimal() else "heliocube"
+
+
+def _session_name(request: Request) -> str | None:
+    return request.cookies.get(_cookie(request))
 
 
 async def _raw(reply: httpx.Response, longest: int) -> bytes:

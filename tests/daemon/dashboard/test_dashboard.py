@@ -10,7 +10,7 @@ from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.process import Notifier
-from daemon.dashboard.app import COOKIE, STATIC
+from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve, settings_of_file
 from tests.daemon.dashboard.house import NAMES, OTHER, TOKEN, in_house
 
@@ -167,10 +167,25 @@ def test_no_token_can_be_tried_while_no_service_answers():
 def test_logging_out_ends_the_session_for_whoever_has_the_cookie():
     async def scenario(house):
         await house.login()
-        stolen = house.browser.cookies[COOKIE]
+        ((cookie, stolen),) = house.browser.cookies.items()
         await house.browser.post("/logout")
-        house.browser.cookies.set(COOKIE, stolen)
+        house.browser.cookies.set(cookie, stolen)
         assert (await house.order()).status_code == 401
+
+    in_house(scenario)
+
+
+def test_the_dashboards_of_one_host_log_nobody_out_of_each_other():
+    async def scenario(house):
+        await house.login()
+        for port in ("20575", "20576"):
+            there = f"http://dash.lab:{port}"
+            login = {"token": TOKEN, "by": "ben"}
+            reply = await house.browser.post(f"{there}/login", json=login, headers={"Origin": there})
+            assert reply.json()["by"] == "ben"
+            assert (await house.browser.get("/session")).json()["by"] == "ana"
+        await house.browser.post("http://dash.lab:20575/logout", headers={"Origin": "http://dash.lab:20575"})
+        assert (await house.browser.get("http://dash.lab:20576/session")).json()["by"] == "ben"
 
     in_house(scenario)
 
