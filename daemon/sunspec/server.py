@@ -33,6 +33,7 @@ _ANSWER_WITHIN_S = 0.5
 # A control room asks once a second; a program in a loop waits for the rest of the service.
 _QUESTIONS_PER_S, _QUESTIONS_AT_ONCE, _PAUSE_S = 100.0, 200, 0.05
 _NO_SUCH_UNIT = 11
+_SETTLE_EVERY_S = 60.0
 _CHUNK = 1024
 
 
@@ -99,7 +100,9 @@ class SunSpecServer:
             self.port = server.sockets[0].getsockname()[1]
             may = "the manual override may be written" if self._own.manual else "read-only"
             log.info("SunSpec is served at %s, %s", address, may)
-            await asyncio.Event().wait()
+            while True:
+                await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
+                self._log(self._refused.settle(self._clock.monotonic()))
         finally:
             await self._end(server)
 
@@ -211,5 +214,8 @@ class SunSpecServer:
             raise CommandError("a person has stopped or stowed it meanwhile")
 
     def _tell(self, sentence: str) -> None:
-        if line := self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"):
+        self._log(self._refused.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))
+
+    def _log(self, line: str) -> None:
+        if line:
             log.warning("%s", line)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import re
 import socket
 
 import pytest
@@ -10,7 +11,7 @@ from daemon.service.operator_commands import Operators
 from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
 from drivers.modbus.framing import TcpClient
-from drivers.modbus.pdu import read_registers, registers_of
+from drivers.modbus.pdu import read_registers, registers_of, write_register
 from tests.support.addresses import free_port
 
 
@@ -107,6 +108,23 @@ def test_beyond_sixteen_clients_the_next_is_put_off_until_one_has_asked_nothing_
         assert framing.feed(await reader.read(300)) is not None
         for _, writer in (*others, *newcomers):
             writer.close()
+        await ended(task)
+
+    serve(scenario)
+
+
+def test_the_end_of_a_flood_of_refused_writes_is_told_with_their_number(serve, caplog):
+    async def scenario(rig, server, port):
+        task = await running(rig, server)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        framing = TcpClient()
+        for _ in range(12):
+            writer.write(framing.begin(write_register(1, BASE, 0)))
+            assert framing.feed(await reader.read(300)) is not None
+        writer.close()
+        await asyncio.sleep(3600)
+        lines = [line.getMessage() for line in caplog.records if line.name == "heliocube.sunspec"]
+        assert re.fullmatch(r"writes over SunSpec that were refused: 6 more, the last 3\d min ago", lines[-1])
         await ended(task)
 
     serve(scenario)
