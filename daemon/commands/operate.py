@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import OPERATION, ApiOption, ConfigOption, TrackerOption
 
@@ -23,8 +24,9 @@ _AN_OPERATOR = "an operator asked"
 def _plain(name: str, meaning: str) -> None:
     """Offer a command that takes nothing but the options that all of them have."""
 
-    @app.command(name, help=meaning, rich_help_panel=OPERATION)
+    @app.command(name, help=meaning, rich_help_panel=OPERATION, context_settings={"allow_extra_args": True})
     def command(
+        context: typer.Context,
         config: ConfigOption = None,
         api: ApiOption = None,
         token_file: TokenOption = None,
@@ -32,6 +34,10 @@ def _plain(name: str, meaning: str) -> None:
         tracker: TrackerOption = None,
         as_json: JsonOption = False,
     ) -> None:
+        if context.args:
+            raise UserError(
+                f"nothing is done: '{name}' takes no name; one of several trackers is --tracker {context.args[0]}"
+            )
         give(name, config, api, token_file, why, tracker, as_json=as_json)
 
 
