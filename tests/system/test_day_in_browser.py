@@ -241,6 +241,44 @@ def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tm
     assert said == ["East: night -> tracking: x", "Alarm: raised cube-face: the south face"]
 
 
+@pytest.mark.parametrize(
+    ("alarm", "cube_down_why", "headline"),
+    [
+        ({"state": "raised", "severity": "critical"}, None, "2 trackers: 1 needs attention"),
+        ({"state": "cleared", "severity": "warning"}, None, "2 trackers: 1 needs attention"),
+        ({"state": "acknowledged", "severity": "critical"}, None, "2 trackers: none needs attention"),
+        ({"state": "raised", "severity": "notice"}, None, "2 trackers: none needs attention"),
+        (None, "unplugged", "2 trackers: 1 needs attention"),
+        (None, None, "2 trackers: none needs attention"),
+    ],
+)
+def test_an_alarm_that_nobody_has_seen_and_a_cube_that_is_down_need_attention(
+    context, tmp_path, alarm, cube_down_why, headline
+):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    alarms = [{"name": "positioner-down", "tracker": "east", **alarm}] if alarm else []
+    said = page.page.evaluate(
+        """async ([alarms, cube_down_why]) => {
+          const { fleet } = await import("/static/js/views/fleet.js");
+          const own = (name, mode) => ({
+            tracker: { name, moving: false, target: null, pose: null }, mode: { name: mode },
+            law: { name: "x" }, wind: [],
+          });
+          const trackers = { east: own("east", "starting"), west: own("west", "night") };
+          const site = { name: "made", latitude_deg: 10 };
+          const service = { name: "s", up: true, at: performance.now(), state: { trackers, alarms, site } };
+          const cube = { ...service, name: "c", state: { trackers: {}, alarms: [], site, cube_down_why, scan: null } };
+          const rows = Object.keys(trackers).map((key) => ({ key, label: key, service, tracker: trackers[key] }));
+          const view = fleet(null);
+          const all = [...rows, { key: "c", label: "cube", service: cube, tracker: null }];
+          view.update({ trackers: all, live: { connected: true } });
+          return view.node.querySelector("h1").textContent;
+        }""",
+        [alarms, cube_down_why],
+    )
+    assert said == headline
+
+
 def test_a_gain_that_is_not_known_is_a_dash(context, tmp_path):
     page = MadeSite(tmp_path).open(context, MIDNIGHT)
     said = page.page.evaluate("""async () => {

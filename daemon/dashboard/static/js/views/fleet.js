@@ -35,12 +35,11 @@ export function fleet(orders) {
     const rows = trackers.map((entry) => row(entry, live.connected));
     compare(rows);
     const own = rows.filter(({ tracker }) => tracker);
-    const bad = own.filter(({ kind }) => kind === "bad" || kind === "lost").length;
-    const gone = rows.filter(({ old, state }) => old || !state).length;
+    const gone = rows.filter(({ kind }) => kind === "lost").length;
     const waiting = rows.every(({ state, up }) => !state && up !== false);
-    const troubled = bad + rows.filter(({ tracker, old, state }) => !tracker && (old || !state)).length;
-    setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : `${gone} services do not answer`) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${bad || gone ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
-    setAttr(node.firstChild, "data-kind", waiting ? "calm" : bad || gone ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
+    const troubled = rows.filter(({ kind, alarms }) => kind === "bad" || kind === "lost" || alarms.some(unseen)).length;
+    setText(title, waiting ? "Connecting ..." : !own.length && gone ? (gone === 1 ? "The service does not answer" : `${gone} services do not answer`) : `${own.length} tracker${own.length === 1 ? "" : "s"}: ${troubled ? `${troubled} need${troubled === 1 ? "s" : ""} attention` : "none needs attention"}`);
+    setAttr(node.firstChild, "data-kind", waiting ? "calm" : troubled ? "bad" : own.some(({ kind }) => kind === "warn") ? "warn" : "ok");
     const counts = {};
     for (const { mode } of own) counts[mode] = (counts[mode] ?? 0) + 1;
     setText(tally, Object.entries(counts).sort((a, b) => b[1] - a[1]).map(([mode, count]) => `${count} ${mode}`).join(", "));
@@ -55,6 +54,9 @@ export function fleet(orders) {
 
   return { node, update };
 }
+
+// What somebody has acknowledged is looked after, and a notice can wait.
+const unseen = ({ state, severity }) => state !== "acknowledged" && severity !== "notice";
 
 function row({ key, label, service, tracker }, connected) {
   const state = service.state;
