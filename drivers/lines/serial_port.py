@@ -70,7 +70,7 @@ class SerialPort:
         self._path = path
         self._require_allowed = require_allowed
         self._tap = tap
-        first = _open_raw(device, path)
+        first = open_raw(device, path)
         # Windows opens every port exclusively and knows no such option.
         exclusive = True if os.name == "posix" else None
         unusable: tuple[type[BaseException], ...] = (OSError, ValueError, *terminal_errors())
@@ -173,7 +173,7 @@ def keeps_sending(device: str) -> ConnectError:
     return ConnectError(device, "what is there keeps sending unasked: is it this instrument, and the speed right?")
 
 
-def _open_raw(device: str, path: str) -> int | None:
+def open_raw(device: str, path: str) -> int | None:
     """Return a descriptor on the port, made raw and empty before anything else happened; None where none is needed."""
     if sys.platform == "win32":
         return None

@@ -5,6 +5,9 @@ does over each kind of GPIB adapter; where clear is not supported the line is dr
 """
 
 import contextlib
+import itertools
+import os
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -12,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
 from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissingError, LinkLostError
-from drivers.lines.serial_port import LONGEST_DRAIN_S, cannot_open, keeps_sending, terminal_errors
+from drivers.lines.serial_port import LONGEST_DRAIN_S, cannot_open, keeps_sending, open_raw, terminal_errors
 from drivers.transcript import Tap, no_tap
 
 _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
@@ -22,6 +25,9 @@ _BITS_PER_BYTE = 10
 # PyVISA hands out its one manager to a second thread while the first still makes it, and drops it once nobody has it.
 _making_manager = threading.Lock()
 _managers: dict[str, Any] = {}
+# PyVISA-py knows an adapter by the number of its bus alone, and the last one that was opened takes its instruments. So
+# each has a number of its own, beyond those of linux-gpib, whatever the instrument's name says.
+_adapter_buses = itertools.count(100)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +76,9 @@ class VisaLine:
         self._settings = settings
         self._tap = tap
         self._serial = settings.resource.upper().startswith("ASRL")
+        self._port = settings.prologix_port or settings.resource.partition("::")[0]
+        if self._serial:
+            self._port = self._port[len("ASRL") :]
         self._end = _ENDS[settings.terminator] if self._serial else "\n"
         # The line's own time for a question and its answer comes on top of every deadline.
         self.transfer_s = 2 * _LONGEST_LINE * _BITS_PER_BYTE / settings.baud_rate if self._serial else 0.0
@@ -128,10 +137,22 @@ class VisaLine:
         except (OSError, ValueError) as error:
             message = f"NI-VISA is not installed on this PC; install it, or set {settings.section}.visa to py"
             raise DriverMissingError(settings.device, message) from error
-        if settings.prologix_port is not None:
-            self._adapter = self._manager.open_resource(f"PRLGX-ASRL::{settings.prologix_port}::INTFC")
+        # PyVISA-py sets a port before it is held, also one that another program has set otherwise and reads from.
+        first = open_raw(settings.device, self._port) if self._port.startswith("/") else None
+        try:
+            self._open_sessions()
+        finally:
+            if first is not None:
+                os.close(first)
+
+    def _open_sessions(self) -> None:
+        name, adapter_port = self._settings.resource, self._settings.prologix_port
+        if adapter_port is not None:
+            bus = next(_adapter_buses)
+            self._adapter = self._manager.open_resource(f"PRLGX-ASRL{bus}::{adapter_port}::INTFC")
             self._hold(self._adapter)
-        self._resource = self._manager.open_resource(settings.resource)
+            name = re.sub(r"^GPIB\d*", f"GPIB{bus}", name, flags=re.IGNORECASE)
+        self._resource = self._manager.open_resource(name)
         if self._serial:
             self._set_serial()
 
@@ -188,9 +209,8 @@ class VisaLine:
 
     def _refuse_open(self, error: BaseException) -> NoReturn:
         settings = self._settings
-        port = settings.prologix_port or settings.resource
         if isinstance(error, OSError):
-            raise cannot_open(settings.device, port.removeprefix("ASRL").partition("::")[0], error) from error
+            raise cannot_open(settings.device, self._port, error) from error
         if isinstance(error, ValueError) and not self._serial:
             message = (
                 f"{settings.resource} cannot be opened with PyVISA-py: it needs linux-gpib, or"

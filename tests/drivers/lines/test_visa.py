@@ -16,6 +16,7 @@ import pyvisa.highlevel
 from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
 from drivers.lines import visa
 from drivers.lines.visa import VisaLine, VisaSettings
+from tests.support.prologix import Prologix
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 
@@ -73,8 +74,9 @@ def test_the_port_is_set_as_the_settings_say_and_held(ends, flow_control, flag):
         assert come & (termios.IXON | termios.IXOFF) == flag
         assert control & termios.CSTOPB == 0
         assert control & termios.PARODD == 0
-        with pytest.raises(ConnectError, match="held by another program"), opened(path):
+        with pytest.raises(ConnectError, match="held by another program"), opened(path, baud_rate=300):
             pass
+        assert modes(path)[5] == termios.B4800
     with opened(path):
         pass
 
@@ -167,3 +169,55 @@ def test_two_instruments_that_are_opened_at_once_for_the_first_time_get_one_whol
 
     with ThreadPoolExecutor(2) as threads:
         list(threads.map(open_line, [f"ASRL{path}::INSTR", "ASRL/dev/no-such-port::INSTR"]))
+
+
+class Named:
+    """An instrument that tells its name, whatever it is asked."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def feed(self, data, now):
+        return [(now, self.name + b"\n")] if b"?" in data else []
+
+
+def test_two_adapters_that_are_opened_at_once_lead_to_an_instrument_each(tmp_path):
+    ports = [str(tmp_path / name) for name in ("east", "west")]
+    adapters = [Prologix(Named(name), tmp_path / name.decode()) for name in (b"east", b"west")]
+    begin = threading.Barrier(2)
+
+    def asked(resource, port):
+        begin.wait()
+        line = VisaLine(VisaSettings(resource, prologix_port=port))
+        try:
+            line.send("*IDN?")
+            return line.receive(10.0)
+        finally:
+            line.close()
+
+    try:
+        for resources in 10 * [("GPIB0::16::INSTR", "GPIB0::16::INSTR")] + [("gpib::16::INSTR", "GPIB1::16::INSTR")]:
+            with ThreadPoolExecutor(2) as threads:
+                assert list(threads.map(asked, resources, ports)) == ["east", "west"]
+    finally:
+        for adapter in adapters:
+            adapter.end()
+
+
+def test_an_adapter_that_another_line_has_is_told_nothing(tmp_path):
+    adapter = Prologix(Named(b"meter"), tmp_path / "adapter")
+    settings = VisaSettings("GPIB0::16::INSTR", prologix_port=str(tmp_path / "adapter"))
+    line = VisaLine(settings)
+    try:
+        line.send("*IDN?")
+        assert line.receive(10.0) == "meter"
+        lines = adapter.lines
+        with pytest.raises(ConnectError, match="held by another program"):
+            VisaLine(settings)
+        line.send("*IDN?")
+        assert line.receive(10.0) == "meter"
+        # A question, and the order to read its answer.
+        assert adapter.lines == lines + 2
+    finally:
+        line.close()
+        adapter.end()

@@ -1,11 +1,7 @@
 import asyncio
 import contextlib
-import os
 import re
-import threading
 import time
-import tty
-from collections import deque
 from functools import partial
 
 import numpy as np
@@ -25,6 +21,7 @@ from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.meters.keithley2000 import Keithley2000, require_model
 from sim_drivers.transports import InMemoryLine
 from sim_drivers.voltmeter.core import VoltmeterCore
+from tests.support.prologix import Prologix
 
 PRESSED = [
     {"filter_on": True},
@@ -299,57 +296,6 @@ def test_a_pulled_cable_is_a_lost_link_and_the_same_name_works_again(voltmeter_h
             await meter.close()
 
     asyncio.run(scene())
-
-
-class Prologix(threading.Thread):
-    """A GPIB-USB adapter with a simulated meter at address 16: a controller that talks when it is told to.
-
-    It leaves the factory as ``++auto 1``, which reads after every line and so leaves a meter with nothing to say stuck.
-    """
-
-    def __init__(self, core, link):
-        super().__init__(daemon=True)
-        self._core = core
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        link.symlink_to(os.ttyname(self._slave))
-        self.settings = {"mode": "0", "auto": "1", "addr": "5", "eoi": "0"}
-        self.clears = self.stuck = 0
-        self.start()
-
-    def run(self):
-        said, data = deque(), b""
-        while True:
-            try:
-                data += os.read(self._master, 256)
-            except OSError:
-                return
-            while b"\n" in data:
-                line, _, data = data.partition(b"\n")
-                if line == b"end":
-                    return
-                if line.startswith(b"++"):
-                    self._obey(line[2:].decode().split(), said)
-                elif (self.settings["mode"], self.settings["addr"]) == ("1", "16"):
-                    text = re.sub(rb"\x1b(.)", rb"\1", line)
-                    said.extend(reply for _, reply in self._core.feed(text + b"\n", time.monotonic()))
-                    self.stuck += self.settings["auto"] == "1" and not said
-
-    def _obey(self, order, said):
-        if order == ["read", "eoi"]:
-            if said:
-                os.write(self._master, said.popleft())
-        elif order == ["clr"]:
-            said.clear()
-            self.clears += 1
-        elif len(order) == 2:
-            self.settings[order[0]] = order[1]
-
-    def end(self):
-        os.write(self._slave, b"end\n")
-        self.join(60.0)
-        os.close(self._slave)
-        os.close(self._master)
 
 
 def test_a_meter_on_gpib_behind_a_prologix_adapter_is_read(tmp_path):
