@@ -22,6 +22,7 @@ _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
 _CONTROL_C = b"\x03"
 _LONGEST_LINE = 256
 _BITS_PER_BYTE = 10
+_LONGEST_OF_ADAPTER_S = 3.0
 # PyVISA hands out its one manager to a second thread while the first still makes it, and drops it once nobody has it.
 _making_manager = threading.Lock()
 _managers: dict[str, Any] = {}
@@ -86,6 +87,7 @@ class VisaLine:
         unusable: tuple[type[BaseException], ...] = (*self._gone, ValueError, NotImplementedError)
         self._manager: Any = None
         self._adapter: Any = None
+        self._adapter_waits_s = 0.0
         self._resource: Any = None
         try:
             self._open()
@@ -184,6 +186,7 @@ class VisaLine:
     def _read(self, within_s: float) -> str:
         with self._translated():
             self._set_timeout(within_s)
+            self._let_adapter_wait(within_s)
             data: bytes = self._resource.read_raw()
         self._tap("<", data)
         return data.decode("latin-1").strip("\r\n")
@@ -193,6 +196,13 @@ class VisaLine:
         for part in (self._adapter, self._resource):
             if part is not None:
                 part.timeout = max(1000 * seconds, 1)
+
+    def _let_adapter_wait(self, seconds: float) -> None:
+        """Set how long an adapter waits for the next character of its instrument: PyVISA-py leaves it at 50 ms."""
+        seconds = min(seconds, _LONGEST_OF_ADAPTER_S)
+        if self._adapter is not None and seconds != self._adapter_waits_s:
+            self._adapter.write_raw(b"++read_tmo_ms %d\n" % max(1000 * seconds, 1))
+            self._adapter_waits_s = seconds
 
     @contextlib.contextmanager
     def _translated(self) -> Iterator[None]:

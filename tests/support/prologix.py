@@ -1,5 +1,6 @@
 """A Prologix GPIB-USB adapter on a pseudo-terminal."""
 
+import math
 import os
 import re
 import threading
@@ -40,18 +41,24 @@ class Prologix(threading.Thread):
                     self._obey(line[2:].decode().split(), said)
                 elif (self.settings["mode"], self.settings["addr"]) == ("1", "16"):
                     text = re.sub(rb"\x1b(.)", rb"\1", line)
-                    said.extend(reply for _, reply in self._core.feed(text + b"\n", time.monotonic()))
+                    said.extend(self._core.feed(text + b"\n", time.monotonic()))
                     self.stuck += self.settings["auto"] == "1" and not said
 
     def _obey(self, order, said):
         if order == ["read", "eoi"]:
-            if said:
-                os.write(self._master, said.popleft())
+            if self._comes_in_time(said[0][0] if said else math.inf):
+                os.write(self._master, said.popleft()[1])
         elif order == ["clr"]:
             said.clear()
             self.clears += 1
         elif len(order) == 2:
             self.settings[order[0]] = order[1]
+
+    def _comes_in_time(self, due_s):
+        wait_s = max(due_s - time.monotonic(), 0.0)
+        longest_s = int(self.settings["read_tmo_ms"]) / 1000
+        time.sleep(min(wait_s, longest_s))
+        return wait_s <= longest_s
 
     def end(self):
         os.write(self._slave, b"end\n")
