@@ -127,7 +127,10 @@ class VisaLine:
         for part in (self._resource, self._adapter):
             if part is not None:
                 with contextlib.suppress(*self._gone, ValueError, AttributeError):
+                    session = part.session
                     part.close()
+                    # PyVISA-py keeps what is closed; a meter that is off for months is opened again and again.
+                    getattr(self._manager.visalib, "sessions", {}).pop(session, None)
         self._resource = self._adapter = self._manager = None
 
     def _open(self) -> None:

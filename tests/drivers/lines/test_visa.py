@@ -1,6 +1,7 @@
 """A VISA line over PyVISA-py on a pseudo-terminal."""
 
 import contextlib
+import gc
 import os
 import select
 import sys
@@ -12,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import pyvisa.highlevel
+import serial
 
 from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
 from drivers.lines import visa
@@ -102,6 +104,18 @@ def test_an_answer_that_does_not_come_is_told_and_what_waits_can_be_read_away(en
         assert line.receive(10.0).endswith("fresh")
         with pytest.raises(DeadlineError):
             line.receive(0.0)
+
+
+def test_nothing_is_kept_of_a_line_that_was_closed(ends):
+    def ports():
+        gc.collect()
+        return sum(isinstance(each, serial.Serial) for each in gc.get_objects())
+
+    before = ports()
+    for _ in range(3):
+        with opened(ends[1]):
+            assert ports() == before + 1
+    assert ports() == before
 
 
 def test_what_sends_on_and_on_is_told_within_seconds(ends):
