@@ -26,6 +26,7 @@ _SETTINGS = {
     "integration": ":SENS:VOLT:DC:NPLC?",
     "filter": ":SENS:VOLT:DC:AVER:STAT?",
     "relative": ":SENS:VOLT:DC:REF:STAT?",
+    "math": ":CALC1:STAT?",
     "autozero": ":SYST:AZER:STAT?",
     "free running": ":INIT:CONT?",
     "reading format": ":FORM:ELEM?",

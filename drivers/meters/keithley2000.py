@@ -96,6 +96,7 @@ class _Settings:
             ":SENS:FUNC 'VOLT:DC'",
             f":SENS:VOLT:DC:RANG {range_v:g};NPLC {nplc:g};AVER:STAT OFF",
             ":SYST:AZER:STAT ON;:SYST:BEEP:STAT OFF",
+            ":CALC1:STAT OFF",
             ":FORM:DATA ASC;:FORM:ELEM READ",
             ":TRIG:SOUR IMM;:TRIG:COUN 1;:SAMP:COUN 1",
         )
@@ -106,6 +107,7 @@ class _Settings:
             ":SENS:VOLT:DC:NPLC?": nplc,
             ":SENS:VOLT:DC:AVER:STAT?": "0",
             ":SENS:VOLT:DC:REF:STAT?": "0",
+            ":CALC1:STAT?": "0",
             ":FORM:ELEM?": "READ",
             ":TRIG:SOUR?": "IMM",
         }

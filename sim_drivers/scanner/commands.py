@@ -205,6 +205,7 @@ def _agilent() -> CommandTable:
     volt = "[:SENSe]:VOLTage[:DC]"
     _setting_for_channels(table, f"{volt}:RANGe[:UPPer]", "range_v", _range)
     _setting_for_channels(table, f"{volt}:NPLCycles", "nplc", number(0.02, 200.0, 1.0))
+    _setting_for_channels(table, "CALCulate:SCALe:STATe", "math_on", boolean)
 
     def configure(parameters: tuple[str, ...]) -> Step:
         at = next((index for index, text in enumerate(parameters) if text.startswith("(@")), None)
@@ -222,6 +223,7 @@ def _agilent() -> CommandTable:
                 autorange=False,
                 continuous=False,
                 filter_on=False,
+                math_on=False,
                 trigger_source="IMM",
             )
 

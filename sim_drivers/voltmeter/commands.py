@@ -200,6 +200,8 @@ _setting(f"{_volt}:AVERage:TCONtrol", "filter_kind", choice("MOVing", "REPeat"))
 _setting(f"{_volt}:AVERage:COUNt", "filter_count", integer(1, 100, 10))
 _setting(f"{_volt}:REFerence", "reference_v", number(-_HIGHEST_V, _HIGHEST_V, 0.0))
 _setting(f"{_volt}:REFerence:STATe", "reference_on", boolean)
+_setting("CALCulate[1]:KMATh:MMFactor", "math_factor", number(-1e9, 1e9, 1.0))
+_setting("CALCulate[1]:STATe", "math_on", boolean)
 _setting(f"{_volt}:RANGe:AUTO", "autorange", boolean)
 _define(
     f"{_volt}:RANGe[:UPPer]",

@@ -99,6 +99,8 @@ class Converter:
             return settings.formatted(f"{'-' if value < 0 else '+'}{OVERFLOW}", overflow=True), end_s
         if settings.reference_on:
             value -= settings.reference_v
+        if settings.math_on:
+            value *= settings.math_factor
         return settings.formatted(f"{value:+.8E}"), end_s
 
     def _filtered(self, window: deque[float], value: float) -> float:

@@ -17,6 +17,8 @@ class MeterSettings:
         Measures freely; ``:READ?`` and ``:INIT`` are then ignored.
     reference_v, reference_on
         What the REL key takes off every reading [V], and whether it does.
+    math_factor, math_on
+        What the MX+B key multiplies every reading by, and whether it does.
     panel
         ``LOC``, ``REM`` or, with the front panel locked out, ``RWL``.
     event_enable, request_enable
@@ -33,6 +35,8 @@ class MeterSettings:
     filter_count: int = 10
     reference_v: float = 0.0
     reference_on: bool = False
+    math_factor: float = 1.0
+    math_on: bool = False
     autozero: bool = True
     continuous: bool = False
     trigger_source: str = "IMM"

@@ -57,6 +57,7 @@ def test_probing_reports_records_and_changes_nothing_unless_asked(start_bench, t
     assert voltmeter.returncode == 0, voltmeter.stderr
     assert "MODEL 2000" in voltmeter.stdout
     assert "relative: 0" in voltmeter.stdout
+    assert "math: 0" in voltmeter.stdout
     questions = sent(tmp_path / "voltmeter")
     assert questions[0] == b"\x03"
     assert all(question.endswith(b"?\n") for question in questions[1:])

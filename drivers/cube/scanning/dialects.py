@@ -64,6 +64,7 @@ def _keithley2000_commands(channels: str, range_v: float, nplc: float) -> tuple[
         ":SENS:FUNC 'VOLT:DC'",
         f":SENS:VOLT:DC:RANG {range_v:g};NPLC {nplc:g};AVER:STAT OFF",
         ":SYST:AZER:STAT ON;:SYST:BEEP:STAT OFF",
+        ":CALC1:STAT OFF",
         ":FORM:DATA ASC;:FORM:ELEM READ,CHAN",
         f":ROUT:SCAN {channels}",
         ":TRIG:SOUR IMM;:TRIG:COUN 1;:SAMP:COUN 4",
@@ -79,6 +80,7 @@ def _keithley2000_proofs(channels: str, range_v: float, nplc: float) -> tuple[tu
         (":SENS:VOLT:DC:NPLC?", nplc),
         (":SENS:VOLT:DC:AVER:STAT?", "0"),
         (":SENS:VOLT:DC:REF:STAT?", "0"),
+        (":CALC1:STAT?", "0"),
         (":ROUT:SCAN?", channels),
         (":ROUT:SCAN:LSEL?", "INT"),
         (":TRIG:SOUR?", "IMM"),
@@ -127,6 +129,7 @@ def _agilent_proofs(channels: str, range_v: float, nplc: float) -> tuple[tuple[s
     return (
         (f":SENS:VOLT:DC:RANG? {channels}", range_v),
         (f":SENS:VOLT:DC:NPLC? {channels}", nplc),
+        (f":CALC:SCAL:STAT? {channels}", 0.0),
         (":ROUT:SCAN?", channels),
         (":TRIG:SOUR?", "IMM"),
         (":FORM:READ:CHAN?", "1"),

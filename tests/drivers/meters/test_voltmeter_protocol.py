@@ -29,6 +29,7 @@ PRESSED = [
     {"nplc": 0.1},
     {"function": "RES"},
     {"reference_v": 0.01, "reference_on": True},
+    {"math_factor": 10.0, "math_on": True},
 ]
 READING = re.compile(rb"[+-]\d\.\d{8}E[+-]\d\d\n")
 

@@ -35,6 +35,18 @@ def test_a_reference_is_taken_off_every_reading_until_it_is_switched_off_or_rese
     assert errors(core) == []
 
 
+def test_a_factor_is_on_every_reading_until_it_is_switched_off_or_reset():
+    core = idle(meter(0.05))
+    core.feed(b":CALC1:KMAT:MMF 10;:CALC1:STAT ON\n", 0.5)
+    assert float(ask(core, ":READ?", 1.0)) == pytest.approx(0.5, abs=3e-5)
+    assert ask(core, ":CALC:STAT?;:CALC:KMAT:MMF?", 2.0) == "1;10"
+    core.feed(b":CALC1:STAT OFF\n", 2.5)
+    assert float(ask(core, ":READ?", 3.0)) == pytest.approx(0.05, abs=3e-6)
+    core.feed(b":CALC1:STAT ON\n*RST\n", 3.5)
+    assert float(ask(core, ":READ?", 4.0)) == pytest.approx(0.05, abs=3e-6)
+    assert errors(core) == []
+
+
 @pytest.mark.parametrize(
     ("settings", "line_frequency_hz", "expected_s"),
     [

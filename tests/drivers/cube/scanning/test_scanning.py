@@ -245,16 +245,24 @@ def test_a_range_that_was_chosen_at_the_meter_ends_the_readings_soon(run, meter)
     run(meter, act)
 
 
-def test_the_rel_key_of_a_keithley_2000_ends_the_readings_soon(run):
+@pytest.mark.parametrize(
+    ("meter", "pressed", "question"),
+    [
+        ("keithley2000-scan", {"reference_v": 0.01, "reference_on": True}, r"REF:STAT\?"),
+        ("keithley2000-scan", {"math_factor": 100.0, "math_on": True}, r"CALC1:STAT\?"),
+        ("agilent34970a", {"math_factor": 100.0, "math_on": True}, r"CALC:SCAL:STAT\?.*"),
+    ],
+)
+def test_what_makes_other_readings_of_them_ends_them_soon(run, meter, pressed, question):
     async def act(bench):
         await bench.cube.open()
-        bench.core.change(bench.now(), reference_v=0.01, reference_on=True)
-        with pytest.raises(LinkLostError, match=r"REF:STAT\? is answered by 1"):
+        bench.core.change(bench.now(), **pressed)
+        with pytest.raises(LinkLostError, match=f"{question} is answered by"):
             await read_often(bench.cube)
         await bench.cube.open()
         await read_often(bench.cube)
 
-    run("keithley2000-scan", act)
+    run(meter, act)
 
 
 async def read_often(cube):
