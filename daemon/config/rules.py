@@ -346,6 +346,16 @@ def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("load.driver", reason, ("instruments.kind",))
 
 
+def load_and_voltmeter_have_a_way_each(settings: Sections) -> Iterator[Conflict]:
+    """`load.prologix_port`, or `load.resource` where there is no adapter, is not that of the real voltmeter."""
+    meter = settings.instruments.voltmeter
+    way = "resource" if meter.prologix_port is None else "prologix_port"
+    for key, value in settings.load.exclusive().items():
+        if settings.instruments.kind == "real" and value == getattr(meter, way):
+            reason = "is the voltmeter's already, and only one of them can hold it; the load needs another"
+            yield Conflict(f"load.{key}", reason, (f"instruments.voltmeter.{way}",))
+
+
 def the_law_in_the_shadow_is_another(settings: Sections) -> Iterator[Conflict]:
     """`law.shadow`, where it is not empty, is an installed law, and not `law.driver`."""
     law, names = settings.law, [name for name in LAW.names() if name != settings.law.driver]
@@ -359,6 +369,7 @@ _OF_MULTIPLEXED = (
     the_enable_line_is_free,
     a_scan_fits_its_period,
     the_range_reaches_bright_sun,
+    load_and_voltmeter_have_a_way_each,
 )
 RULES = (
     *_OF_MULTIPLEXED,

@@ -30,7 +30,9 @@ class VisaLoadSettings(LoadSettings):
     )
 
     def exclusive(self) -> dict[str, str | None]:
-        """Return the VISA name."""
+        """Return the port of the adapter that it is behind, or else the VISA name, which counts from the adapter on."""
+        if self.prologix_port is not None:
+            return {"prologix_port": self.prologix_port}
         return {"resource": self.resource}
 
 

@@ -41,3 +41,33 @@ def test_a_simulated_clock_starts_at_no_time_that_scans_cannot_tell(problem, sta
 def test_a_simulated_clock_may_start_at_times_that_scans_can_tell(read, start):
     found = read(f"[simulation]\nstart_utc = {start}\n").simulation.start_utc
     assert EARLIEST_UTC_S < found.timestamp() < LATEST_UTC_S
+
+
+ADAPTERS = [f"/dev/serial/by-id/usb-Prologix-{name}-if00-port0" for name in "AB"]
+LOAD = "[load]\ndriver = 'agilent6063b'\nresource = 'GPIB0::5::INSTR'\n"
+BEHIND = "prologix_port = '{}'\n"
+ON_BUS = "[instruments.voltmeter]\nresource = 'GPIB0::5::INSTR'\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        (ON_BUS + BEHIND.format(ADAPTERS[0]) + LOAD + BEHIND.format(ADAPTERS[0]), "load.prologix_port"),
+        (ON_BUS + LOAD, "load.resource"),
+    ],
+)
+def test_load_and_voltmeter_have_no_line_in_common(problem, text, key):
+    assert problem(REAL + text).startswith(f"{key} = ")
+    assert "is the voltmeter's already, and only one of them can hold it" in problem(REAL + text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ON_BUS + BEHIND.format(ADAPTERS[0]) + LOAD + BEHIND.format(ADAPTERS[1]),
+        ON_BUS + BEHIND.format(ADAPTERS[0]) + LOAD,
+        METER + LOAD,
+    ],
+)
+def test_load_and_voltmeter_behind_adapters_of_their_own_may_have_one_address(read, text):
+    assert read(REAL + text).load.driver == "agilent6063b"

@@ -133,3 +133,25 @@ def test_settings_made_in_the_program_obey_the_same_rules():
         Settings.model_validate({"tracker": [{"name": "east"}, {"name": "EAST"}]})
     with pytest.raises(ValueError, match="night_a_deg"):
         Settings.model_validate({"tracker": [{"name": "east", "limits": {"a_max_deg": -10.0}}]})
+
+
+LOADS = """
+    [load]
+    driver = "agilent6063b"
+    resource = "GPIB0::5::INSTR"
+    [[tracker]]
+    name = "east"
+    [tracker.load]
+    prologix_port = "/dev/adapter-a"
+    [[tracker]]
+    name = "west"
+    [tracker.load]
+    prologix_port = "/dev/adapter-{}"
+    """
+
+
+def test_two_loads_of_one_address_are_behind_an_adapter_each(read):
+    assert len(read(LOADS.format("b")).trackers) == 2
+    (problem,) = problems(read, LOADS.format("a"))
+    expected = 'tracker[west].load.prologix_port = "/dev/adapter-a": is that of the tracker east already'
+    assert problem.startswith(expected)
