@@ -45,6 +45,8 @@ class VisaSettings:
         Serial port of a Prologix adapter that the GPIB address is behind.
     baud_rate, terminator, flow_control
         Of RS-232, as set at the meter: 300 to 19200, LF, CR or LFCR, none or xon-xoff.
+    takes_adapter
+        Whether its section has a key for such an adapter, for messages.
     device, section
         Its role in the rig and the section of the configuration that it stands in, for messages.
     """
@@ -55,6 +57,7 @@ class VisaSettings:
     baud_rate: int = 19200
     terminator: Literal["LF", "CR", "LFCR"] = "LF"
     flow_control: Literal["none", "xon-xoff"] = "none"
+    takes_adapter: bool = True
     device: str = "voltmeter"
     section: str = "instruments.voltmeter"
 
@@ -225,9 +228,10 @@ class VisaLine:
         if isinstance(error, OSError):
             raise cannot_open(settings.device, self._port, error) from error
         if isinstance(error, ValueError) and not self._serial:
+            adapter = f" {settings.section}.prologix_port for a Prologix adapter, or" if settings.takes_adapter else ""
             message = (
-                f"{settings.resource} cannot be opened with PyVISA-py: it needs linux-gpib, or"
-                f' {settings.section}.prologix_port for a Prologix adapter, or {settings.section}.visa = "ni"'
+                f"{settings.resource} cannot be opened with PyVISA-py: it needs linux-gpib,"
+                f' or{adapter} {settings.section}.visa = "ni"'
             )
             raise DriverMissingError(settings.device, message) from error
         raise ConnectError(settings.device, f"{settings.resource} cannot be opened: {error}") from error

@@ -106,6 +106,7 @@ def _line(settings: ScanningMeterSettings, surroundings: CubeSurroundings) -> Sc
         resource=settings.resource,
         library=settings.visa,
         baud_rate=settings.baud_rate,
+        takes_adapter=False,
         device=DEVICE,
         section=_SECTION,
     )

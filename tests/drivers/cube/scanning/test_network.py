@@ -97,3 +97,10 @@ def test_a_meter_that_is_not_there_is_a_sentence(host, port, sentence):
         return caught.value.message
 
     assert asyncio.run(act()).startswith(sentence)
+
+
+def test_a_bus_that_cannot_be_opened_is_told_with_the_keys_that_there_are():
+    around = CubeSurroundings(utc_s=time.time, monotonic_s=time.monotonic, deadline_s=1.0, switched_meter=None)
+    cube = build(ScanningMeterSettings(resource="GPIB0::9::INSTR"), around)
+    with pytest.raises(ConnectError, match=r'it needs linux-gpib, or instruments\.cube\.visa = "ni"$'):
+        asyncio.run(cube.open())
