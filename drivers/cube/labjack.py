@@ -49,7 +49,9 @@ class LabjackSettings(CubeDriverSettings):
     """labjack: four sensors at the analogue inputs of a LabJack T7 or T8 in the network."""
 
     line: ModbusLine | None = Field(
-        None, examples=["tcp:192.168.1.60:502"], description="Where the LabJack is, by Modbus TCP."
+        None,
+        examples=["tcp:192.168.1.60:502"],
+        description="The line that the LabJack or the sensors are on; a LabJack is on Modbus TCP alone.",
     )
     inputs: tuple[int, ...] = Field(
         (0, 2, 4, 6),
