@@ -44,7 +44,7 @@ ConfigOption = Annotated[
         "-c",
         metavar="FILE",
         envvar=CONFIG_VARIABLE,
-        help="The service's configuration, for its section api.",
+        help="The service's configuration.",
     ),
 ]
 ApiOption = Annotated[
