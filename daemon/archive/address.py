@@ -154,6 +154,9 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         raise ArchiveError(
             f"the database {address.url} does not let this user do that ({one_line(error)}): let its owner grant it"
         ) from None
+    except psycopg.errors.OutOfMemory as error:
+        # Of the locks that a transaction needs, one for each day: the pages of others need no more than there are.
+        raise PagesRefusedError(f"the database cannot hold them in one transaction: {one_line(error)}") from None
     except (psycopg.OperationalError, psycopg.InterfaceError) as error:
         raise ArchiveAwayError(f"the database {address.url} does not answer: {one_line(error)}") from None
     except (psycopg.DataError, psycopg.IntegrityError) as error:

@@ -16,6 +16,7 @@ TYPES = {"time": "timestamptz", "float": "float8", "int": "int8", "bool": "bool"
 COLUMNS_OF: dict[str, list[Column]] = dict(COLUMNS.values())
 # Chosen by chance, so that no other program has the same.
 _LOCK = 0x68656C63_61726368
+_DAYS_AT_ONCE = 100
 _RUNS = f"""CREATE TABLE {SCHEMA}.runs (
   run int4 GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
   installation text NOT NULL,
@@ -124,21 +125,23 @@ def partitioned(connection: "psycopg.Connection") -> set[str]:
 
 
 def make_days(connection: "psycopg.Connection", wanted: set[tuple[str, int]]) -> None:
-    """Make the parts of tables for days that have none.
+    """Make the parts of tables for days that have none, a few at once: each is locked until the transaction ends.
 
     Parameters
     ----------
     wanted
         Tables, and days since 1970 [UTC].
     """
-    with connection.transaction():
-        connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
-        for name, day in sorted(wanted):
-            begin = datetime.fromtimestamp(day * 86400, UTC)
-            connection.execute(
-                f"CREATE TABLE IF NOT EXISTS {SCHEMA}.{part_name(name, day)} PARTITION OF {SCHEMA}.{name}"
-                f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
-            )
+    ordered = sorted(wanted)
+    for first in range(0, len(ordered), _DAYS_AT_ONCE):
+        with connection.transaction():
+            connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+            for name, day in ordered[first : first + _DAYS_AT_ONCE]:
+                begin = datetime.fromtimestamp(day * 86400, UTC)
+                connection.execute(
+                    f"CREATE TABLE IF NOT EXISTS {SCHEMA}.{part_name(name, day)} PARTITION OF {SCHEMA}.{name}"
+                    f" FOR VALUES FROM ('{begin.isoformat()}') TO ('{(begin + timedelta(days=1)).isoformat()}')"
+                )
 
 
 def part_name(name: str, day: int) -> str:

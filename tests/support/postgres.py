@@ -23,9 +23,9 @@ _USER = "nobody" if os.geteuid() == 0 else None
 
 
 class Postgres:
-    """One server on a loopback port of its own, whose folder is as short-lived as the tests."""
+    """One server on a loopback port of its own, whose folder is as short-lived as the tests; `more` are settings."""
 
-    def __init__(self, durable=False):
+    def __init__(self, durable=False, **more):
         self.folder = Path(tempfile.mkdtemp(prefix="heliocube-pg-"))
         if _USER is not None:
             entry = pwd.getpwnam(_USER)
@@ -39,6 +39,7 @@ class Postgres:
         if not durable:
             # A test's database outlives its own death, and need not outlive the machine's.
             options |= {"fsync": "off", "shared_buffers": "16MB", "autovacuum": "off"}
+        options |= more
         words = [str(BINARIES / "postgres"), "-D", str(self._data)]
         words += [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
         loop = f"while [ ! -e end ]; do [ -e down ] || {shlex.join(words)}; sleep 0.1; done"

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from daemon.archive.address import ArchiveAwayError, parse_archive
+from daemon.archive.address import ArchiveAwayError, PagesRefusedError, parse_archive
 from daemon.archive.ingest import Ingester
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.clock import SystemClock
@@ -17,6 +17,7 @@ from daemon.config.links import ArchiveSettings, MqttSettings
 from tests.support import forks
 from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
+from tests.support.postgres import Postgres
 
 pytestmark = needs_mosquitto
 
@@ -172,6 +173,24 @@ def test_a_record_of_just_before_midnight_has_a_day_to_be_in(postgres, database)
         assert postgres.sql("SELECT number FROM heliocube.poses_20221015", database.rpartition("/")[2]) == [(0,)]
     finally:
         writer.close()
+
+
+def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_costs_no_other(postgres):
+    server = Postgres(max_locks_per_transaction=10)
+
+    def page(first_day, days):
+        rows = [pose_row(number, T0 - 86400.0 * (first_day + number)) for number in range(days)]
+        return SentPage("lab/roof", batch_of(origin(), {"poses": rows}))
+
+    try:
+        with contextlib.closing(ArchiveWriter(parse_archive(server.url()))) as writer:
+            writer.prepare()
+            with pytest.raises(PagesRefusedError, match=r"cannot hold them in one transaction: out of shared memory"):
+                writer.take([page(0, 500)])
+            # To make a day takes more locks than to write into it, so not all are made at once.
+            assert writer.take([page(1000, 250)]).added == 250
+    finally:
+        server.close()
 
 
 def test_a_wait_for_a_database_that_hangs_can_be_ended(postgres, database):
