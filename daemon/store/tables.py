@@ -296,7 +296,7 @@ class _ParquetTable:
             return
         arrays = []
         for column, field, values in zip(self._columns, self._schema, zip(*self._rows, strict=True), strict=True):
-            held = [round(time_s * 1e6) for time_s in values] if column.holds == "time" else values
+            held = [_microseconds(time_s) for time_s in values] if column.holds == "time" else values
             arrays.append(self._array(held, type=field.type, from_pandas=True))
         self._writer.write_table(self._table.from_arrays(arrays, schema=self._schema))
         self._rows.clear()
@@ -313,6 +313,19 @@ def _part(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
+def _microseconds(time_s: float | None) -> int | None:
+    return None if time_s is None else round(time_s * 1e6)
+
+
+def _time(time_s: float | None) -> str:
+    # An archive or a salvaged store may know none of a face.
+    return "" if time_s is None else iso_utc(time_s)
+
+
+def _count(value: int | None) -> str:
+    return "" if value is None else str(value)
+
+
 def _number(value: float) -> float | str:
     # Adding nothing takes the minus from nothing.
     return "" if value != value else value + 0.0
@@ -323,9 +336,9 @@ def _truth(value: bool) -> str:
 
 
 _TEXT: dict[str, Callable[[Any], object]] = {
-    "time": iso_utc,
+    "time": _time,
     "float": _number,
-    "int": str,
+    "int": _count,
     "bool": _truth,
     "text": str,
 }

@@ -3,8 +3,10 @@
 import csv
 import math
 import re
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -73,6 +75,19 @@ def test_a_pose_means_to_pvlib_what_it_means_here(keep, tmp_path, latitude_deg):
     seen = pd.read_parquet(tmp_path / "out" / "poses.parquet").iloc[0]
     aoi = pvlib.irradiance.aoi(seen.surface_tilt, seen.surface_azimuth, 90 - elevation_deg, azimuth_deg)
     assert float(aoi) == pytest.approx(0, abs=1e-5)
+
+
+def test_what_the_store_does_not_know_of_a_scan_is_empty(keep, tmp_path):
+    folder = keep(scan(0))
+    with closing(sqlite3.connect(folder / "heliocube.sqlite")) as store, store:
+        # As an archive has a face that was read before 1970, and a page without a number.
+        store.execute("UPDATE scans SET east_time = NULL, sequence = NULL")
+    for table_format in ("csv", "parquet"):
+        export(folder, tmp_path / table_format, table_format, None, None, ["scans"])
+    (row,) = rows(tmp_path / "csv" / "scans.csv")
+    assert (row["east_time"], row["sequence"], row["south_time"] != "") == ("", "", True)
+    seen = pd.read_parquet(tmp_path / "parquet" / "scans.parquet").iloc[0]
+    assert (pd.isna(seen.east_time), pd.isna(seen.sequence), pd.isna(seen.south_time)) == (True, True, False)
 
 
 def test_a_bad_zenith_reading_is_no_ghi(keep, tmp_path):
