@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for the database's client.
     from daemon.archive.address import ArchiveAddress
 
+# Before the first record of all, and still a date.
+_LONGEST_DAYS = 100_000
+
 app = typer.Typer(
     help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the"
     " broker, until Ctrl-C, SIGTERM or SIGHUP."
@@ -92,7 +95,12 @@ def parquet(
     ] = None,
     drop_after: Annotated[
         int | None,
-        typer.Option(metavar="DAYS", min=1, help="Drop older days from the database whose files have all their rows."),
+        typer.Option(
+            metavar="DAYS",
+            min=1,
+            max=_LONGEST_DAYS,
+            help="Drop older days from the database whose files have all their rows.",
+        ),
     ] = None,
     config: ConfigOption = None,
     to: ToOption = None,
