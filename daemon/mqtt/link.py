@@ -78,7 +78,8 @@ class Link:
         self._reported_back_s = -math.inf
         self._unsteady = False
         self._renounced = False
-        self._most_bytes = math.inf
+        self._most_bytes = self._unsaid_most_bytes = math.inf
+        self._ended_at = b""
         self._reported_dropped = 0
         self._since_utc_s = clock.utc()
         self._dropped_since_utc_s: float | None = None
@@ -91,8 +92,8 @@ class Link:
 
     @property
     def most_bytes(self) -> float:
-        """How long a payload may be, as far as the broker of the last connection has said."""
-        return self._most_bytes
+        """How long a payload may be, as far as the broker of the last connection has said, or shown."""
+        return min(self._most_bytes, self._unsaid_most_bytes)
 
     @property
     def status(self) -> LinkStatus:
@@ -230,7 +231,14 @@ class Link:
                 if message.qos:
                     self._outbox.put_back(message)
                     self._date_the_first_loss()
+                    self._note_end_at(message)
                 raise
+
+    def _note_end_at(self, message: Message) -> None:
+        """Take a second end of the connection at one and the same message for a limit that the broker does not say."""
+        if message.payload == self._ended_at:
+            self._unsaid_most_bytes = min(self._unsaid_most_bytes, len(message.payload) - 1)
+        self._ended_at = message.payload
 
     async def _publish_on(self, connection: Connection, message: Message) -> bool:
         """Publish what the broker takes, and return whether it does: it would end the connection at what is longer."""

@@ -24,22 +24,24 @@ CERTIFICATES = Path(__file__).parent / "certificates"
 class Broker:
     """One broker on a loopback port of its own."""
 
-    def __init__(self, folder, users=None, acl=None, tls=False, most_bytes=None):
+    def __init__(self, folder, users=None, acl=None, tls=False, most_bytes=None, unsaid_most_bytes=None):
         self.port = free_port()
         self.process = None
         self._folder = folder
         self._arguments = (
-            self._mosquitto(users, acl, tls, most_bytes)
+            self._mosquitto(users, acl, tls, most_bytes, unsaid_most_bytes)
             if MOSQUITTO
             else [sys.executable, "-m", "tests.support.broker", str(self.port)]
         )
 
-    def _mosquitto(self, users, acl, tls, most_bytes):
+    def _mosquitto(self, users, acl, tls, most_bytes, unsaid_most_bytes):
         lines = [f"listener {self.port} 127.0.0.1", "persistence false", f"user {getpass.getuser()}"]
         lines.append("max_queued_messages 0")
         lines.append(f"allow_anonymous {'false' if users else 'true'}")
         if most_bytes:
             lines.append(f"max_packet_size {most_bytes}")
+        if unsaid_most_bytes:
+            lines.append(f"message_size_limit {unsaid_most_bytes}")
         if users:
             passwords = self._folder / "passwords"
             passwords.write_text("".join(f"{user}:{word}\n" for user, word in users.items()))

@@ -11,7 +11,7 @@ from random import Random
 import pytest
 
 from daemon.base.clock import LoopClock
-from daemon.base.timeloop import VirtualTimeLoop
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop
 from daemon.mqtt.archive_feed import STATE_NAME, ArchiveFeed
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.outbox import Message
@@ -20,7 +20,7 @@ from daemon.service.rig import Role
 from daemon.store.schema import FILE_NAME
 from daemon.store.store import Store
 from tests.support.archive import T0, Sender, event, origin, pose
-from tests.support.mqtt import needs_mosquitto, until
+from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 
 KEPT = "lab/roof/records/kept"
 
@@ -274,3 +274,21 @@ def test_what_is_longer_than_the_broker_takes_is_shown_and_costs_no_connection(t
         sender.store.close()
 
     asyncio.run(scenario())
+
+
+@needs_mosquitto
+def test_a_broker_that_ends_the_connection_at_a_page_and_does_not_say_why_gets_shorter_ones(tmp_path, make_broker):
+    async def scenario():
+        broker = make_broker(unsaid_most_bytes=5000).start()
+        sender = Sender(tmp_path / "store", broker.port, speed=SPEED)
+        sender.keep(*(pose(n) for n in range(150)))
+        async with observer(broker.port, "lab/roof/records") as lab, sender.sending():
+            page = await lab.until("lab/roof/records")
+            assert page["through"] == 74
+            ends = sender.link.status.connections
+            await until(lambda: len(lab.on("lab/roof/records")) > 2, "the page again")
+            assert sender.link.status.connections == ends
+        sender.store.close()
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
+        runner.run(scenario())
