@@ -85,9 +85,10 @@ def _taken_over(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:
     try:
         connection.execute("ATTACH DATABASE ? AS newer", (str(path),))
         connection.execute("BEGIN IMMEDIATE")
-        for name in [*(name for name, _ in COLUMNS.values()), "runs"]:
+        for name, _ in COLUMNS.values():
             _take_over(connection, name)
         records = connection.total_changes - before
+        _take_over(connection, "runs")
         connection.execute("INSERT OR IGNORE INTO main.days SELECT day FROM newer.days")
         connection.execute("COMMIT")
     except sqlite3.Error as error:

@@ -4,6 +4,7 @@ import contextlib
 import gc
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -85,6 +86,8 @@ def test_the_store_is_of_the_version_before_with_what_came_since_and_the_newer_o
         assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
     (newer,) = upgraded.glob("heliocube.newer-*.sqlite")
     assert str(newer) in out
+    # Neither the curve nor the two scans that were there, and no run is a record.
+    assert re.findall(r"with (\d+) records that came since", out) == ["16"]
     with closing(sqlite3.connect(newer)) as connection:
         assert connection.execute("SELECT count(*) FROM curves").fetchone()[0] == 1
     assert copies_of(upgraded) == []
