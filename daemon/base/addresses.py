@@ -127,4 +127,5 @@ def require_key(key: bytes | None, *, insecure: bool) -> None:
 
 
 DEFAULT_LISTEN = "127.0.0.1:20572"
+CUBE_LISTEN = "127.0.0.1:20573"
 DEFAULT_DASHBOARD = "127.0.0.1:20574"

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from daemon.base.addresses import CUBE_LISTEN
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
 from daemon.commands.setup.kept import Answer, SetupAnswers, place_of_answers
@@ -165,6 +166,9 @@ class SetupDialogue:
         found["instruments.bench"] = known.answers.get(RIG) == A_BENCH
         found["bridge.key_file"] = self.key_file()
         found.setdefault("api.token_file", TOKEN_NAME)
+        if self.role() == "cube":
+            # Not the tracker's port: the two may be services of one machine.
+            found.setdefault("api.listen", CUBE_LISTEN)
         return found
 
     def key_file(self) -> str:

@@ -57,6 +57,7 @@ def test_a_tracker_is_asked_for_its_site_its_positioner_its_key_and_its_limits_b
     assert dialogue.settings().real
     assert not dialogue.settings().instruments.bench
     assert dialogue.settings().bridge.listen == "0.0.0.0:20571"
+    assert dialogue.settings().api.listen == "127.0.0.1:20572"
 
 
 def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(file):
@@ -66,6 +67,8 @@ def test_a_cube_is_asked_for_its_faces_and_its_trackers_and_nothing_of_it_moves(
     assert "limits.a_min_deg" not in names
     assert dialogue.settings().cube.west.gain_w_m2_per_mv == 9.87
     assert dialogue.settings().bridge.send_to == ("10.0.0.5:20571",)
+    # A tracker of the same machine has the other one, so that 'heliocube stop' goes there.
+    assert dialogue.settings().api.listen == "127.0.0.1:20573"
 
 
 A_BENCHS_FILE = """
