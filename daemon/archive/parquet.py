@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _ROWS_PER_GROUP = 100_000
 _PART = re.compile(rf"({'|'.join(KINDS)})_(\d{{8}})")
+_PART_KEY = b"heliocube.part"
 _EPOCH = date(1970, 1, 1)
 _RUN_COLUMNS = ("installation", "site", "simulated", "tracker")
 
@@ -149,13 +150,16 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
     if final.exists():
         # The drop of this very part was broken off before its end.
         final.replace(path)
-    count = _count(connection, table)
-    if not again and rows_in(path) == count:
+    count, there = _count(connection, table), rows_in(path)
+    if not again and there == count:
         return ArchivedDay(kind, day, path, count, written=False)
+    if there is not None and (other := _part_in(path)) not in (None, final.stem):
+        # Its part has been dropped by hand, and this one was begun by what came late.
+        path.rename(path.with_name(f"{other}.parquet"))
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(connection, kind, table, part)
+        _write(connection, kind, table, part, final.stem)
         with part.open("r+b") as file:
             os.fsync(file.fileno())
         part.replace(path)
@@ -176,7 +180,15 @@ def _count(connection: "psycopg.Connection", table: str) -> int:
     return int(row[0]) if row else 0
 
 
-def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path) -> None:
+def _part_in(path: Path) -> str | None:
+    """Return what the file will be called once its part is gone; None for a file of before that was written in."""
+    from pyarrow import parquet  # noqa: PLC0415 - as above
+
+    found = (parquet.read_metadata(path).metadata or {}).get(_PART_KEY)
+    return None if found is None else found.decode()
+
+
+def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path, part: str) -> None:
     import pyarrow as pa  # noqa: PLC0415 - as above
     from pyarrow import parquet  # noqa: PLC0415 - as above
 
@@ -191,7 +203,7 @@ def _write(connection: "psycopg.Connection", kind: str, table: str, path: Path) 
     fields = [("installation", pa.string()), ("run", pa.string()), ("number", pa.int64())]
     fields += [(column.name, types[column.holds]) for column in own]
     fields += [("site", pa.string()), ("simulated", pa.bool_()), ("tracker", pa.string())]
-    schema = pa.schema(fields)
+    schema = pa.schema(fields, metadata={_PART_KEY: part})
     named = any(column.name == "tracker" for column in COLUMNS_OF[kind])
     tracker = "COALESCE(NULLIF(runs.tracker, ''), kept.tracker, '')" if named else "runs.tracker"
     query = (

@@ -8,7 +8,7 @@ from datetime import date
 import pytest
 
 from daemon.archive.address import parse_archive
-from daemon.archive.parquet import drop_days, write_days
+from daemon.archive.parquet import drop_days, rows_in, write_days
 from daemon.archive.writer import ArchiveWriter, SentPage
 from tests.support.archive import batch_of, origin, pose_row
 
@@ -39,3 +39,15 @@ def test_a_day_is_dropped_when_its_file_and_its_names_are_on_the_disk(postgres, 
     assert (file.st_ino, file.st_size, False, 1) in synced
     with_final_name = {number for number, _, final, part in synced if final and part}
     assert with_final_name >= {folder.stat().st_ino for folder in dropped.path.parents[:3]}
+
+
+def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(postgres, database, tmp_path):
+    address, run = parse_archive(database), origin()
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        for rows in ([pose_row(0), pose_row(1)], [pose_row(2)]):
+            writer.take([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
+            assert [one.written for one in write_days(address, tmp_path, date(2026, 1, 1))] == [True]
+            postgres.sql("DROP TABLE heliocube.poses_20221014", database.rpartition("/")[2])
+    files = sorted((tmp_path / "poses" / "day=2022-10-14").iterdir())
+    assert [(path.name.partition("-")[0], rows_in(path)) for path in files] == [("final", 2), ("records.parquet", 1)]
