@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
-from drivers.errors import ConnectError, DeadlineError, DeviceError, DriverMissingError, LinkLostError
+from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
 from drivers.lines.serial_port import LONGEST_DRAIN_S, cannot_open, keeps_sending, open_raw, terminal_errors
 from drivers.transcript import Tap, no_tap
 
@@ -94,9 +94,6 @@ class VisaLine:
         self._resource: Any = None
         try:
             self._open()
-        except DeviceError:
-            self.close()
-            raise
         except unusable as error:
             self.close()
             self._refuse_open(error)

@@ -241,8 +241,6 @@ class _Stream(asyncio.Protocol):
         self.lost = True
         if self._reply is not None and not self._reply.done():
             self._reply.set_exception(ConnectionResetError())
-            # Nobody may be waiting for it any more.
-            self._reply.exception()
 
 
 def path_to(

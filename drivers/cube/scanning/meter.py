@@ -25,7 +25,6 @@ _READING = re.compile(r"\s*([+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?)\s*(?:VDC)?\s*", re
 _CHANNEL = re.compile(r"\s*\+?0*(\d{1,3})\s*", re.ASCII)
 _NUMBER = re.compile(r"\d{1,3}", re.ASCII)
 _BLOCK = re.compile(r"#(\d)")
-_OVERLOAD_V = 9.9e37
 # These meters measure to 120 % of their range.
 _BEYOND_RANGE = 1.21
 _FACES = 4
@@ -265,6 +264,6 @@ def _voltage(text: str, range_v: float) -> tuple[float, FaceFlaw | None]:
     if match is None:
         return math.nan, "missing"
     value_v = float(match[1])
-    if abs(value_v) >= _OVERLOAD_V or not abs(value_v) <= _BEYOND_RANGE * range_v:
+    if not abs(value_v) <= _BEYOND_RANGE * range_v:
         return math.nan, "over-range"
     return value_v, None

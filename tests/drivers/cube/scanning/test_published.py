@@ -150,7 +150,7 @@ def test_a_reply_is_four_readings_of_the_four_channels_within_the_range(reply, f
         ("(@101,,102,103,104)", False),
         ("101,102,103,104", False),
         ("(@101,102,103,104", False),
-        ("@101,102,103,104)", False),
+        ("(A101,102,103,104)", False),
     ],
 )
 def test_a_list_of_channels_is_read_in_each_way_to_write_it(scans, right):

@@ -29,6 +29,7 @@ def test_an_axis_stands_once_fresh_positions_have_not_changed_for_a_while():
     assert not standing([1.0, 1.01, 1.02, 1.03, 1.04, 1.05]).still, "slow is not still"
     assert not standing([1.0] * 6, begin_s=0.5).reached, "what was heard before does not count"
     assert not standing([1.0] * 9, destination=20.0).reached, "it has somewhere to go"
+    assert not standing([1.0] * 9, destination=-20.0).reached, "on either side"
     assert not standing([float("nan")] * 9).reached
 
 
