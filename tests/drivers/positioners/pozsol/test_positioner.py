@@ -244,6 +244,29 @@ def test_an_end_switch_that_cannot_be_is_told_though_nothing_else_changes():
     assert "low end switch closed although its count is 200" in second.reference_doubt
 
 
+def test_a_unit_that_has_restarted_is_lost_until_it_is_opened_anew():
+    watch, values = at_rest([100.0])
+    restarted = LinkState(values, 101.0, restarted_s=100.5)
+    with pytest.raises(LinkLostError, match="has restarted: it prints its banner"):
+        watch.read(restarted)
+    watch.start(100.5)
+    assert watch.read(restarted).reference_doubt == "the positioner has restarted"
+
+
+def test_a_jump_that_a_person_has_forgiven_is_not_told_again():
+    watch, values = at_rest([100.0])
+    jumped = LinkState(values, 100.0, jumped_s=99.0)
+    assert watch.read(jumped).reference_doubt == "the positioner's count has jumped"
+    watch.forgive(watch.reference.kinds)
+    assert watch.read(jumped._replace(values=dict(values))).reference_doubt == ""
+
+
+def test_where_an_axis_stood_before_is_recalled_where_that_is_known():
+    watch, _ = at_rest([100.0])
+    watch.recall({"a": 50.0, "b": None}, "")
+    assert watch.standing() == (50.0, None)
+
+
 def test_a_glance_stands_for_the_last_look_alone_and_only_while_nothing_is_new():
     watch, values = at_rest([100.0])
     assert watch.repeated_s(None, LinkState(values, 100.0)) is None, "nobody has looked"

@@ -31,6 +31,14 @@ def test_what_an_axis_can_turn_by_meanwhile_and_what_comes_once_are_no_jump(last
     assert (table.get(Field.A_ANGLE).number, table.jumped_s) == (last[0], None)
 
 
+@pytest.mark.parametrize("following", [b"%c0" % Field.STATUS, b"%c10.2" % Field.A_ANGLE, b"%c20.0" % Field.B_ANGLE])
+def test_a_screen_that_has_lost_its_end_is_ended_by_whatever_follows(following):
+    table = FieldTable()
+    table.take(axis_a(10.0), 0.0)
+    table.take([*axis_a(10.1)[:2], following], 0.27)
+    assert table.get(Field.A_ANGLE).number == 10.1
+
+
 def garbled(screen, dice):
     """Return a screen, now and then with a byte lost or changed."""
     if dice.random() < 0.9:
