@@ -125,6 +125,13 @@ def test_with_less_than_twice_the_lowest_voltage_it_is_dark(open_circuit_v, dark
     assert not dark or curve.why == "the open-circuit voltage is 9.90 V"
 
 
+def test_an_open_circuit_voltage_that_is_no_number_is_not_dark():
+    async def scenario():
+        return (await Bench(Load(math.nan)).for_s(1.0))[0]
+
+    assert run(scenario).quality is CurveQuality.NO_MAXIMUM
+
+
 def test_a_load_is_released_when_it_is_lost_and_when_all_ends():
     async def scenario():
         load = Load()
