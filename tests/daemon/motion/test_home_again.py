@@ -58,7 +58,8 @@ def test_a_count_that_slipped_is_right_again_after_two_runs(run_rig, axis):
     run_rig(scenario, motion={"rehome": "operator"})
 
 
-def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig):
+@pytest.mark.parametrize("offset", [0.0, 8.0])
+def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig, offset):
     async def scenario(rig):
         await quiet(rig)
         stood = await stuck_on_its_way(rig)
@@ -72,7 +73,8 @@ def test_a_switch_that_is_stuck_while_it_is_homed_on_is_never_believed(run_rig):
         assert rig.motion.doubt is None
         await knows_where_it_stands(rig)
 
-    run_rig(scenario, motion={"rehome": "operator"})
+    positioner = {"b_axis": {"zero_offset": offset}}
+    run_rig(scenario, motion={"rehome": "operator"}, instruments={"positioner": positioner})
 
 
 def test_a_clear_that_was_given_before_the_contradiction_showed_forgives_nothing_of_it(run_rig):
