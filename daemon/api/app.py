@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from daemon.api.gate import AllowedHosts, Bodies, Gate, Token
+from daemon.api.gate import GIVEN_UP, AllowedHosts, Bodies, Gate, Token
 from daemon.api.history import History, instant
 from daemon.api.metrics import Metrics
 from daemon.api.openapi import description
@@ -191,6 +191,8 @@ class Api:
             content = await self._bodies.read(request.receive, LONGEST_BODY)
             if content is None and name != "stop":
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
+            if name != "stop" and await _is_given_up(request):
+                raise HTTPException(400, "the connection was cut off before the order was read")
             try:
                 command = parse(name, content or b"", "HTTP").meant_for(request.query_params.get("tracker"))
                 return JSONResponse(await self._operators.carry_out(command))
@@ -205,6 +207,14 @@ class Api:
                 self._metrics_page.forget()
 
         return command
+
+
+async def _is_given_up(request: Request) -> bool:
+    """Tell whether who asked has gone; a request may have waited in the kernel while this process stood still."""
+    for _ in range(2):
+        # The next turn of the loop reads the end of the connection, and the one after it tells of that.
+        await asyncio.sleep(0)
+    return GIVEN_UP in request.scope.get("extensions", {})
 
 
 def _of(tracker: str, seen: Snapshot) -> str:

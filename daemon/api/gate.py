@@ -16,6 +16,8 @@ from daemon.api.turns import CrowdedError, ReadTurns
 # A longer body is read to its end and thrown away, so that its sender gets to see the answer; there is an end to that.
 _LONGEST_READ = 16 << 20
 _PAUSE_S = 0.002
+GIVEN_UP = "heliocube.given-up"
+"""Among the extensions of a request whose sender has cut the connection off."""
 _BEARER = {"WWW-Authenticate": "Bearer"}
 
 

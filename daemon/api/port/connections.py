@@ -15,7 +15,7 @@ import h11
 from starlette.datastructures import Headers
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from daemon.api.gate import Token
+from daemon.api.gate import GIVEN_UP, Token
 from daemon.api.refusals import ApiRefusals
 from daemon.base.addresses import without_mapping
 
@@ -152,6 +152,8 @@ class HttpConnection(H11Protocol):
         self._all.drop(self)
         if self._answering is not None:
             self._answering.cancel()
+        if isinstance(exc, ConnectionResetError) and self.cycle is not None:
+            self.cycle.scope.setdefault("extensions", {})[GIVEN_UP] = {}
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:

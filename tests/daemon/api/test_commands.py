@@ -1,9 +1,11 @@
 """Commands over the interface: what they do, to which tracker, and which token and body they need."""
 
 import asyncio
+import socket
 
 import pytest
 
+from daemon.base.addresses import SEND_NO_MORE_ONCE_CLOSED
 from daemon.base.records import Mode
 from tests.support.api import BEARER, TOKEN
 from tests.support.motion import commands_sent
@@ -118,6 +120,28 @@ def test_a_body_that_cannot_be_meant_is_one_sentence_and_commands_nothing(serve,
         reply = await call.post("stow", body)
         assert (reply.status, reply.json) == (status, {"error": sentence})
         assert rig.mode is Mode.TRACKING
+
+    serve(scenario)
+
+
+@pytest.mark.parametrize(("name", "cut_off", "obeyed"), [
+    ("hold", True, False),
+    ("hold", False, True),
+    ("stop", True, True),
+])  # fmt: skip
+def test_an_order_that_waited_for_a_service_that_stood_still_is_dropped_if_it_was_cut_off(serve, name, cut_off, obeyed):
+    async def scenario(rig, call):
+        await tracking(rig)
+        host, port = call.server.url.removeprefix("http://").split(":")
+        # Meanwhile the service does nothing: it is in this very thread.
+        with socket.create_connection((host, int(port))) as peer:
+            if cut_off:
+                peer.setsockopt(*SEND_NO_MORE_ONCE_CLOSED)
+            head = f"POST /api/{name} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n"
+            peer.sendall(f"{head}Content-Length: 0\r\n\r\n".encode())
+        await asyncio.sleep(5)
+        assert (getattr(rig.control.wishes, name) is not None) is obeyed
+        assert rig.mode is (Mode.HOLD if obeyed else Mode.TRACKING)
 
     serve(scenario)
 
