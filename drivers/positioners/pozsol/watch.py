@@ -198,8 +198,9 @@ class PositionerWatch:
 
     def _require_fresh(self, fast_s: float, slow_s: float) -> None:
         now_s = self._now()
-        if now_s - fast_s > self._stale_s or now_s - slow_s > max(_SLOW_STALE_S, self._stale_s):
-            raise LinkLostError(_DEVICE, f"has been silent for {now_s - min(fast_s, slow_s):.1f} s")
+        for heard_s, most_s in ((fast_s, self._stale_s), (slow_s, max(_SLOW_STALE_S, self._stale_s))):
+            if now_s - heard_s > most_s:
+                raise LinkLostError(_DEVICE, f"has been silent for {now_s - heard_s:.1f} s")
 
     def _follow_run(self, seen: dict[AxisName, AxisObservation]) -> bool:
         """Let the reference run see the newest look; return whether one is on."""

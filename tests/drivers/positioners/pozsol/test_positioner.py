@@ -196,19 +196,21 @@ def test_old_telemetry_is_silence_and_old_status_is_too():
     texts = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
     clock = [0.0]
 
-    def look(stale, age_s):
+    def look(ages_s):
         clock[0] = 100.0
         table, watch = FieldTable({}), PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
         for field, text in texts.items():
-            table.take([b"%c%b" % (field, text)], 100.0 - (age_s if field in stale else 0.0))
+            table.take([b"%c%b" % (field, text)], 100.0 - ages_s.get(field, 0.0))
         return watch.read(LinkState(table.snapshot()))
 
-    assert look((), 0.0).supply_v == 24.0
+    assert look({}).supply_v == 24.0
     for field in (*FAST, *SLOW):
         limit_s = 2.0 if field in FAST else 8.0
-        assert look((field,), limit_s - 0.1)
-        with pytest.raises(LinkLostError, match="has been silent for"):
-            look((field,), limit_s + 0.1)
+        assert look({field: limit_s - 0.1})
+        with pytest.raises(LinkLostError, match=rf"has been silent for {limit_s + 0.1:.1f} s"):
+            look({field: limit_s + 0.1})
+    with pytest.raises(LinkLostError, match=r"has been silent for 2\.1 s"):
+        look(dict.fromkeys(FAST, 2.1) | dict.fromkeys(SLOW, 4.0))
 
 
 REST = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
