@@ -158,8 +158,9 @@ class PositionerSettings(DriverSettings):
 
     driver: str = Field("", description="Name of the driver.")
     slowest_deg_per_s: Positive = Field(0.3, le=10, description="A move slower than this has failed.")
-    telemetry_stale_s: Positive = Field(
+    telemetry_stale_s: float = Field(
         2.0,
+        ge=0.5,
         le=60,
         description="Silence after which the positioner counts as lost; so long it is waited for at its opening too.",
     )

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from pydantic import ValidationError
 
 from drivers.positioners.pozsol.driver import PozsolSettings
 
@@ -33,3 +34,9 @@ def test_an_axis_whose_triangle_is_flat_at_some_angle_is_named(a_axis, limits_de
     found = list(settings.conflicts(limits(*limits_deg, 15.0, 90.0)))
     assert [conflict.key for conflict in found] == (["a_axis.apex_deg"] if wrong else [])
     assert not list(settings.model_copy(update={"position_unit": "deg"}).conflicts(limits(-90.0, 90.0, 0.0, 90.0)))
+
+
+def test_no_silence_is_too_long_that_the_screens_which_gather_before_they_are_read_make_themselves():
+    assert PozsolSettings(driver="pozsol", telemetry_stale_s=0.5).telemetry_stale_s == 0.5
+    with pytest.raises(ValidationError, match=r"greater than or equal to 0\.5"):
+        PozsolSettings(driver="pozsol", telemetry_stale_s=0.4)
