@@ -137,10 +137,14 @@ def _dropped(connection: "psycopg.Connection", kind: str, day: date, out: Path) 
 
 
 def _final(connection: "psycopg.Connection", table: str, path: Path) -> Path:
-    """Return the name that the file of a part has once the part is gone; of one day each part has another."""
-    row = connection.execute("SELECT %s::regclass::oid", (table,)).fetchone()
+    """Return the name that the file of a part has once the part is gone; of one day each part has another.
+
+    A server that is set up anew counts its parts from the same number again, and has another identifier of its own.
+    """
+    query = "SELECT system_identifier, %s::regclass::oid FROM pg_control_system()"
+    row = connection.execute(query, (table,)).fetchone()
     assert row is not None  # noqa: S101 - narrowing; it is there
-    return path.with_name(f"final-{row[0]}.parquet")
+    return path.with_name(f"final-{row[0]}-{row[1]}.parquet")
 
 
 def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, *, again: bool) -> ArchivedDay:

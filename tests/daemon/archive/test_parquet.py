@@ -11,6 +11,7 @@ from daemon.archive.address import parse_archive
 from daemon.archive.parquet import drop_days, rows_in, write_days
 from daemon.archive.writer import ArchiveWriter, SentPage
 from tests.support.archive import batch_of, origin, pose_row
+from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
@@ -51,3 +52,22 @@ def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(pos
             postgres.sql("DROP TABLE heliocube.poses_20221014", database.rpartition("/")[2])
     files = sorted((tmp_path / "poses" / "day=2022-10-14").iterdir())
     assert [(path.name.partition("-")[0], rows_in(path)) for path in files] == [("final", 2), ("records.parquet", 1)]
+
+
+@pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
+def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
+    """One that is set up anew by the same steps gives its parts the same numbers."""
+    out, run = tmp_path / "days", origin()
+    out.mkdir()
+    for rows in ([pose_row(0), pose_row(1)], [pose_row(1)]):
+        server = Postgres()
+        try:
+            address = parse_archive(server.url())
+            with closing(ArchiveWriter(address)) as writer:
+                writer.prepare()
+                writer.take([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
+            assert [one.written for one in write_days(address, out, date(2026, 1, 1))] == [True]
+            assert [one.rows for one in drop_days(address, out, date(2026, 1, 1))] == [len(rows)]
+        finally:
+            server.close()
+    assert sorted(map(rows_in, out.rglob("final-*.parquet"))) == [1, 2]

@@ -99,9 +99,10 @@ def cools_down(store, postgres, database, heliocube, tmp_path):
     assert sorted(in_duckdb(query)) == wanted
 
     # A drop that was broken off between its file and its end is as if it had not begun.
-    ((part,),) = postgres.sql(f"SELECT 'heliocube.poses_{DAY.replace('-', '')}'::regclass::oid", name)
+    query = "SELECT system_identifier, 'heliocube.poses_{}'::regclass::oid FROM pg_control_system()"
+    ((server, part),) = postgres.sql(query.format(DAY.replace("-", "")), name)
     folder = out / "poses" / f"day={DAY}"
-    (folder / "records.parquet").rename(folder / f"final-{part}.parquet")
+    (folder / "records.parquet").rename(folder / f"final-{server}-{part}.parquet")
     heliocube(*run)
     assert [path.name for path in folder.iterdir()] == ["records.parquet"]
 
