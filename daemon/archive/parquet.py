@@ -37,9 +37,10 @@ class ArchivedDay(NamedTuple):
 
 
 def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | None = None) -> Iterator[ArchivedDay]:
-    """Write each day before today whose file is missing, or has another number of rows than the archive; yield all.
+    """Write each day before today whose file is missing, or has fewer rows than the archive; yield all.
 
-    Records that come late, after a night's file was written, are so in the next night's.
+    Records that come late, after a night's file was written, are so in the next night's. What a database that was
+    restored from a backup has lost is in the file alone.
 
     Parameters
     ----------
@@ -160,6 +161,8 @@ def _written(connection: "psycopg.Connection", kind: str, day: date, out: Path, 
     if there is not None and (other := _part_in(path)) not in (None, final.stem):
         # Its part has been dropped by hand, and this one was begun by what came late.
         path.rename(path.with_name(f"{other}.parquet"))
+    elif not again and there is not None and there > count:
+        return ArchivedDay(kind, day, path, there, written=False)
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

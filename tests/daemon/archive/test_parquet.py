@@ -54,6 +54,21 @@ def test_the_file_of_a_day_that_was_dropped_by_hand_outlives_what_comes_late(pos
     assert [(path.name.partition("-")[0], rows_in(path)) for path in files] == [("final", 2), ("records.parquet", 1)]
 
 
+def test_what_the_database_has_lost_since_stays_in_the_file_of_its_day(postgres, database, tmp_path):
+    """As it does when it is restored from a backup of its files; what is filled in again is a file anew."""
+    address, run = parse_archive(database), origin()
+    page = SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))
+    with closing(ArchiveWriter(address)) as writer:
+        writer.prepare()
+        writer.take([page])
+        list(write_days(address, tmp_path, date(2026, 1, 1)))
+        postgres.sql("DELETE FROM heliocube.poses WHERE number = 1", database.rpartition("/")[2])
+        assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(2, False)]
+        assert list(drop_days(address, tmp_path, date(2026, 1, 1))) == []
+        writer.take([page, SentPage("lab/late", page.batch)])
+    assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(4, True)]
+
+
 @pytest.mark.skipif(BINARIES is None, reason=WITHOUT_POSTGRES)
 def test_the_file_of_a_day_that_was_dropped_outlives_its_server(tmp_path):
     """One that is set up anew by the same steps gives its parts the same numbers."""
