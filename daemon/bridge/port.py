@@ -31,6 +31,8 @@ _HELD_S = 60.0
 # socket(7), <asm-generic/socket.h>: the kernel stamps each datagram with the system's time when it comes.
 _SO_TIMESTAMPNS = 35
 _STAMP = struct.Struct("@ll")
+# ip(7), <linux/in.h>: else a socket hears the groups that other programs of the machine have joined, too.
+_IP_MULTICAST_ALL = 49
 # Whatever waited while no process read: more than a buffer holds, and an end to it where somebody floods the port.
 _MOST_WAITING = 8192
 # A longer wait is a clock that was set meanwhile.
@@ -197,6 +199,8 @@ class UdpPort:
             bound.close()
             raise BridgeError(f"bridge.listen: {self._listen} {_why_not_bound(error)}") from None
         if self._group is not None:
+            if sys.platform == "linux":
+                bound.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
             try:
                 membership = socket.inet_aton(self._group.host) + socket.inet_aton(self._interface)
                 bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)

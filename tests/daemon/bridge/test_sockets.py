@@ -81,32 +81,63 @@ def test_sender_and_receiver_agree_over_loopback_with_and_without_a_key_and_over
             pytest.skip(f"there is no IPv6 here: {error}")
 
 
-def test_one_multicast_send_reaches_every_process_of_the_group_on_one_machine():
-    async def main():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("0.0.0.0", 0))
-            number = probe.getsockname()[1]
-        settings = BridgeSettings(
+def groups(*names):
+    """Settings of processes that hear these groups on one free port of this machine."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("0.0.0.0", 0))
+        number = probe.getsockname()[1]
+    return [
+        BridgeSettings(
             listen=f"0.0.0.0:{number}",
             send_to=(),
-            multicast_group=f"239.255.20.71:{number}",
+            multicast_group=f"{name}:{number}",
             multicast_interface="127.0.0.1",
         )
+        for name in names
+    ]
+
+
+async def send_to_group(settings, clock, sent):
+    sender = BridgeSender(settings, KEY, clock)
+    await sender.open()
+    sender.send(sent)
+    failed = sender.statistics[0].last_error
+    await sender.close()
+    if failed:
+        pytest.skip(f"multicast does not work here: {failed}")
+
+
+def test_one_multicast_send_reaches_every_process_of_the_group_on_one_machine():
+    async def main():
+        (settings,) = groups("239.255.20.71")
         try:
             async with (
                 port(settings) as (_, clock, scans, settle),
                 port(settings) as (_, _, others, others_settle),
             ):
-                sender = BridgeSender(settings, KEY, clock)
-                await sender.open()
-                sender.send(scan())
-                failed = sender.statistics[0].last_error
-                await sender.close()
-                if failed:
-                    pytest.skip(f"multicast does not work here: {failed}")
+                await send_to_group(settings, clock, scan())
                 await settle(1)
                 await others_settle(1)
                 assert [got.sequence for got in (*scans, *others)] == [0, 0]
+        except BridgeError as error:
+            pytest.skip(f"multicast does not work here: {error}")
+
+    asyncio.run(main())
+
+
+def test_a_group_that_another_process_of_the_machine_has_joined_is_not_heard():
+    async def main():
+        own, other = groups("239.255.20.71", "239.255.20.72")
+        try:
+            async with (
+                port(own) as (_, clock, scans, settle),
+                port(other) as (_, _, others, others_settle),
+            ):
+                await send_to_group(other, clock, scan(0))
+                await send_to_group(own, clock, scan(1))
+                await settle(1)
+                await others_settle(1)
+                assert [[got.sequence for got in each] for each in (scans, others)] == [[1], [0]]
         except BridgeError as error:
             pytest.skip(f"multicast does not work here: {error}")
 
