@@ -238,7 +238,21 @@ def test_a_tracker_of_several_has_its_own_news_and_those_of_the_cube(context, tm
       card.update({ state: { news, trackers: { east: tracker, west: {} } }, tracker, now: Date.parse(news[0].time) });
       return [...card.node.querySelectorAll("li > span")].map((each) => each.textContent);
     }""")
-    assert said == ["East: night -> tracking: x", "Alarm: raised cube-face: the south face"]
+    assert said == ["east: night -> tracking: x", "Alarm: raised cube-face: the south face"]
+
+
+def test_a_process_of_the_cube_alone_shows_no_tracker(context, tmp_path):
+    page = MadeSite(tmp_path).open(context, MIDNIGHT)
+    hidden = page.page.evaluate("""async () => {
+      const { mount } = await import("/static/js/views/mount.js");
+      const [card, site] = [mount(), { latitude_deg: 10 }];
+      const tracker = { tracker: { limits: {} }, mode: { name: "night" } };
+      return [{ state: { site } }, { state: null }, { state: { site }, tracker }].map((context) => {
+        card.update(context);
+        return card.node.hidden;
+      });
+    }""")
+    assert hidden == [True, False, False]
 
 
 @pytest.mark.parametrize(

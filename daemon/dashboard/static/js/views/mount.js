@@ -49,6 +49,8 @@ export function mount() {
   const node = card("Tracker", null, picture, h("div", { class: "gauges" }, a.node, b.node), status, age);
 
   function update({ state, tracker, sunDay, now, extra, old }) {
+    // A cube's process has no tracker; before its first state nobody knows.
+    node.hidden = Boolean(state) && !tracker;
     const unit = tracker?.tracker;
     const pose = unit?.pose;
     const latitude = state?.site.latitude_deg ?? 0;
