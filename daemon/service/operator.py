@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from daemon.base.records import Event, Mode, Pose, Target
-from daemon.base.recurrence import LogBudget
 from daemon.motion.motion import Motion
 from daemon.service.tracker import Tracker
 from daemon.tracker.wishes import Wishes
@@ -30,8 +29,6 @@ _WAIT_FOR_DISK_S = 0.4
 _NEARER_DEG = 0.15
 # A stop that comes so soon after another one, which is in force, has been sent already.
 _SAME_STOP_S = 0.2
-# Persons do not give more commands within half a day; a program's are logged by their number from there on.
-_LOGGED = 50
 
 
 class CommandError(Exception):
@@ -99,7 +96,6 @@ class Operator:
         self._control, self._motion = tracker.control, tracker.motion
         self._clock = tracker.clock
         self._speed = speed
-        self._log_budget = LogBudget("commands", _LOGGED)
         self._stop_sent_s = -math.inf
 
     async def stop(self, why: str, by: str = "") -> Answer:
@@ -278,9 +274,7 @@ class Operator:
 
     def _note(self, command: str, why: str, by: str) -> None:
         text, now_s = f"{command}: {why}{f' ({by})' if by else ''}", self._clock.monotonic()
-        line = self._log_budget.spend(now_s, text)
-        if line:
-            log.info("%s", line)
+        self._tracker.log_command(text)
         self._tracker.publish(Event(self._clock.utc(), now_s, "operator", text))
 
     def _require_telemetry(self, what: str) -> None:

@@ -14,6 +14,7 @@ from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.process import TRACKER
 from daemon.base.records import Event, ModeChange, Pose, Record, Scan, stamped
+from daemon.base.recurrence import LogBudget
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
 from daemon.motion.end import finish
@@ -36,6 +37,7 @@ from drivers.errors import DriverHungError
 from solar.ephemeris import SunElevation
 
 log = logging.getLogger("heliocube.service")
+_commands_log = logging.getLogger("heliocube.operator")
 
 # Of the ground, where the law learns none; the same as that of laws that are told one.
 _ALBEDO = 0.2
@@ -52,6 +54,9 @@ _HUNG_AFTER_S = 120.0
 _LOOKS_MISSED = 3.0
 # The unit needs a second or two; systemd waits 15 s for the whole of it.
 _STAND_WITHIN_S = 8.0
+# Persons do not give more commands within half a day; a program's are logged by their number from there on.
+_COMMANDS_LOGGED = 50
+_SETTLE_EVERY_S = 60.0
 
 
 class Tracker:
@@ -159,6 +164,7 @@ class Tracker:
         self.shadow = self._build_shadow(common) if settings.law.shadow else None
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
         self.left_standing = False
+        self._commands = LogBudget("commands", _COMMANDS_LOGGED)
         self._moving: asyncio.Future[None] | None = None
         self._hung_why: str | None = None
         self._seems_hung = False
@@ -262,10 +268,24 @@ class Tracker:
         """Yield what has to run, each with its name."""
         yield "motion", self._named(self._move())
         yield "control", self._named(self.control.run())
+        yield "log of commands", self._named(self._settle_commands())
         if self.stow_watch.watched:
             yield "stow", self._named(self.stow_watch.run())
         if self.curves is not None:
             yield "load", self._named(self.curves.run())
+
+    def log_command(self, text: str) -> None:
+        """Log a command that was given, whichever way it came; of very many only their number."""
+        self._log_commands(self._commands.spend(self.clock.monotonic(), text))
+
+    async def _settle_commands(self) -> None:
+        while True:
+            await asyncio.sleep(_SETTLE_EVERY_S)
+            self._log_commands(self._commands.settle(self.clock.monotonic()))
+
+    def _log_commands(self, line: str) -> None:
+        if line:
+            _commands_log.info("%s", line)
 
     async def stop_motion(self) -> None:
         """Stop the axes for good, and say whether telemetry shows them standing."""

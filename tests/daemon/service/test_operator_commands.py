@@ -4,6 +4,7 @@ import asyncio
 import json
 import logging
 import math
+import re
 import signal
 import socket
 import subprocess
@@ -348,9 +349,11 @@ def test_what_a_program_commands_all_day_is_logged_by_its_number(run_rig, caplog
         with caplog.at_level(logging.INFO, "heliocube.operator"):
             for _ in range(200):
                 await operator.auto("a script")
+            await asyncio.sleep(3600)
         assert len([event for event in rig.of(Event) if event.subject == "operator"]) == 200
 
     run_rig(scenario)
     lines = [record.getMessage() for record in caplog.records if record.name == "heliocube.operator"]
-    assert len(lines) == 51
-    assert lines[-1].startswith("commands: 1 more, and only their number is logged")
+    assert len(lines) == 52
+    assert lines[-2].startswith("commands: 1 more, and only their number is logged")
+    assert re.fullmatch(r"commands: 149 more, the last 3\d min ago", lines[-1])
