@@ -216,7 +216,6 @@ class FaceWatch:
         if not whys and not self._since:
             # Not 'it is over': what was acknowledged before a restart takes its time to be found again.
             return
-        another = bool(whys.keys() - self._since.keys())
         self._since = {name: self._since.get(name, now) for name in whys}
         parts = []
         for doubt, since in dict.fromkeys((why, self._since[name]) for name, why in whys.items()):
@@ -226,7 +225,7 @@ class FaceWatch:
                 f"the {_in_a_row(names)} {many} {_WHY[doubt]}; not used since {since}, until {they} {agree} with the"
                 " others again"
             )
-        self._alarms.set("cube-face", "; ".join(parts) or None, anew=another)
+        self._alarms.set("cube-face", "; ".join(parts) or None, of=whys)
 
 
 def _in_a_row(names: list[str]) -> str:

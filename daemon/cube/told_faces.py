@@ -31,9 +31,8 @@ class ToldFaces:
             name for name, count in counts.items() if count == _SCANS or (count > 0 and name in self._doubted)
         )
         if doubted != self._doubted:
-            another = not set(doubted) <= set(self._doubted)
             self._doubted = doubted
-            self._alarms.set("cube-face", _text(doubted), anew=another)
+            self._alarms.set("cube-face", _text(doubted), of=doubted)
 
 
 def _text(doubted: tuple[str, ...]) -> str | None:

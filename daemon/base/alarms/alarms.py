@@ -1,7 +1,8 @@
 """What a person has to know: raised once, acknowledged by a person, cleared with its cause, shown everywhere."""
 
 import logging
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from daemon.base.alarms.alarm import Alarm
@@ -69,10 +70,11 @@ class Alarms:
         """Whether they are kept silent."""
         return self._muted
 
-    def set(self, name: str, text: str | None, *, anew: bool = False) -> None:
+    def set(self, name: str, text: str | None, *, of: Iterable[str] = ()) -> None:
         """Raise the alarm `name`, or end it with None. A new text for one that is on replaces the old one silently.
 
-        With `anew` a new text is raised as another alarm would be: nobody has seen what it tells.
+        Where the old text has not all the words `of`, the new one is raised as another alarm would be: nobody has seen
+        what it tells.
         """
         if self._muted:
             if text is None:
@@ -82,13 +84,13 @@ class Alarms:
             return
         before = self._shown.get(name)
         if self._before:
-            self._forget(name, text)
+            self._forget(name, text, of)
         if text is None:
             if before is not None and before.on:
                 self._clear(before)
         elif before is None or not before.on:
             self._raise(name, text, before)
-        elif anew and before.text != text:
+        elif not _tells(before.text, of):
             self._raise(name, text, None)
         elif before.text != text:
             self._shown[name] = replace(before, text=text)
@@ -167,11 +169,11 @@ class Alarms:
                 self._shown[name] = replace(found.alarm(name, found.text), cleared_utc_s=cleared_utc_s)
         self._saved = kept
 
-    def _forget(self, name: str, text: str | None) -> None:
-        """Forget of what was acknowledged before the start what is over, and after a while all."""
+    def _forget(self, name: str, text: str | None, of: Iterable[str]) -> None:
+        """Forget of what was acknowledged before the start what is over or another, and after a while all."""
         if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
             self._before = {}
-        elif text is None:
+        elif text is None or (name in self._before and not _tells(self._before[name].text, of)):
             self._before.pop(name, None)
         self._save()
 
@@ -190,3 +192,7 @@ class Alarms:
 
     def _report(self, text: str) -> None:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))
+
+
+def _tells(text: str, of: Iterable[str]) -> bool:
+    return set(of) <= set(re.findall(r"\w+", text))

@@ -342,12 +342,14 @@ def test_faces_that_a_wrong_clock_condemned_are_used_again_when_it_is_synchronis
     assert day.minutes(15, frozen=3, at_w_m2=1800.0)[3] is not None
 
 
-@pytest.mark.parametrize("at_w_m2", [0.0, 250.0])
-def test_a_face_that_somebody_has_seen_is_no_new_alarm_after_a_restart(tmp_path, at_w_m2):
-    for hour in range(2):
+@pytest.mark.parametrize(("face", "at_w_m2", "is_seen"), [(3, 0.0, True), (3, 250.0, True), (2, 1800.0, False)])
+def test_after_a_restart_a_face_that_somebody_has_seen_is_no_new_alarm_and_another_one_is(
+    tmp_path, face, at_w_m2, is_seen
+):
+    for hour, frozen in enumerate((3, face)):
         day = WatchedDay(MORNING_UTC_S + 3600.0 * hour, directory=tmp_path)
-        assert day.minutes(59, frozen=3, at_w_m2=at_w_m2)[3] is not None
-        assert day.alarms.acknowledge("ana") == (("cube-face",) if hour == 0 else ())
+        assert day.minutes(59, frozen=frozen, at_w_m2=at_w_m2)[frozen] is not None
+        assert day.alarms.acknowledge("ana") == (() if hour and is_seen else ("cube-face",))
 
 
 def test_faces_that_no_light_explains_are_none_of_them_used_until_they_agree():

@@ -71,9 +71,9 @@ def test_what_is_told_anew_is_an_alarm_that_nobody_has_seen(house):
     house.alarms.set(PLAIN, "south lies")
     house.alarms.acknowledge("ana@lab", PLAIN)
     house.clock.now += 60
-    house.alarms.set(PLAIN, "south lies", anew=True)
+    house.alarms.set(PLAIN, "south lies", of=["south"])
     assert house.states == {PLAIN: "acknowledged"}
-    house.alarms.set(PLAIN, "south and west lie", anew=True)
+    house.alarms.set(PLAIN, "south and west lie", of=["south", "west"])
     (alarm,) = house.alarms.active
     assert (alarm.state, alarm.text, alarm.raised_utc_s) == ("raised", "south and west lie", house.clock.utc())
     assert house.told[-1] == f"raised {PLAIN}: south and west lie"
@@ -161,6 +161,14 @@ def test_after_a_restart_a_new_cause_is_a_new_alarm(house, cause):
     else:
         house.clock.now += 3600
     house.alarms.set(PLAIN, "bad")
+    assert house.states == {PLAIN: "raised"}
+
+
+def test_after_a_restart_what_tells_of_something_else_is_a_new_alarm(house):
+    house.alarms.set(PLAIN, "south lies", of=["south"])
+    house.alarms.acknowledge("ana")
+    house.restart()
+    house.alarms.set(PLAIN, "west lies", of=["west"])
     assert house.states == {PLAIN: "raised"}
 
 
