@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from solar.calibration.in_place import jackknife_error
 from solar.calibration.selection import block_means
 from solar.ephemeris import solar_days
 from solar.frames import Array
 
 SERIES_S = 1200.0
+_HOUR_S = 3600.0
 LARGEST_LAG_S = 300.0
 _STRAY = 0.02
 _LEAST_IN_SERIES = 5
@@ -138,17 +140,25 @@ def series_gain(
     return SeriesGain(Interval(float(ratios[kept].mean()), float(width)), ratios, middles, kept)
 
 
-def fitted_offset(reference_w_m2: Array, voltage_mv: Array) -> Interval:
+def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> Interval:
     """Return the voltage [mV] at which a straight line through the readings reaches zero irradiance.
 
     V = V_0 + E / gain, for sensors whose nights were not recorded: the intercept V_0 of the least-squares line of
-    voltage on irradiance, with its 95 % interval. Readings of shape (n,) without NaN; raises `ValueError` for fewer
-    than 3.
+    voltage on irradiance. Its 95 % interval is the wider one of the line's own and of a jackknife over the hours of
+    the day: cosine response and level bend the line, alike on all days, and minutes of one hour share that. What a
+    cosine response of one kind all day does to the line does not show in full. Readings of shape (n,) without NaN;
+    raises `ValueError` for fewer than 3.
     """
     if reference_w_m2.size < 3:
         raise ValueError(f"a line through {reference_w_m2.size} readings tells no offset")
     line = stats.linregress(reference_w_m2, voltage_mv)
     half = stats.t.ppf(0.975, reference_w_m2.size - 2) * line.intercept_stderr
+    hour = np.floor(utc_s / _HOUR_S) % 24.0
+    hours = np.unique(hour)
+    # An hour left out must leave a line.
+    if hours.size >= _LEAST_SERIES:
+        each = np.array([np.polyfit(reference_w_m2[hour != one], voltage_mv[hour != one], 1)[-1:] for one in hours])
+        half = max(half, stats.t.ppf(0.975, hours.size - 1) * jackknife_error(each)[0])
     return Interval(float(line.intercept), float(half))
 
 

@@ -203,7 +203,7 @@ def _face(
     longitude_deg: float,
 ) -> FaceResult:
     try:
-        zero = fitted_offset(ghi, mv) if offset is None else offset
+        zero = fitted_offset(utc_s, ghi, mv) if offset is None else offset
         series = series_gain(utc_s, ghi, mv - zero.value, longitude_deg)
     except ValueError as error:
         raise UserError(f"the {name} sensor cannot be calibrated: {error}") from None

@@ -5,7 +5,7 @@ from sim_drivers.scene import Scene
 from sim_drivers.weather import GeneratedWeather
 from solar.calibration.comparison import fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, clear_sky_ghi, night_offset
-from solar.ephemeris import Site, sun_position
+from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
 
 SIRTA = Site(48.717607, 2.209002, 156.0)
 MIDNIGHT = 1_647_302_400.0  # 2022-03-15
@@ -218,20 +218,33 @@ def test_days_count_and_not_series_where_there_are_three():
 
 def test_a_line_tells_the_offset_where_no_night_was_recorded():
     irradiance = np.array([200.0, 400.0, 600.0, 800.0])
-    found = fitted_offset(irradiance, 0.1 * irradiance + 0.05)
+    found = fitted_offset(np.arange(4.0), irradiance, 0.1 * irradiance + 0.05)
     assert found.value == pytest.approx(0.05)
     assert found.half_width == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(ValueError, match="2 readings"):
-        fitted_offset(irradiance[:2], irradiance[:2])
+        fitted_offset(np.arange(2.0), irradiance[:2], irradiance[:2])
 
 
 def test_the_line_s_interval_by_hand():
     # What is left is +-0.01 mV, and leans on neither the mean nor the slope: s2 = 4e-4/2, Student's t 4.302653.
     irradiance, left = np.array([0.0, 200.0, 400.0, 600.0]), np.array([0.01, -0.01, -0.01, 0.01])
-    found = fitted_offset(irradiance, 0.1 * irradiance + 0.05 + left)
+    found = fitted_offset(np.arange(4.0), irradiance, 0.1 * irradiance + 0.05 + left)
     assert found.value == pytest.approx(0.05)
     assert found.half_width == pytest.approx(4.302653 * np.sqrt(2e-4 * (1.0 / 4.0 + 300.0**2 / 200_000.0)), rel=1e-6)
-    assert fitted_offset(irradiance[:3], 0.1 * irradiance[:3] + 0.05).value == pytest.approx(0.05)
+    assert fitted_offset(np.arange(3.0), irradiance[:3], 0.1 * irradiance[:3] + 0.05).value == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("days", [1, 5])
+def test_the_line_s_interval_holds_the_offset_for_a_sensor_out_of_level_that_misses_grazing_light(days):
+    # Half a degree towards the south-east, and 2 % at 80 deg: what bends the line is the same on every day.
+    times = MIDNIGHT + np.arange(0.0, days * DAY_S, 60.0)
+    sun = sun_direction(times, *SIRTA)
+    times, sun = times[sun[:, 2] > 0.2], sun[sun[:, 2] > 0.2]
+    ghi, dni, _ = clear_sky_ghi(SIRTA, times)
+    missed = 0.02 * (np.degrees(np.arccos(sun[:, 2])) / 80.0) ** 4
+    sensed = ghi * (1.0 - missed) + np.radians(0.35) * dni * (sun[:, 0] + sun[:, 1])
+    found = fitted_offset(times, ghi, 0.1 * sensed + 0.05)
+    assert abs(found.value - 0.05) < found.half_width < 1.0
 
 
 def test_three_readings_around_one_instant_are_enough_for_it_alone():
