@@ -30,6 +30,8 @@ _STEADY_S = 600.0
 _ECHO_WITHIN_S = 10.0
 _REPORT_AGAIN_S = 3600.0
 _LEAVE_WITHIN_S = 1.5
+# What ends twice at an answer or at a word has another cause than its length.
+_NEVER_TOO_LONG_BYTES = 4096
 
 Handler = Callable[[Incoming], None]
 
@@ -236,7 +238,7 @@ class Link:
 
     def _note_end_at(self, message: Message) -> None:
         """Take a second end of the connection at one and the same message for a limit that the broker does not say."""
-        if message.payload == self._ended_at:
+        if message.payload == self._ended_at and len(message.payload) > _NEVER_TOO_LONG_BYTES:
             self._unsaid_most_bytes = min(self._unsaid_most_bytes, len(message.payload) - 1)
         self._ended_at = message.payload
 

@@ -292,3 +292,18 @@ def test_a_broker_that_ends_the_connection_at_a_page_and_does_not_say_why_gets_s
 
     with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
         runner.run(scenario())
+
+
+@needs_mosquitto
+def test_an_end_of_the_connection_at_a_short_message_shortens_no_pages(tmp_path, make_broker):
+    async def scenario():
+        broker = make_broker(unsaid_most_bytes=300).start()
+        sender = Sender(tmp_path / "store", broker.port, speed=SPEED)
+        sender.link.send(Message("lab/roof/reply", b"x" * 400, 1))
+        async with sender.sending():
+            await until(lambda: sender.link.status.connections > 3, "the end of three connections")
+        assert sender.link.most_bytes > 100_000
+        sender.store.close()
+
+    with asyncio.Runner(loop_factory=lambda: ScaledTimeLoop(SPEED)) as runner:
+        runner.run(scenario())
