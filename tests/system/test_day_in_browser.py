@@ -198,7 +198,8 @@ def test_a_local_time_has_the_local_date(browser, tmp_path):
           const { log } = await import("/static/js/views/cards.js");
           const [now, times] = [Date.parse("2022-09-21T00:10:00Z"), ["2022-09-20T13:00:00Z", "2022-09-20T23:50:00Z"]];
           const card = log();
-          card.update({ state: { news: times.map((time) => ({ time, text: "x" })) }, tracker: null, now });
+          const state = { trackers: {}, news: times.map((time) => ({ time, text: "x" })) };
+          card.update({ state, tracker: null, now });
           const listed = [...card.node.querySelectorAll("time")].map((each) => each.textContent);
           return [times.map((time) => at(time, now)), listed];
         }""")

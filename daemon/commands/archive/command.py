@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from daemon.archive.address import ArchiveAddress
 
 # Before the first record of all, and still a date.
-_LONGEST_DAYS = 100_000
+_LONGEST_DAYS = 9_999
 
 app = typer.Typer(
     help="Keep the records of many services in one PostgreSQL.\n\nWithout a command: take in what they send to the"
