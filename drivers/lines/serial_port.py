@@ -8,7 +8,9 @@ waiting, and whether it stays off is looked at from time to time.
 import errno
 import importlib
 import os
+import select
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +21,6 @@ from drivers.transcript import Tap, no_tap
 SerialForm = Literal["8N1", "8E1", "8O1", "8N2"]
 
 _READ_S = 0.2
-# Written or not, pyserial raises after this time: half a second without a processor looked like a port without a taker.
 _WRITE_S = 0.9
 _LARGEST_READ = 4096
 
@@ -113,10 +114,25 @@ class SerialPort:
         """Send one command; no longer than a second. `ValueError` for bytes that are none that may be sent."""
         self._require_allowed(data)
         try:
-            self._port.write(data)
+            self._put(data)
         except self._gone as error:
             raise LinkLostError(self._device, f"{self._path} takes no data: {error}") from error
         self._tap(">", data)
+
+    def _put(self, data: bytes) -> None:
+        """Write it all; pyserial's own way calls what is written a timeout if the process then had no processor."""
+        if os.name != "posix":
+            self._port.write(data)
+            return
+        end_s = time.monotonic() + _WRITE_S
+        while data:
+            try:
+                data = data[os.write(self._port.fileno(), data) :]
+            except BlockingIOError:
+                left_s = end_s - time.monotonic()
+                if left_s <= 0:
+                    raise TimeoutError(f"nothing was taken within {_WRITE_S:g} s") from None
+                select.select([], [self._port.fileno()], [], left_s)
 
     def discard(self) -> None:
         """Throw away what has come and was not read."""

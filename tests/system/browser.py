@@ -75,7 +75,12 @@ class Page:
         self.page.goto(f"{self.url}/#{view}")
 
     def sees(self, selector, text):
-        expect(self.page.locator(selector).first).to_contain_text(text, timeout=WITHIN_MS)
+        try:
+            expect(self.page.locator(selector).first).to_contain_text(text, timeout=WITHIN_MS)
+        except AssertionError as error:
+            # What a person would look at next: the state and its reason, what came of the order, what is still asked.
+            shown = self.page.locator(".hero, .outcome, dialog").all_inner_texts()
+            raise AssertionError(f"{error}\nThe page says: {shown}") from None
 
     def text(self, selector):
         return self.page.locator(selector).first.inner_text()

@@ -1,11 +1,13 @@
 """A serial port on a pseudo-terminal: what the kernel is told, and what goes through."""
 
 import contextlib
+import itertools
 import os
 import select
 import subprocess
 import sys
 import termios
+import time
 
 import pytest
 import serial
@@ -98,6 +100,17 @@ def test_a_command_that_is_not_allowed_is_not_sent(ends):
             port.write(b"$9x\r")
         port.write(b"$9s\r")
     assert os.read(instrument, 100) == b"$9s\r"
+
+
+def test_what_is_written_is_sent_although_the_process_then_had_no_processor(ends, monkeypatch):
+    instrument, path = ends
+    looks = itertools.count(step=2.0)
+    # Two seconds go by between any two looks at the clock, at pyserial's as well.
+    for clock in ((time, "monotonic"), (serial.serialutil.Timeout, "TIME")):
+        monkeypatch.setattr(*clock, lambda: next(looks))
+    with opened(path) as port:
+        port.write(b"M#(600)")
+        assert os.read(instrument, 100) == b"M#(600)"
 
 
 @pytest.mark.parametrize(("form", "flags"), [

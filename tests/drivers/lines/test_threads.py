@@ -1,5 +1,6 @@
 import asyncio
 import threading
+import time
 
 import pytest
 
@@ -46,6 +47,21 @@ def test_a_call_that_never_returns_loses_the_link_and_the_next_one_has_a_thread_
         assert await thread.call(lambda: "alive", 5.0) == "alive"
         await thread.finish(lambda: None, 5.0)
         gate.set()
+
+    asyncio.run(scene())
+
+
+def test_a_result_in_time_counts_although_the_loop_was_held_up_beyond_the_deadline():
+    async def scene():
+        thread, ready = DeviceThread("positioner"), threading.Event()
+        call = asyncio.create_task(thread.call(lambda: ready.set() or "sent", 0.05))
+        await asyncio.sleep(0)
+        # The call has ended, and its deadline passes before the loop can look.
+        assert ready.wait(60.0)
+        time.sleep(0.2)  # noqa: ASYNC251 - the loop is held up on purpose
+        assert await call == "sent"
+        assert await thread.call(lambda: "the same", 5.0) == "the same"
+        await thread.finish(lambda: None, 5.0)
 
     asyncio.run(scene())
 
