@@ -327,7 +327,7 @@ def test_two_services_with_one_client_id_do_not_throw_each_other_out_without_end
                 m for name in ("one", "two") for m in lab.on(f"heliocube/{name}/status") if m.payload == b"online"
             ]
             assert 4 <= len(births) <= 40
-            down = [line.getMessage() for line in log_lines() if "is down" in line.getMessage()]
+            down = [line.getMessage() for line in log_lines() if "broker is down" in line.getMessage()]
             assert any("ended the connection" in line for line in down)
             assert len(down) <= 4
 
