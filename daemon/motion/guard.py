@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.records import Event, Pose, Record
+from daemon.base.records import Event, Pose, Record, Target
 from daemon.motion.alarms import Currents, show
 from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
@@ -111,6 +111,8 @@ class Guard:
         self._telemetry: Telemetry | None = None
         self._read: Telemetry | None = None
         self._pose: Pose | None = None
+        # Of a move, until the axes rest again.
+        self._target: Target | None = None
         # Monotonic and UTC seconds.
         self._repeated: tuple[float, float] | None = None
         self.rested: Pose | None = None
@@ -194,12 +196,12 @@ class Guard:
     def forget(self) -> None:
         """Forget what was told, and where an axis would stand if a doubt were right: a person has looked."""
         self._currents.forget()
-        self._place.leaves()
+        self._place.leaves(None)
 
-    def departs(self) -> None:
-        """Take note that a target is about to be sent: from then on the axes go there, whatever becomes of us."""
-        self.rested = None
-        self._place.leaves()
+    def departs(self, target: Target | None) -> None:
+        """Take note that the axes are about to be sent off: they go there whatever becomes of us; None is homing."""
+        self.rested, self._target = None, target
+        self._place.leaves(target)
 
     async def poll(self, *, moving: bool) -> Telemetry:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
@@ -366,8 +368,9 @@ class Guard:
         self._pose = pose
         self.rested = pose if self.watch.settled and not moving else None
         if self.rested is None:
-            self._place.leaves()
+            self._place.leaves(self._target)
         else:
+            self._target = None
             self._place.rests(pose)
         if (
             told is None

@@ -1,7 +1,7 @@
 """Where the axes rest, kept over a restart: a reference run that ends too early shows by it.
 
 A positioner may lose its count while no service is there to see it. Then nobody else knows how long the way to the end
-switch has to be, and a switch that is stuck half-way would be believed. While an axis moves, nothing is kept: it goes
+switch has to be, and a switch that is stuck half-way would be believed. Of an axis that moves nothing is kept: it goes
 on by itself when the service dies.
 """
 
@@ -9,7 +9,7 @@ import logging
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
-from daemon.base.records import Pose
+from daemon.base.records import Pose, Target
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from drivers.interfaces import Positioner, Recalling
 
@@ -18,6 +18,8 @@ log = logging.getLogger("heliocube.motion")
 FILE_NAME = "place.json"
 # Finer than a reference run is judged, and coarser than what an axis shows at rest.
 _CHANGED_DEG = 0.2
+# Finer than an axis is expected after a restart: one that is sent no further stays where it rests, for our purposes.
+_STAYS_DEG = 1.0
 
 
 class _Kept(BaseModel):
@@ -46,27 +48,38 @@ class KeptPlace:
         self._file = StateFile(folder, FILE_NAME, _Kept, log, "where the axes stand")
         self._positioner = positioner if isinstance(positioner, Recalling) and not begins_anew else None
         self._rested: Pose | None = None
-        self._known = False, False
+        self._kept = _Kept()
         if self._positioner is not None:
             kept = self._load()
             self._positioner.recall(kept.a, kept.b, doubt or "")
 
-    def leaves(self) -> None:
-        """Keep no place: an axis moves, or may, or stands elsewhere by what a person has said."""
-        if self._rested is not None:
+    def leaves(self, to: Target | None) -> None:
+        """Keep the place of an axis only if it stays there on the way to a target, and none if nobody knows the way."""
+        rested = self._rested
+        if rested is None:
+            return
+        a_stays = to is not None and abs(to.a_deg - rested.a_deg) <= _STAYS_DEG
+        b_stays = to is not None and abs(to.b_deg - rested.b_deg) <= _STAYS_DEG
+        if not (a_stays or b_stays):
             self._rested = None
-            self._file.save(_Kept())
+        left = _Kept(a=self._kept.a if a_stays else None, b=self._kept.b if b_stays else None)
+        if left != self._kept:
+            self._keep(left)
 
     def rests(self, pose: Pose) -> None:
         """Take note that both axes have come to rest."""
         if self._positioner is None:
             return
         a, b = self._positioner.standing()
-        known = a is not None, b is not None
-        if known == self._known and self._rested and not elsewhere(self._rested, pose, _CHANGED_DEG):
+        known, kept = (a is None, b is None), (self._kept.a is None, self._kept.b is None)
+        if known == kept and self._rested and not elsewhere(self._rested, pose, _CHANGED_DEG):
             return
-        self._rested, self._known = pose, known
-        self._file.save(_Kept(a=a, b=b))
+        self._rested = pose
+        self._keep(_Kept(a=a, b=b))
+
+    def _keep(self, kept: _Kept) -> None:
+        self._kept = kept
+        self._file.save(kept)
 
     def _load(self) -> _Kept:
         try:

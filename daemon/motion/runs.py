@@ -154,7 +154,7 @@ class Runs:
                 await guard.halt()
             if self.is_interrupted():
                 return MoveOutcome.INTERRUPTED, target.why
-            guard.departs()
+            guard.departs(target)
             try:
                 # A tilted module catches the wind, so a stow lays it flat before it turns it.
                 await self._positioner.move_to(target.a_deg, target.b_deg, first="b" if self._stow else "a")
@@ -259,7 +259,8 @@ class Runs:
         doubted = faulty or doubts.reference is not None
         started_s = self._clock.monotonic()
         self._interrupted = False
-        guard.homing, guard.rested = True, None
+        guard.homing = True
+        guard.departs(None)
         doubts.homing_begins()
         left: str | None = NOT_FINISHED
         self._report("homing")

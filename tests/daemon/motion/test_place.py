@@ -99,6 +99,37 @@ def test_a_target_is_sent_after_the_place_was_forgotten(run_rig, kept, monkeypat
     run_rig(scenario, store={"directory": kept})
 
 
+def test_an_axis_that_stays_keeps_its_place_while_the_other_moves(run_rig, kept):
+    def places():
+        return json.loads((kept / FILE_NAME).read_text())
+
+    async def scenario(rig):
+        await quiet(rig)
+        rested, pose = places(), rig.motion.telemetry
+        rig.control.goto(pose.a_deg - 20.0, pose.b_deg, "a test")
+        await rig.until(lambda: abs(rig.motion.telemetry.a_deg - pose.a_deg) > 5.0, 120, "A on its way")
+        assert places() == {"b": rested["b"]}
+        rig.motion.home()
+        await rig.until(lambda: rig.motion.homing, 60, "the reference run")
+        await asyncio.sleep(1)
+        assert places() == {}
+
+    run_rig(scenario, store={"directory": kept})
+
+
+@pytest.mark.parametrize(("step_deg", "stays"), [(0.8, True), (1.6, False)])
+def test_a_step_too_small_to_matter_leaves_both_places_kept(run_rig, kept, step_deg, stays):
+    async def scenario(rig):
+        await quiet(rig)
+        rested, pose = (kept / FILE_NAME).read_text(), rig.motion.telemetry
+        rig.control.goto(pose.a_deg - step_deg, pose.b_deg - step_deg, "a test")
+        await rig.until(lambda: rig.motion.moving, 60, "the move")
+        assert (kept / FILE_NAME).read_text() == (rested if stays else "{}")
+        await rig.until(lambda: (kept / FILE_NAME).read_text() not in (rested, "{}"), 60, "the new places")
+
+    run_rig(scenario, store={"directory": kept})
+
+
 def test_what_a_person_has_cleared_is_not_in_doubt_again_after_a_restart(run_rig, kept):
     async def cleared(rig):
         await quiet(rig)
