@@ -161,7 +161,7 @@ class IvAcquisition:
         quality, why = CurveQuality.OK, ""
         if swept.stopped_why:
             quality, why = CurveQuality.STOPPED, swept.stopped_why
-        elif not swept.voltage_v and swept.open_circuit_v < _LEAST_OPEN_CIRCUIT * self._settings.minimum_voltage_v:
+        elif swept.open_circuit_v < _LEAST_OPEN_CIRCUIT * self._settings.minimum_voltage_v:
             quality, why = CurveQuality.DARK, f"the open-circuit voltage is {swept.open_circuit_v:.2f} V"
         elif found.why_not:
             quality, why = CurveQuality.NO_MAXIMUM, found.why_not

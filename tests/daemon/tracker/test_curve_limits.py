@@ -43,7 +43,7 @@ class Load:
 
 
 class Bench:
-    def __init__(self, load, sun_deg=30.0, **settings):
+    def __init__(self, load, sun_deg=30.0, time_known=True, **settings):
         loop = asyncio.get_running_loop()
         self.records, self.load = [], load
         self.acquisition = IvAcquisition(
@@ -54,6 +54,7 @@ class Bench:
             self.records.append,
             lambda _utc_s: sun_deg,
             scan_stale_s=15.0,
+            time_known=lambda: time_known,
         )
 
     def zenith(self, w_m2, quality=Quality.OK, age_s=0.0):
@@ -113,6 +114,13 @@ def test_nothing_is_measured_with_the_sun_three_degrees_down(sun_deg, measures):
         return await Bench(Load(), sun_deg=sun_deg).for_s(12.0)
 
     assert len(run(scenario)) == (3 if measures else 0)
+
+
+def test_with_a_clock_in_doubt_no_night_is_told_from_it_and_each_curve_says_so():
+    async def scenario():
+        return await Bench(Load(), sun_deg=-60.0, time_known=False).for_s(12.0)
+
+    assert [curve.quality for curve in run(scenario)] == [CurveQuality.CLOCK] * 3
 
 
 @pytest.mark.parametrize(("open_circuit_v", "dark"), [(9.9, True), (10.0, False)])
