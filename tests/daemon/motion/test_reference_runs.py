@@ -4,10 +4,10 @@ import asyncio
 
 import pytest
 
-from daemon.base.records import Target
+from daemon.base.records import Pose, Target
 from daemon.base.state import StateFolder
 from daemon.motion.reference import NOT_FINISHED, Doubts
-from drivers.errors import RefusedError
+from drivers.errors import LinkLostError, RefusedError
 from tests.support.hand_positioner import run_motion
 
 
@@ -282,6 +282,44 @@ def test_the_axis_that_waits_for_its_reference_run_may_not_move():
         assert rig.unit.place()[1] > 57.0, "it has been stopped"
         assert "B moved from" in rig.motion.unexplained
         assert ("home", "b") not in rig.unit.sent
+
+    run_motion(scenario)
+
+
+def test_what_strayed_during_a_reference_run_stays_known_though_the_link_is_lost_at_its_halt():
+    async def scenario(rig):
+        rig.motion.home()
+        await rig.until(lambda: ("home", "a") in rig.unit.sent)
+        await asyncio.sleep(2.0)
+        rig.unit.refuses["halt"] = LinkLostError("hand", "is gone")
+        rig.unit.drive(0.0, 20.0)
+        await rig.until(lambda: not rig.motion.connected, 5.0)
+        del rig.unit.refuses["halt"]
+        await rig.connected()
+        assert "B moved from" in rig.motion.unexplained
+
+    run_motion(scenario)
+
+
+def test_a_good_reference_run_ends_with_a_look_at_rest():
+    async def scenario(rig):
+        rig.motion.home()
+        await rig.until(lambda: "homing finished" in rig.told, 90.0)
+        end = next(at for at, record in enumerate(rig.records) if getattr(record, "text", "") == "homing finished")
+        assert not [record for record in rig.records[:end] if isinstance(record, Pose)][-1].moving
+
+    run_motion(scenario)
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_clear_lets_the_unit_forgive_a_doubt_only_where_it_was_shown(shown):
+    async def scenario(rig):
+        rig.unit.says["reference_doubt"] = "the count jumped"
+        await asyncio.sleep(2.0)
+        rig.motion.clear_faults(None if shown else ())
+        await asyncio.sleep(2.0)
+        assert rig.unit.sent[-1] == ("clear", shown)
+        assert (rig.motion.doubt is None) == shown
 
     run_motion(scenario)
 

@@ -162,6 +162,28 @@ def test_a_stow_goes_on_with_the_reference_in_doubt():
     run_motion(scenario)
 
 
+@pytest.mark.parametrize(("restarts", "stow", "clears"), [
+    (True, True, True), (False, True, False), (True, False, False),
+])  # fmt: skip
+def test_a_stow_that_a_restarted_unit_refuses_clears_its_mark_first_and_nothing_else_does(restarts, stow, clears):
+    async def scenario(rig):
+        move_to = rig.unit.move_to
+
+        async def once_cleared(a_deg, b_deg, *, first):
+            if ("clear", False) in rig.unit.sent:
+                return await move_to(a_deg, b_deg, first=first)
+            rig.unit.says["was_reset"] = restarts
+            raise RefusedError("hand", "not taken")
+
+        rig.unit.move_to = once_cleared
+        rig.motion.order(Target(0.0, 70.0, "go"), stow=stow)
+        await rig.until(lambda: rig.moves)
+        assert (("clear", False) in rig.unit.sent) == clears
+        assert rig.moves[-1].outcome is (MoveOutcome.ARRIVED if clears else MoveOutcome.REFUSED)
+
+    run_motion(scenario)
+
+
 def test_own_tracking_that_comes_on_in_an_attempt_ends_the_tries():
     async def scenario(rig):
         at_s = times_of(rig, "move_to")
