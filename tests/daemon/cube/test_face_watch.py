@@ -81,6 +81,8 @@ def test_a_face_at_exactly_0_v_is_named_and_not_used(run_rig, face):
         assert f"the {name} face reads next to nothing" in alarm(rig)
         assert [quality for index, quality in enumerate(qualities(rig)) if index != face] == [Quality.OK] * 3
         await rig.until_mode(Mode.FALLBACK, 70)
+        rig.scene.break_sensor(face, 2.0)
+        await rig.until(lambda: qualities(rig)[face] is Quality.OVER_RANGE, 30, "what the meter says")
         rig.scene.repair_sensor(face)
         await rig.until_mode(Mode.TRACKING, 1500)
         assert alarm(rig) is None

@@ -264,9 +264,11 @@ def test_a_jump_that_a_person_has_forgiven_is_not_told_again():
 
 
 def test_where_an_axis_stood_before_is_recalled_where_that_is_known():
-    watch, _ = at_rest([100.0])
-    watch.recall({"a": 50.0, "b": None}, "")
-    assert watch.standing() == (50.0, None)
+    now = iter(range(100)).__next__
+    positioner = PozsolPositioner(InMemoryStream(PositionerCore(0.0), now), now, A, B)
+    assert positioner.standing() == (None, None)
+    positioner.recall(50.0, None, "")
+    assert positioner.standing() == (50.0, None)
 
 
 def test_a_glance_stands_for_the_last_look_alone_and_only_while_nothing_is_new():
