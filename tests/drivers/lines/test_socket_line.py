@@ -6,7 +6,7 @@ import contextlib
 import pytest
 
 from daemon.base.timeloop import VirtualTimeLoop
-from drivers.errors import ConnectError
+from drivers.errors import ConnectError, LinkLostError
 from drivers.lines.socket_line import SocketLine
 
 
@@ -45,5 +45,15 @@ def test_what_sends_on_and_on_is_told_within_seconds():
                     await line.drain(0.5)
             await line.close()
             await over.wait()
+
+    asyncio.run(act())
+
+
+def test_a_line_that_is_not_open_is_a_lost_link_whatever_is_asked_of_it():
+    async def act():
+        line = SocketLine("cube", "127.0.0.1", 9)
+        for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1)):
+            with pytest.raises(LinkLostError, match="has to be opened first"):
+                await call
 
     asyncio.run(act())

@@ -13,7 +13,7 @@ from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
-from drivers.positioners.pozsol.wire import Field
+from drivers.positioners.pozsol.wire import RESET_BIT, Field
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
 from sim_drivers.transports import InMemoryStream
@@ -253,6 +253,14 @@ def test_a_unit_that_has_restarted_is_lost_until_it_is_opened_anew():
         watch.read(restarted)
     watch.start(100.5)
     assert watch.read(restarted).reference_doubt == "the positioner has restarted"
+
+
+def test_where_an_axis_stood_is_known_although_a_restart_has_set_its_count_to_nothing():
+    watch, values = at_rest([100.0], A_POSITION=b"30.0")
+    watch.read(LinkState(values, 100.0))
+    _, lost = at_rest([100.0], A_POSITION=b"0.0", STATUS=b"%d" % (1 << RESET_BIT))
+    watch.read(LinkState(lost, 100.0))
+    assert watch.standing()[0] == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_jump_that_a_person_has_forgiven_is_not_told_again():
