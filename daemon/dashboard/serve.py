@@ -172,7 +172,8 @@ async def serve(
         A file descriptor that ends when the dashboard is to end; None where there is none.
     """
     loop = asyncio.get_running_loop()
-    limits = httpx.Limits(max_connections=None, max_keepalive_connections=2 * len(services))
+    # A connection that is kept may be closed by the service in the instant in which an order takes it.
+    limits = httpx.Limits(max_connections=None, max_keepalive_connections=0)
     # Proxies of the environment are for the world outside.
     once = httpx.AsyncHTTPTransport(limits=limits, socket_options=[SEND_NO_MORE_ONCE_CLOSED])
     async with (

@@ -18,6 +18,7 @@ from tests.support.endless import ACCEPTED
 
 PAGE = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 HALF_A_BODY = b"POST /login HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nContent-Length: 100\r\n\r\n{"
+KEPT = b'HTTP/1.1 200 OK\r\nContent-Length: 16\r\n\r\n{"text": "done"}'
 
 
 @asynccontextmanager
@@ -31,6 +32,18 @@ async def served(service="127.0.0.1:9"):
     finally:
         signal.raise_signal(signal.SIGTERM)
         await serving
+
+
+async def statuses(answer, name, times=1):
+    """Return those of an order that is given some times, to a service for which `answer` answers."""
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+        service = "{}:{}".format(*server.sockets[0].getsockname())
+        async with served(service) as address:
+            page = "http://{}:{}".format(*address)
+            async with httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=60.0) as browser:
+                await browser.post("/login", json={"token": "t" * 43, "by": "ana"})
+                order = {"name": name, "service": service, "why": "a test"}
+                return [(await browser.post("/command", json=order)).status_code for _ in range(times)]
 
 
 async def until_its_end(reader):
@@ -184,15 +197,25 @@ def test_an_order_that_was_given_up_is_not_sent_on_once_the_network_is_back_unle
                 writer.write(ACCEPTED)
             writer.close()
 
-        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
-            service = "{}:{}".format(*server.sockets[0].getsockname())
-            async with served(service) as address:
-                page = "http://{}:{}".format(*address)
-                async with httpx.AsyncClient(base_url=page, headers={"Origin": page}, timeout=60.0) as browser:
-                    await browser.post("/login", json={"token": "t" * 43, "by": "ana"})
-                    order = {"name": name, "service": service, "why": "a test"}
-                    assert (await browser.post("/command", json=order)).status_code == 502
-                assert (await ended == "dropped") is is_dropped
+        assert await statuses(answer, name) == [502]
+        assert (await ended == "dropped") is is_dropped
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(scenario())
+
+
+@pytest.mark.parametrize("name", ["auto", "stop"])
+def test_no_order_meets_the_end_of_a_connection_that_the_service_no_longer_keeps(name):
+    async def scenario():
+        async def answer(reader, writer):
+            """Keep the connection for a while, as HTTP does, and end it when the next request is under way."""
+            with suppress(asyncio.IncompleteReadError):
+                await reader.readuntil(b"\r\n\r\n")
+                writer.write(KEPT)
+                await reader.readuntil(b"\r\n\r\n")
+            writer.close()
+
+        assert await statuses(answer, name, times=3) == [200] * 3
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
