@@ -141,23 +141,36 @@ def test_one_far_address_has_half_of_the_places_for_pages():
         runner.run(scenario())
 
 
-def test_who_does_not_read_his_answers_is_closed():
+def test_who_does_not_read_his_answer_is_closed():
+    async def answer(reader, writer):
+        head = await reader.readuntil(b"\r\n\r\n")
+        # More than fits into the buffers of both ends.
+        content = b" " * (16 << 20) if b"/api/sun" in head else b""
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\nConnection: close\r\n\r\n" % len(content) + content)
+        with suppress(ConnectionError):
+            await writer.drain()
+        writer.close()
+
     async def scenario():
-        async with served() as address:
-            with socket.socket() as silent:
-                silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                silent.connect(address)
-                # More than fits into the buffers of both ends.
-                silent.sendall((PAGE.replace(b"healthz", b"static/vendor/uPlot.iife.min.js") + b"\r\n") * 300)
-                silent.setblocking(False)
-                await asyncio.sleep(60.0)
-                reader, writer = await asyncio.open_connection(sock=silent)
-                taken = 0
-                with suppress(ConnectionError):
-                    while part := await reader.read(1 << 20):
-                        taken += len(part)
-                writer.close()
-            assert taken < 8 << 20
+        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+            service = "{}:{}".format(*server.sockets[0].getsockname())
+            async with served(service) as address:
+                with socket.socket() as silent:
+                    silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                    silent.settimeout(30.0)
+                    silent.connect(address)
+                    silent.sendall(f"GET /read/sun?service={service} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+                    # In a thread: virtual time waits until the answer has begun.
+                    assert await asyncio.to_thread(silent.recv, 15) == b"HTTP/1.1 200 OK"
+                    silent.setblocking(False)
+                    await asyncio.sleep(60.0)
+                    reader, writer = await asyncio.open_connection(sock=silent)
+                    taken = 0
+                    with suppress(ConnectionError):
+                        while part := await reader.read(1 << 20):
+                            taken += len(part)
+                    writer.close()
+                assert taken < 8 << 20
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         runner.run(scenario())
