@@ -65,7 +65,8 @@ class Link:
         self._clock = clock
         self._publish = publish
         self._speed = speed
-        self._client_id = settings.client_id or topics.base.replace("/", "-")
+        # Of lab/roof-a and of lab/roof/a each has its own.
+        self._client_id = settings.client_id or topics.base.replace("-", "--").replace("/", "-")
         self._backoff = Backoff(random, _FIRST_DELAY_S, 2.0, _LONGEST_DELAY_S)
         self._outbox = Outbox(settings.queue_messages)
         self._outage = Outage(log, "the MQTT broker")
