@@ -32,6 +32,7 @@ _WORTH_A_DAY = 4
 _STEPS = 8
 _CLOSE_S = 1.0
 _FARTHEST_S = 3600.0
+_YEAR_10000_S = 253402300800.0
 
 Number = TypeVar("Number", float, Array)
 
@@ -94,8 +95,8 @@ def sun_position(
 ) -> SunPosition[float] | SunPosition[Array]:
     """Return the sun's position at `utc_s` [s since 1970-01-01 UTC], one instant or an array of any shape.
 
-    Refraction is that of the mean pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is
-    not finite.
+    Dates of numpy and the index of a frame are taken too, as UTC where they have no zone. Refraction is that of mean
+    pressure at `altitude_m` and 12 deg C. Raises `ValueError` for an instant that is not finite or after 9999.
     """
     instants = _finite(utc_s)
     azimuth, apparent, geometric = _topocentric(instants.ravel(), latitude_deg, longitude_deg, altitude_m)
@@ -249,9 +250,15 @@ def _delta_t_s(utc_s: Array) -> Array:
 
 
 def _finite(utc_s: float | Array) -> Array:
-    instants = np.asarray(utc_s, dtype=np.float64)
-    if not np.all(np.isfinite(instants)):
-        raise ValueError(f"the time must be finite seconds since 1970, not {utc_s}")
+    if getattr(getattr(utc_s, "dtype", None), "kind", "") == "M":
+        # numpy would hand out the count of whatever unit the dates are kept in.
+        dates = np.asarray(utc_s, dtype="datetime64[us]")
+        instants: Array = np.asarray((dates - np.datetime64(0, "us")) / np.timedelta64(1, "s"))
+    else:
+        instants = np.asarray(utc_s, dtype=np.float64)
+    # NaN is within no limit.
+    if not np.all(np.abs(instants) < _YEAR_10000_S):
+        raise ValueError(f"the time must be finite seconds since 1970, no milliseconds, and not {utc_s}")
     return instants
 
 

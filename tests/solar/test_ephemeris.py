@@ -148,6 +148,23 @@ def test_polar_night_and_polar_day_have_no_sunrise_and_differ_in_the_noon_elevat
     assert day.highest_elevation_deg > 40.0
 
 
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Paris"])
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_dates_are_taken_for_the_instants_that_they_are(zone, unit):
+    utc_s = np.array([1665705600.0, 1665727200.5])
+    dates = pd.to_datetime(utc_s, unit="s", utc=True).tz_convert(zone).as_unit(unit)
+    seconds = np.floor(utc_s) if unit == "s" else utc_s
+    for instants in (dates, pd.Series(dates), dates.to_numpy(dtype=f"datetime64[{unit}]")):
+        np.testing.assert_array_equal(sun_position(instants, *SIRTA), sun_position(seconds, *SIRTA))
+        np.testing.assert_array_equal(extraterrestrial_dni(instants), extraterrestrial_dni(seconds))
+
+
+@pytest.mark.parametrize("wrong", [1665705600e3, -1665705600e6, np.datetime64("NaT"), pd.DatetimeIndex(["NaT"])])
+def test_milliseconds_and_no_time_are_no_instants(wrong):
+    with pytest.raises(ValueError, match="no milliseconds"):
+        sun_position(wrong, *SIRTA)
+
+
 @pytest.mark.parametrize(
     ("function", "instant"),
     [
