@@ -17,7 +17,7 @@ from daemon.motion.motion import Motion
 from daemon.tracker.budget import DayBudget
 from daemon.tracker.doors import Doors
 from daemon.tracker.modes import Data, Situation, next_mode
-from daemon.tracker.orders import RELEASE, Orders
+from daemon.tracker.orders import Orders
 from daemon.tracker.parking import Parking
 from daemon.tracker.phase import ALONE, Phase
 from daemon.tracker.pointing import Foresight, NamedLaw, Pointing, Whereabouts, ask, foresee
@@ -232,7 +232,9 @@ class Control(Doors):
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
         self._data = situation.data
-        mode, why = next_mode(self.mode, situation)
+        at_stow = self._stands_at_stow
+        mode, why = next_mode(self.mode, situation, at_stow=at_stow)
+        self._reminders.watch_stow(None if at_stow else situation.stow_why, self.wishes)
         if mode is not self.mode:
             self._enter(mode, why, now_s)
         self.why = why
@@ -262,7 +264,6 @@ class Control(Doors):
         data, data_why, night_why = self._readings.judge(now_s, mean, sun_known=self._clock_watch.trusted)
         asked = self._orders.stow.reason(now_s)
         stow_why = "; ".join((*([asked] if asked else []), *self._stow_watch.reasons(now_s))) or None
-        self._watch_stow(stow_why)
         waiting_why = self._stow_watch.waiting_why(now_s)
         if waiting_why is not None:
             data, data_why = Data.WAITING, waiting_why
@@ -283,13 +284,12 @@ class Control(Doors):
             data_why=data_why,
         )
 
-    def _watch_stow(self, stow_why: str | None) -> None:
-        """Tell when stow is wanted and a person keeps the tracker from it; in maintenance nothing is told."""
-        stillness = self.wishes.stillness
-        if stow_why is None or stillness is None or self.wishes.maintenance is not None:
-            self._alarms.set("stow-wanted", None)
-        else:
-            self._alarms.set("stow-wanted", f"stow is wanted ({stow_why}), but the tracker is {stillness}; {RELEASE}")
+    @property
+    def _stands_at_stow(self) -> bool:
+        """Whether it surely does: what is in doubt about the axes, or cannot be seen, is no stow that is done."""
+        safety, motion = self._settings.safety, self._motion
+        sure = motion.connected and motion.blocked is None and motion.doubt is None
+        return sure and self._parking.stands_at(safety.stow_a_deg, safety.stow_b_deg)
 
     def _enter(self, mode: Mode, why: str, now_s: float) -> None:
         utc_s = self._clock.utc()

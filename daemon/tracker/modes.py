@@ -67,18 +67,19 @@ class Situation:
     data_why: str
 
 
-def next_mode(current: Mode, situation: Situation) -> tuple[Mode, str]:
-    """Return the mode that the situation calls for, and the reason in words."""
+def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> tuple[Mode, str]:
+    """Return the mode that the situation calls for, and the reason in words; `at_stow`: a stow would change nothing."""
     s = situation
     lost_why = s.blocked_why or (None if s.connected else "waiting for the positioner")
-    stow_missed = None if s.stow_why is None else f"stow is wanted and not done ({s.stow_why})"
+    done = "it stands there" if at_stow else "not done"
+    stow_wanted = None if s.stow_why is None else f"stow is wanted and {done} ({s.stow_why})"
     still_why = s.stop_why or s.buttons_why
     if s.maintenance_why is not None:
-        return Mode.MAINTENANCE, _joined(s.maintenance_why, s.stop_why, lost_why, stow_missed)
+        return Mode.MAINTENANCE, _joined(s.maintenance_why, s.stop_why, lost_why, stow_wanted)
     if lost_why is not None:
-        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why, stow_missed)
+        return Mode.STARTING if s.blocked_why is None else Mode.FAULT, _joined(lost_why, still_why, stow_wanted)
     if still_why is not None:
-        return Mode.HOLD, _joined(still_why, stow_missed)
+        return Mode.HOLD, _joined(still_why, stow_wanted)
     if s.stow_why is not None:
         return Mode.STOW, s.stow_why
     if s.homing:

@@ -38,7 +38,7 @@ class Parking:
 
         What was refused is ordered again the next time.
         """
-        if now_s - self._parked_s < _REPARK_S or self._heads_for(target) or self._stands_at(target):
+        if now_s - self._parked_s < _REPARK_S or self._heads_for(target) or self.stands_at(target.a_deg, target.b_deg):
             return
         if self._order(target):
             self._parked_s = now_s
@@ -47,9 +47,10 @@ class Parking:
         heading = self._motion.target
         return heading is not None and (heading.a_deg, heading.b_deg) == (target.a_deg, target.b_deg)
 
-    def _stands_at(self, target: Target) -> bool:
+    def stands_at(self, a_deg: float, b_deg: float) -> bool:
+        """Whether the tracker was seen to rest at a position; where it is not seen it is nowhere."""
         pose = self._motion.pose
         if self._motion.target is not None or self._motion.homing or pose is None:
             return False
-        off_deg = abs(pose.a_deg - target.a_deg), abs(pose.b_deg - target.b_deg)
+        off_deg = abs(pose.a_deg - a_deg), abs(pose.b_deg - b_deg)
         return all(each_deg <= self._tolerance_deg for each_deg in off_deg)

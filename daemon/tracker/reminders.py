@@ -9,6 +9,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Mode, Record
 from daemon.config.sections import SiteSettings
 from daemon.motion.state import MotionState
+from daemon.tracker.orders import RELEASE
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
 
@@ -79,6 +80,14 @@ class Reminders:
         # Before that nobody knows whether it is over: after a restart it may be the one that was acknowledged.
         if lasts or lasted or mode is Mode.TRACKING:
             self._alarms.set("no-readings", f"{does} for a quarter of an hour: {why}" if lasts else None)
+
+    def watch_stow(self, missed_why: str | None, wishes: Wishes) -> None:
+        """Raise that a person keeps the tracker from a stow that is wanted and not done; in maintenance nothing."""
+        stillness = wishes.stillness
+        if missed_why is None or stillness is None or wishes.maintenance is not None:
+            self._alarms.set("stow-wanted", None)
+        else:
+            self._alarms.set("stow-wanted", f"stow is wanted ({missed_why}), but the tracker is {stillness}; {RELEASE}")
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
         now_s, wish = self._clock.monotonic(), wishes.maintenance

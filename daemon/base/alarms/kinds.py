@@ -88,7 +88,7 @@ _ALL = (
     _kind(
         "stow-wanted",
         Severity.CRITICAL,
-        "wind, or another reason to stow, while a person keeps the tracker still",
+        "wind, or another reason to stow, while a person keeps the tracker still anywhere but at stow",
         "the module stands in the wind as it was left",
         "see that nobody is at the axes, then `heliocube auto`",
     ),

@@ -7,14 +7,14 @@ import pytest
 
 from daemon.base.records import Event, Mode
 from tests.support.api import serve
-from tests.support.phases import tracking
+from tests.support.phases import under_way
 
 __all__ = ["serve"]
 
 
 async def blown(rig, call_http):
     """Stop the tracker and let the wind rise: stow is wanted, and cannot be."""
-    await tracking(rig)
+    await under_way(rig)
     await call_http.post("stop", b'{"by": "ana"}')
     rig.wind_m_s = 20.0
     await rig.until(lambda: rig.tracker.alarms.active, 6, "the alarm")
@@ -87,7 +87,7 @@ def test_what_does_not_work_for_long_is_an_alarm_until_it_does(run_rig, cable, m
         def alarmed():
             return name in {alarm.name for alarm in rig.tracker.alarms.active}
 
-        await tracking(rig)
+        await under_way(rig)
         getattr(rig.cables, cable).link_up = False
         await rig.until_mode(mode, 600)
         await asyncio.sleep(quiet_s)
@@ -118,7 +118,7 @@ def test_what_shows_only_after_minutes_stays_acknowledged_over_a_restart(run_rig
 
 def test_whoever_clears_has_looked_at_what_waits_for_a_person_and_at_nothing_else(serve):
     async def scenario(rig, call_http):
-        await tracking(rig)
+        await under_way(rig)
         alarms = rig.tracker.alarms
         # Motion and control set theirs at every look: these two are set by neither here.
         alarms.set("driver-hung", "it hangs")

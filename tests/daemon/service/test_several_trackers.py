@@ -153,6 +153,8 @@ def test_the_state_names_each_tracker_and_a_single_one_is_at_the_top_too(run_rig
         assert list(found["trackers"]) == ["east", "west"]
         assert found["mode"] is found["tracker"] is None
         assert found["trackers"]["west"]["tracker"]["limits"]["a_max_deg"] == 20.0
+        # It has left the stow position by then.
+        await asyncio.sleep(60)
         rig.wind_m_s = 20.0
         await give(rig, "stop", tracker="west", why="repair")
         await asyncio.sleep(20)

@@ -378,7 +378,7 @@ def test_goto_in_mode_starting_is_refused_in_one_sentence(serve):
 
 def test_the_state_tells_stop_from_hold_with_who_and_since(serve):
     async def scenario(rig, call_http):
-        await tracking(rig)
+        await under_way(rig)
         await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
         found = (await call_http.get("/api/state")).json

@@ -6,7 +6,7 @@ from daemon.base.records import Decision, Event, Mode
 from daemon.service.state import state_json
 from tests.daemon.tracker.days import operator
 from tests.support.motion import show
-from tests.support.phases import homed, quiet
+from tests.support.phases import at_rest, homed, quiet
 
 
 def wind_of(rig):
@@ -120,5 +120,64 @@ def test_maintenance_in_a_storm_raises_no_alarm_that_nobody_hears_the_end_of(run
         await operator(rig).auto("done")
         assert rig.mode is Mode.STOW
         assert not [event.text for event in rig.of(Event) if event.subject == "alarm"]
+
+    run_rig(scenario)
+
+
+def stow_missed(rig):
+    return [alarm.text for alarm in rig.tracker.alarms.active if alarm.name == "stow-wanted"]
+
+
+def test_a_stop_of_a_tracker_that_stands_at_stow_misses_no_stow_until_an_axis_leaves_it_or_is_in_doubt(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 20.0
+        await rig.until_mode(Mode.STOW, 6)
+        await rig.until(lambda: rig.motion.moving, 5, "the stow")
+        await at_rest(rig)
+        await operator(rig).stop("a look at the module", "ana")
+        await asyncio.sleep(60)
+        assert not stow_missed(rig)
+        assert "; stow is wanted and it stands there (wind 20.0 m/s" in rig.control.why
+        rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
+        await rig.until(lambda: stow_missed(rig), 15, "the alarm: nobody knows where it stands")
+        assert "stow is wanted and not done" in rig.control.why
+
+    run_rig(scenario)
+
+
+def test_a_stop_on_the_way_to_stow_is_a_stow_that_was_missed_to_the_last_degree(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 20.0
+        safety = rig.control._settings.safety
+        await rig.until(lambda: rig.motion.target is not None and rig.mode is Mode.STOW, 10, "the stow")
+
+        def off_deg():
+            pose = rig.motion.pose
+            return max(abs(pose.a_deg - safety.stow_a_deg), abs(pose.b_deg - safety.stow_b_deg))
+
+        await rig.until(lambda: off_deg() < 5.0, 200, "nearly there")
+        await operator(rig).stop("a hand", "ana")
+        await rig.until(lambda: rig.motion.stands_since_s is not None, 10, "rest")
+        assert off_deg() > rig.control._settings.motion.tolerance_deg
+        await asyncio.sleep(6)
+        (text,) = stow_missed(rig)
+        assert "but the tracker is stopped by ana" in text
+
+    run_rig(scenario)
+
+
+def test_a_stop_at_stow_whose_positioner_is_unplugged_is_a_stow_that_nobody_sees(run_rig):
+    async def scenario(rig):
+        await quiet(rig)
+        rig.wind_m_s = 20.0
+        await rig.until(lambda: rig.motion.target is not None and rig.mode is Mode.STOW, 10, "the stow")
+        await at_rest(rig)
+        await operator(rig).stop("a look at the module", "ana")
+        await asyncio.sleep(6)
+        assert not stow_missed(rig)
+        rig.cables.positioner.link_up = False
+        await rig.until(lambda: stow_missed(rig), 15, "the alarm")
 
     run_rig(scenario)

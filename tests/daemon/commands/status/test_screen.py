@@ -15,6 +15,7 @@ from daemon.commands.status.live import LiveView
 from daemon.commands.status.screen import live_screen, render
 from daemon.service.recent import Recent
 from daemon.service.state import state_json
+from tests.support.phases import under_way
 
 
 def view_of(rig, console):
@@ -69,7 +70,7 @@ def test_a_terminal_shows_what_is_wrong(run_rig):
 def test_alarms_are_in_plain_sight_on_every_display(run_rig):
     async def scenario(rig):
         out, plain = io.StringIO(), io.StringIO()
-        await rig.until_mode(Mode.TRACKING, 120)
+        await under_way(rig)
         screens = [
             Console(file=out, force_terminal=True, width=200, height=40),
             Console(file=plain, force_terminal=False, width=200),
@@ -120,6 +121,8 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         east, west = rig.service.trackers
         rig.wind_m_s = 3.2
         await rig.until(lambda: west.control.mode is east.control.mode is Mode.TRACKING, 120, "tracking of both")
+        # It has left the stow position by then.
+        await asyncio.sleep(60)
         await west.control.stop("repair", "ana")
         console = Console(file=io.StringIO(), width=160)
         console.print(render(state_json(rig.see())))
@@ -134,11 +137,11 @@ def test_several_trackers_have_a_block_each_and_alarms_bear_their_names(run_rig)
         assert lines.index("east") < lines.index("west")
         own = lines[lines.index("west") :]
         assert next(line for line in own if line.startswith("mode")).split()[1] == "hold"
-        assert next(line for line in own if line.startswith("mode")).startswith("mode     hold STOPPED since ")
+        assert re.match(r"mode +hold STOPPED since ", next(line for line in own if line.startswith("mode")))
         assert next(line for line in own if line.startswith("stop")).endswith("repair")
         alarm = next(number for number, line in enumerate(lines) if line.startswith("alarm"))
         assert "west: stow is wanted" in lines[alarm]
-        assert any(line.startswith("remedy   ") for line in lines[alarm:])
+        assert any(line.startswith("remedy  ") for line in lines[alarm:])
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
