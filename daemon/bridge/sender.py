@@ -1,5 +1,6 @@
 """Sends every scan at once to every tracker. A target that cannot be reached never holds up the others."""
 
+import errno
 import logging
 import socket
 from dataclasses import dataclass
@@ -113,6 +114,13 @@ def pack(scan: "Scan", key: bytes | None) -> bytes:
     return payload if key is None else signing.sign(payload, key)
 
 
+def _in_words(error: OSError) -> str:
+    text = error.strerror or str(error)
+    # The system's word for an address that all machines of a network share, which only the network's mask tells.
+    hint = "; for the broadcast address of a network: name each tracker, or set bridge.multicast_group"
+    return f"{text}{hint}" if error.errno == errno.EACCES else text
+
+
 class _Target:
     """One destination: a connected socket, opened when needed, and what became of the datagrams."""
 
@@ -154,7 +162,7 @@ class _Target:
             self.close()
         self._failing = error is not None
         if error is not None:
-            self._last_error = error.strerror or str(error)
+            self._last_error = _in_words(error)
             self._last_error_s = now_s
             self._outage.down(now_s, self._last_error)
         elif now_s - self._last_error_s >= BACK_AFTER_S:

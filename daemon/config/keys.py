@@ -72,6 +72,8 @@ _FORMS = {
     "name": "1 to 32 letters, digits, dots, dashes or underscores, a letter or digit first",
     "listen": 'a numeric address and a port up to 65535, such as "0.0.0.0:20571" or "[::]:20571"',
     "address": 'a numeric address and a port from 1 to 65535, such as "192.168.1.20:20571" or "[fd00::20]:20571"',
+    "tracker": "a numeric address, of one machine and not of all in its network, and a port from 1 to 65535, such as"
+    ' "192.168.1.20:20571" or "[fd00::20]:20571"',
     "group": 'an IPv4 multicast group and a port, such as "239.255.20.71:20571"',
     "ip": 'a numeric address such as "192.168.1.10"',
     "port": 'a port whose name outlives a replug: "/dev/serial/by-id/...", a link made by a udev rule, or "COM5";'

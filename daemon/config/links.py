@@ -18,6 +18,7 @@ _WEB = re.compile(r"https?://[^\s/]\S*")
 # User and password would be divided by a colon.
 _ARCHIVE = re.compile(r"postgres(ql)?://([^:@/\s#]+@)?[^@/?\s#]*/[^/?\s#]+(\?[^\s#]*)?")
 _TOPICS = re.compile(r"([^/#+$\s]+|\+)(/([^/#+\s]+|\+))+/records")
+_ALL_OF_THIS_NETWORK = "255.255.255.255"
 _HOST_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9.:-]{0,252}")
 
 
@@ -29,6 +30,13 @@ def _listen_address(text: str) -> str:
 def _send_address(text: str) -> str:
     if parse_address(text).port == 0:
         raise ValueError("port 0 is nobody's")
+    return text
+
+
+def _tracker_address(text: str) -> str:
+    address = parse_address(_send_address(text))
+    if address.ip.is_unspecified or address.host == _ALL_OF_THIS_NETWORK:
+        raise ValueError("no one machine's")
     return text
 
 
@@ -84,6 +92,7 @@ def _host_name(text: str) -> str:
 
 ListenAddress = Annotated[str, AfterValidator(_listen_address), text_of("listen")]
 SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
+TrackerAddress = Annotated[str, AfterValidator(_tracker_address), text_of("tracker")]
 Group = Annotated[str, AfterValidator(_group), text_of("group")]
 Host = Annotated[str, AfterValidator(_host), text_of("ip")]
 Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
@@ -112,7 +121,7 @@ class BridgeSettings(Section):
     listen: ListenAddress = Field(
         "127.0.0.1:20571", description="Tracker: address and port to receive on; 0.0.0.0 is every network."
     )
-    send_to: tuple[SendAddress, ...] = Field(
+    send_to: tuple[TrackerAddress, ...] = Field(
         ("127.0.0.1:20571",), strict=False, description="Cube: addresses and ports of the trackers."
     )
     multicast_group: Group | None = Field(

@@ -149,7 +149,7 @@ def test_an_unknown_key_that_resembles_nothing_brings_the_keys_there_are(problem
             'bridge.insecure = "True": must be true or false; did you mean true, without quotes?',
         ),
         ("[bridge]\naccept_from = ['10.0.0.1', 'x']", 'bridge.accept_from[1] = "x": must be a numeric address such as'),
-        ("[bridge]\nsend_to = ['10.0.0.1:0']", 'bridge.send_to[0] = "10.0.0.1:0": must be a numeric address and a'),
+        ("[bridge]\nsend_to = ['10.0.0.1:0']", 'bridge.send_to[0] = "10.0.0.1:0": must be a numeric address, of'),
         ("[bridge]\nsend_to = '127.0.0.1:1'", 'bridge.send_to = "127.0.0.1:1": must be a list in brackets'),
         ("[bridge]\nkey_file = ''", 'bridge.key_file = "": must be a path in quotes'),
         (

@@ -34,3 +34,14 @@ def test_a_host_and_files_may_stand_behind_the_database(tmp_path, host, good):
         return
     with pytest.raises(ConfigError, match=r"has 1 problem:\n  archive.database = "):
         load_settings(file)
+
+
+@pytest.mark.parametrize("host", ["255.255.255.255", "0.0.0.0", "[::]"])
+def test_scans_go_to_one_machine_each_and_not_to_all_of_a_network(tmp_path, host):
+    file = tmp_path / "heliocube.toml"
+    file.write_text(f"bridge.send_to = ['192.168.1.20:20571', '{host}:20571']\nbridge.insecure = true")
+    with pytest.raises(ConfigError) as refused:
+        load_settings(file)
+    reason = "must be a numeric address, of one machine and not of all in its network, and a port"
+    (problem,) = str(refused.value).splitlines()[1:]
+    assert problem.startswith(f'  bridge.send_to[1] = "{host}:20571": {reason}')
