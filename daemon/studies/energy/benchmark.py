@@ -40,6 +40,8 @@ _PVLIB = (
 IDEAL = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _BY_TYPE = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
+# Where less than this share of the daylight is known, the ways from and to the night position weigh too much.
+_MOSTLY_WHOLE = 0.9
 _OF_TRAVEL = ("travel_deg_per_day", "return_deg_per_day", "moves_per_day")
 CSV_NUMBERS = ("energy_kwh_m2", "gain_pct", *_BY_TYPE, "share_pct", "worst_clear_day_pct", *_OF_TRAVEL)
 
@@ -177,10 +179,23 @@ def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         "Travel adds A and B from the night position on; the way back to it at night is in its own column. A day of"
         " which half is missing counts half."
     )
-    lines += wrap(travel, WIDTH)
+    lines += [line for text in (travel, *_of_parts(weather)) for line in wrap(text, WIDTH)]
     for name in dict.fromkeys(row.sky for row in rows):
         lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
     return "\n".join(lines) + "\n"
+
+
+def _of_parts(weather: DaylightWeather) -> list[str]:
+    """Return what to know of means per day where most days are known in part."""
+    whole_days, lit = weather.whole_days(), int(np.count_nonzero(weather.day_types() >= 0))
+    if whole_days > _MOSTLY_WHOLE * lit:
+        return []
+    text = (
+        f"These are parts of days that count as {whole_days:.2f} days in all, but the ways from and to the night"
+        f" position, gone whole in {_days(lit)}, are not less for it: travel and moves per day are more than those of"
+        " whole days."
+    )
+    return [text]
 
 
 def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> list[str]:
@@ -204,6 +219,7 @@ def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         "simulated": simulated,
         "days": {name: int(np.count_nonzero(types == index)) for index, name in enumerate(DAY_TYPES)},
         "minutes_of_daylight": len(weather.utc_s),
+        "whole_days": weather.whole_days(),
         "albedo": terms.albedo,
         "limits": terms.limits,
         "speed_deg_per_s": terms.drive.speed_deg_per_s,

@@ -113,6 +113,22 @@ def test_a_law_s_worth_is_its_energy_less_the_wear_of_its_travel(monkeypatch, we
     assert all(len(line) <= 80 for line in text.splitlines())
 
 
+def test_travel_of_a_few_hours_is_told_as_more_than_that_of_a_day(monkeypatch, weather, tmp_path, capsys):
+    head, *lines = weather.read_text().splitlines()
+    given = (weather, "--site", SITE, "--laws", "chronometric", "--out", tmp_path / "o", "--force", "--json")
+    found = {}
+    for name, some in {"day": lines, "hours": lines[660:780]}.items():
+        weather.write_text("\n".join([head, *some]))
+        assert energy(monkeypatch, *given) == 0
+        page = json.loads(capsys.readouterr().out)
+        text = " ".join((tmp_path / "o" / "energy.txt").read_text().split())
+        found[name] = (page["whole_days"], page["rows"][0]["travel_deg_per_day"], "more than those of whole" in text)
+    assert found["day"][0] == pytest.approx(1.0)
+    assert found["hours"][0] == pytest.approx(2 / 17.3, rel=0.02)
+    assert found["hours"][1] > found["day"][1], "what the text tells of"
+    assert (found["day"][2], found["hours"][2]) == (False, True)
+
+
 def test_halves_of_days_count_as_halves(monkeypatch, tmp_path, capsys):
     # Midnight of UTC is noon at 180 E: the day of a file is the afternoon of one solar day and the morning of the next.
     pages = {}
