@@ -98,7 +98,13 @@ def load_host(tmp_path):
 
 
 @pytest.fixture
-def positioner_host(tmp_path):
+def patience(monkeypatch):
+    """Give the unit 10 s to show a target: a machine that does much else hands out late what came in time."""
+    monkeypatch.setattr("drivers.positioners.pozsol.positioner._TARGET_SHOWS_S", 10.0)
+
+
+@pytest.fixture
+def positioner_host(tmp_path, patience):
     """Return a context in which a simulated positioner is on the port ``positioner`` of the test's folder."""
 
     @contextlib.asynccontextmanager
