@@ -47,7 +47,7 @@ class Alarms:
         self._publish = publish
         self._file = file
         self._shown: dict[str, Alarm] = {}
-        self._held: dict[str, str] = {}
+        self._held: dict[str, tuple[str, Iterable[str]]] = {}
         self._muted = False
         self._started_s = clock.monotonic()
         self._before: dict[str, KeptAlarm] = {}
@@ -80,7 +80,7 @@ class Alarms:
             if text is None:
                 self._held.pop(name, None)
             else:
-                self._held[name] = text
+                self._held[name] = text, of
             return
         before = self._shown.get(name)
         if self._before:
@@ -129,12 +129,12 @@ class Alarms:
             return
         self._muted = muted
         if muted:
-            self._held = {alarm.name: alarm.text for alarm in self._shown.values() if alarm.on}
+            self._held = {alarm.name: (alarm.text, ()) for alarm in self._shown.values() if alarm.on}
             self._shown = {alarm.name: alarm for alarm in self._shown.values() if not alarm.on}
         else:
             held, self._held = self._held, {}
-            for name, text in held.items():
-                self.set(name, text)
+            for name, (text, of) in held.items():
+                self.set(name, text, of=of)
         self._changed()
 
     def _raise(self, name: str, text: str, before: Alarm | None) -> None:

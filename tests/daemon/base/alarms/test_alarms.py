@@ -172,6 +172,16 @@ def test_after_a_restart_what_tells_of_something_else_is_a_new_alarm(house):
     assert house.states == {PLAIN: "raised"}
 
 
+def test_after_a_restart_in_maintenance_what_tells_of_something_else_is_a_new_alarm(house):
+    house.alarms.set(PLAIN, "south lies", of=["south"])
+    house.alarms.acknowledge("ana")
+    house.restart()
+    house.alarms.mute(muted=True)
+    house.alarms.set(PLAIN, "west lies", of=["west"])
+    house.alarms.mute(muted=False)
+    assert house.states == {PLAIN: "raised"}
+
+
 @pytest.mark.parametrize("cause", ["over", "late"])
 def test_a_second_restart_does_not_bring_back_what_was_over_after_the_first(house, cause):
     house.alarms.set(PLAIN, "bad")
