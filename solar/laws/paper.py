@@ -30,6 +30,11 @@ def mu_prime(faces: ArrayLike, *, uniform_threshold: float = 0.01) -> Array:
     Returns
     -------
     Directions [W/m2], shape (..., 3); NaN where a face is no possible number or I_Z is not positive.
+
+    Raises
+    ------
+    ValueError
+        The last axis has not four faces.
     """
     east, south, west, zenith, valid = _split(faces)
     equatorward = _beyond(south - np.minimum(east, west), uniform_threshold * zenith)
@@ -63,6 +68,11 @@ def sun_vector(
     Returns
     -------
     Directions [W/m2], shape (..., 3); NaN where a face is no possible number or I_Z is not positive.
+
+    Raises
+    ------
+    ValueError
+        The last axis has not four faces.
     """
     east, south, west, zenith, valid = _split(faces)
     least = np.minimum(east, west)
@@ -107,6 +117,10 @@ def chronometric(sun_direction: ArrayLike) -> Array:
 
 def _split(faces: ArrayLike) -> tuple[Array, Array, Array, Array, np.ndarray]:
     readings = np.asarray(faces, dtype=np.float64)
+    if readings.shape[-1:] != (4,):
+        raise ValueError(
+            f"the faces are East, South, West, Zenith along the last axis, not an array of {readings.shape}"
+        )
     # Written so that NaN fails; the bound keeps squares finite, no irradiance comes near it.
     valid = (np.abs(readings) < _ABSURD_W_M2).all(axis=-1) & (readings[..., 3] > 0)
     clean = np.where(valid[..., None], readings, 0.0)

@@ -81,6 +81,13 @@ def test_every_law_gives_a_direction_or_none_but_never_half_a_number(law, faces)
 
 
 @pytest.mark.parametrize("law", [mu_prime, sun_vector])
+@pytest.mark.parametrize("wrong", [5.0, [], [1.0, 2.0, 3.0], np.ones((4, 5)), np.ones((2, 8))])
+def test_what_has_not_four_faces_is_refused(law, wrong):
+    with pytest.raises(ValueError, match="East, South, West, Zenith along the last axis"):
+        law(wrong)
+
+
+@pytest.mark.parametrize("law", [mu_prime, sun_vector])
 def test_laws_work_on_arrays(law):
     faces = np.stack([isotropic_faces(700, 90, azimuth, 30) for azimuth in (100, 180, 250)])
     together = law(faces.reshape(3, 1, 4))
