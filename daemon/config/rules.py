@@ -22,7 +22,7 @@ _BRIGHT_SUN_W_M2 = 1000.0
 _LOAD_EXCHANGE_S = 0.02
 _SWEEP_ENDS_S = 0.2
 # The bridge takes times of scans from July 1978 to the end of 2099.
-_FIRST_START, _END_OF_STARTS = datetime(1979, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
+FIRST_START, END_OF_STARTS = datetime(1979, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 SELF_TESTS = ("self_test_channel", "second_self_test_channel")
 
 
@@ -194,8 +194,8 @@ def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
 def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
     """`simulation.start_utc` is in the years 1979 to 2099."""
     start = settings.simulation.start_utc
-    if start is not None and not _FIRST_START <= start < _END_OF_STARTS:
-        years = f"{_FIRST_START.year} to {_END_OF_STARTS.year - 1}"
+    if start is not None and not FIRST_START <= start < END_OF_STARTS:
+        years = f"{FIRST_START.year} to {END_OF_STARTS.year - 1}"
         yield Conflict("simulation.start_utc", f"must be in the years {years}, of which scans can tell the time")
 
 

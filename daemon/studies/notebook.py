@@ -192,9 +192,16 @@ def _rows(faces: pd.DataFrame) -> Sequence[RecordedScan]:
     index = faces.index
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None or not index.is_monotonic_increasing:
         raise UserError("the readings need an index of times with their zone, in rising order, as read_faces gives it")
+    if not index.is_unique:
+        raise UserError(
+            f"the readings have the time {index[index.duplicated()][0]} twice; leave in the one that counts"
+        )
     missing = [face for face in FACES if face not in faces]
     if missing:
         raise UserError(f"the readings have no column {', '.join(missing)}: east, south, west and zenith are needed")
+    doubled = [face for face in FACES if list(faces.columns).count(face) > 1]
+    if doubled:
+        raise UserError(f"the readings have two columns {doubled[0]}; leave in the one that counts")
     since = index - pd.Timestamp(0, tz=UTC)
     seconds = np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
     values = faces[list(FACES)].to_numpy(dtype=np.float64)

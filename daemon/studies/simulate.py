@@ -15,6 +15,7 @@ from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, S
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import on_a_port_of_its_own
 from daemon.config.links import StoreSettings
+from daemon.config.rules import END_OF_STARTS, FIRST_START
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibration_in_force
 from daemon.motion.motion import SIMULATED
@@ -82,10 +83,14 @@ def simulate(
     Raises
     ------
     UserError
-        The sun never rises in that time, the weather does not cover it, or `out` cannot be written.
+        The time is not within 1979 to 2099, the sun never rises in it, the weather does not cover it, or `out` cannot
+        be written.
     """
     start_utc_s = start.replace(tzinfo=start.tzinfo or UTC).timestamp()
     end_utc_s = start_utc_s + days * DAY_S
+    if not FIRST_START.timestamp() <= start_utc_s <= end_utc_s <= END_OF_STARTS.timestamp():
+        years = f"{FIRST_START.year} to {END_OF_STARTS.year - 1}"
+        raise UserError(f"the simulated time must be within the years {years}: choose another --start or fewer --days")
     _require_daylight(settings, start_utc_s, end_utc_s)
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)

@@ -3,10 +3,12 @@
 import asyncio
 import gc
 import os
+import re
 import signal
 import threading
 from datetime import date
 
+import pandas as pd
 import pytest
 
 import heliocube
@@ -28,6 +30,21 @@ def test_a_replay_keeps_nothing_from_the_collector():
     heliocube.replay(readings, site=heliocube.Site(48.7176, 2.209, 156.0), law="flat")
     # What was frozen before may have ended meanwhile.
     assert gc.get_freeze_count() <= before
+
+
+def test_readings_with_a_time_or_a_face_twice_are_refused():
+    readings = heliocube.read_faces(heliocube.sample("mixed")).iloc[600:610]
+    site = heliocube.Site(48.7176, 2.209, 156.0)
+    with pytest.raises(heliocube.UserError, match=f"have the time {re.escape(str(readings.index[3]))} twice"):
+        heliocube.replay(pd.concat([readings, readings.iloc[3:4]]).sort_index(), site=site)
+    with pytest.raises(heliocube.UserError, match="have two columns south; leave in the one that counts"):
+        heliocube.replay(pd.concat([readings, readings[["south"]]], axis=1), site=site)
+
+
+@pytest.mark.parametrize(("start", "days"), [("1978-12-31", 0.1), ("2099-12-31", 1.1), ("2022-10-14", 1e300)])
+def test_a_time_of_which_scans_cannot_tell_is_not_simulated(start, days):
+    with pytest.raises(heliocube.UserError, match="within the years 1979 to 2099"):
+        heliocube.simulate(start, days=days, weather="clear")
 
 
 @pytest.mark.parametrize("days", [0, -1, float("nan"), float("inf")])
