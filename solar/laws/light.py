@@ -160,6 +160,47 @@ def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     return result
 
 
+def as_far_as_it_pays(
+    vector: ArrayLike,
+    here: tuple[ArrayLike, ArrayLike],
+    best: tuple[ArrayLike, ArrayLike],
+    price_w_m2_per_deg: ArrayLike,
+    limits: Limits,
+) -> tuple[Array, Array]:
+    """Return how far to go from `here` towards the `best` pose [deg] where a degree has a price.
+
+    Along one axis the irradiance is a cosine about that axis' best angle; its slope falls to the price some way before
+    it, and what is left is not worth going. B is chosen where A is best, then A for that B.
+
+    Parameters
+    ----------
+    vector
+        As from :func:`aim_vector`, shape (..., 3).
+    here, best
+        Angles (A, B).
+    price_w_m2_per_deg
+        Irradiance that a degree of A or B has to gain.
+    limits
+        Of the tracker.
+    """
+    vector = np.asarray(vector, dtype=np.float64)
+    south, east, up = vector[..., 0], vector[..., 1], vector[..., 2]
+    upright = np.hypot(south, up) * np.cos(np.radians(best[0]))
+    b_deg = _near(np.degrees(np.arctan2(up, south)), upright, here[1], price_w_m2_per_deg)
+    b_deg = np.clip(b_deg, limits.b_min_deg, limits.b_max_deg)
+    upright = south * np.cos(np.radians(b_deg)) + up * np.sin(np.radians(b_deg))
+    a_deg = _near(np.degrees(np.arctan2(-east, upright)), np.hypot(upright, east), here[0], price_w_m2_per_deg)
+    return np.clip(a_deg, limits.a_min_deg, limits.a_max_deg), b_deg
+
+
+def _near(best_deg: Array, most_w_m2: Array, here_deg: ArrayLike, price_w_m2_per_deg: ArrayLike) -> Array:
+    """Return the angle nearest to `here_deg` from which no degree towards the best one gains more than its price."""
+    slope = np.asarray(price_w_m2_per_deg) / np.radians(np.maximum(most_w_m2, _SMALLEST))
+    left_deg = np.degrees(np.arcsin(np.minimum(slope, 1.0)))
+    result: Array = np.clip(here_deg, best_deg - left_deg, best_deg + left_deg)
+    return result
+
+
 def _beam_shares(sun: Array) -> list[Array]:
     """Cosines of the beam's incidence on east, south and west; zero where they are shaded."""
     lit = np.where(sun[..., 2] > 0.0, 1.0, 0.0)

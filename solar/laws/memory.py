@@ -1,4 +1,4 @@
-"""What the law `optimal` weighs, and how it remembers the light: over about one and about ten minutes.
+"""What the law `optimal` weighs, and how it remembers the light: over a few minutes and over twelve.
 
 Where a tracker points has no part in it: trackers that hear the same readings remember the same light.
 """
@@ -29,7 +29,9 @@ class OptimalSettings:
     Attributes
     ----------
     quick_half_life_s, slow_half_life_s
-        Of the two memories of the light.
+        Of the two memories of the beam.
+    diffuse_half_life_s
+        Of the quick memory of the diffuse light, which changes less than the beam; the slow one is for both.
     unrest_weight, slow_share_max
         The expected light takes from the slow memory `unrest_weight` times the beam's relative deviation between the
         two memories, averaged over the slow one, up to this share.
@@ -38,7 +40,8 @@ class OptimalSettings:
     rest_s
         How far ahead a pose should still be out of the neighbours' shade.
     price_per_degree_w_m2, price_per_move_w_m2
-        Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move.
+        Irradiance that a move must be expected to gain, per degree travelled (A and B added) and per move; an axis goes
+        only as far as its last degree is worth the first of them.
     thrift
         What both prices are multiplied by, 0.1 to 100: the one knob between harvest and wear. A varying sky is
         also taken at its slower mean, the more so the thriftier.
@@ -50,14 +53,15 @@ class OptimalSettings:
         A gap in the readings after which the memory starts again.
     """
 
-    quick_half_life_s: float = 90.0
-    slow_half_life_s: float = 600.0
-    unrest_weight: float = 0.6
+    quick_half_life_s: float = 100.0
+    diffuse_half_life_s: float = 400.0
+    slow_half_life_s: float = 720.0
+    unrest_weight: float = 0.3
     slow_share_max: float = 0.8
     lead_s: float = 240.0
     rest_s: float = 600.0
-    price_per_degree_w_m2: float = 0.02
-    price_per_move_w_m2: float = 0.2
+    price_per_degree_w_m2: float = 0.025
+    price_per_move_w_m2: float = 0.15
     thrift: float = 1.0
     travel_per_day_deg: float = 1300.0
     moves_per_day: int = 250
@@ -113,6 +117,8 @@ class LightMemory:
         self._settings = settings
         self._shape = shape
         self.site = SiteLearning(shape, learned)
+        each_s = (settings.quick_half_life_s, settings.diffuse_half_life_s, settings.diffuse_half_life_s)
+        self._quick_half_lives_s = np.array(each_s).reshape(3, *[1] * len(shape))
         self._quick = np.zeros((3, *shape))
         self._slow = np.zeros((3, *shape))
         self._deviation = np.zeros(shape)
@@ -146,7 +152,7 @@ class LightMemory:
 
     def _remember(self, light: Array, good: Flags, elapsed: Array) -> None:
         fresh = good & ~(self._since_good_s + elapsed <= self._settings.forget_after_s)
-        self._quick = _towards(self._quick, light, good, fresh, elapsed / self._settings.quick_half_life_s)
+        self._quick = _towards(self._quick, light, good, fresh, elapsed / self._quick_half_lives_s)
         pace = elapsed / self._settings.slow_half_life_s
         self._slow = _towards(self._slow, light, good, fresh, pace)
         deviation = np.abs(self._quick[0] - self._slow[0])

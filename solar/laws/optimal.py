@@ -1,13 +1,13 @@
 """The pointing law `optimal`: the same object live, in replay and in the benchmark.
 
-At every reading the light is estimated from the faces (:mod:`solar.laws.light`) and remembered twice, over about one
-and about ten minutes. What is expected of the next minutes lies between the two: near the quick memory while the sky is
-steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects the
-expected light best is known in closed form, with the sun where it will be halfway through the rest that follows. The
-tracker moves there when the expected gain [W/m2] exceeds the price of the move, and not otherwise: many times an hour
-under broken clouds, hardly ever under an even sky. As the day's budget of moves and degrees is used up faster than
-the daylight, the price rises; the budget itself is never exceeded. Among neighbours the best pose is the one that
-collects most with their shade in it (:mod:`solar.laws.in_rows`).
+At every reading the light is estimated from the faces (:mod:`solar.laws.light`) and remembered twice, over a few
+minutes and over twelve. What is expected of the next minutes lies between the two: near the quick memory while the sky
+is steady, near the slow one while it varies, for a beam that comes and goes is worth its mean. The pose that collects
+the expected light best is known in closed form, with the sun where it will be halfway through the rest that follows.
+The tracker goes there, but for the last degrees that do not pay, when the expected gain [W/m2] exceeds the price of
+the move, and not otherwise: many times an hour under broken clouds, hardly ever under an even sky. As the day's budget
+of moves and degrees is used up faster than the daylight, the price rises; the budget itself is never exceeded. Among
+neighbours the best pose is the one that collects most with their shade in it (:mod:`solar.laws.in_rows`).
 
 Everything is an array of one shape: () for one tracker, (n,) for n days or sites at once.
 """
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within
 from solar.laws.in_rows import best_among, taken_by_neighbours
-from solar.laws.light import Light, aim_vector, product, within_reach
+from solar.laws.light import Light, aim_vector, as_far_as_it_pays, product, within_reach
 from solar.laws.memory import Expectation, Flags, LightMemory, OptimalSettings
 from solar.laws.site import Learned, SiteLearning
 from solar.rows.group import TrackerGroup
@@ -171,12 +171,18 @@ class OptimalLaw:
         vector = aim_vector(within_reach(expected.light, sun, self._limits), sun, self.site.learned.albedo)
         # Without faces the sun is followed, at the price of a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
-        best_a, best_b = angles_within(vector, self._limits)
+        alone = angles_within(vector, self._limits)
+        per_degree = thrift * self._settings.price_per_degree_w_m2
+        best_a, best_b = as_far_as_it_pays(vector, (a, b), alone, per_degree, self._limits)
         shade_w_m2 = np.zeros(self._shape)
         if self._group is not None:
             beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)
             suns = [sun] if later is None else [sun, np.asarray(later, dtype=np.float64)]
-            best_a, best_b = best_among(self._group, vector, beam, suns, (best_a, best_b), self._limits)
+            best = best_among(self._group, vector, beam, suns, alone, self._limits)
+            # Short of the best pose only where neither is in the shade: its last degree may be what leaves it.
+            shaded = (taken_by_neighbours(self._group, beam, suns, best_a, best_b) > 0.0) | (best[0] != alone[0])
+            shaded = shaded | (best[1] != alone[1])
+            best_a, best_b = np.where(shaded, best[0], best_a), np.where(shaded, best[1], best_b)
             here, there = (taken_by_neighbours(self._group, beam, suns, *pose) for pose in ((a, b), (best_a, best_b)))
             shade_w_m2 = here - there
         distance = np.abs(best_a - a) + np.abs(best_b - b)

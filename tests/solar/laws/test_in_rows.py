@@ -125,6 +125,18 @@ def test_the_best_among_neighbours_collects_more_than_alone_and_than_turned_back
     assert all(LIMITS.contain(*pose) for pose in zip(*best, strict=True))
 
 
+@pytest.mark.parametrize("way_deg", [(0.0, 90.0), (-40.0, 75.0)])
+def test_out_of_the_shade_a_tracker_goes_the_whole_way(way_deg):
+    sun = sun_direction(MORNING, *LYNGBY)
+    vector = 500.0 * sun
+    alone = angles_within(vector, LIMITS)
+    best = best_among(FIELD, vector, np.array(500.0), [sun], alone, LIMITS)
+    choice = OptimalLaw(OptimalSettings(thrift=4.0), LIMITS, group=FIELD).choose(*way_deg, sun, 1.0)
+    assert choice.move
+    assert taken_by_neighbours(FIELD, np.array(500.0), [sun], *alone) > 0.0
+    np.testing.assert_array_equal((choice.a_deg, choice.b_deg), best)
+
+
 def test_the_shade_of_a_rest_is_the_mean_of_its_suns():
     suns = [direction_from_azimuth(265.0, elevation, LYNGBY[0]) for elevation in (12.0, 6.0)]
     pose, beam = (45.0, 40.0), np.array(700.0)

@@ -8,6 +8,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.frames import Limits, angles_within, normal_from_angles, separation_deg
+from solar.laws.light import as_far_as_it_pays, product
 from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.skies.sky import sky
 
@@ -70,7 +71,7 @@ def test_a_sun_that_no_pose_sees_draws_nothing():
     # Towards midnight of a summer far in the north: the sun stands behind, where the axis does not go.
     limits, place, evening = Limits(-50.0, 50.0, 15.0, 60.0), (68.0, 2.2090, 0.0), 1655850600.0  # 2022-06-21 22:30
     sun = sun_direction(evening, *place)
-    law = OptimalLaw(SETTINGS, limits)
+    law = OptimalLaw(replace(SETTINGS, price_per_degree_w_m2=0.0), limits)
     for _ in range(60):
         law.observe(sky("isotropic", sun, 600.0, 100.0, 1320.0).irradiance_on(NORMALS), sun, 60.0)
     choice = law.decide(50.0, 15.0, sun, 1.0)
@@ -117,18 +118,58 @@ def test_with_two_faces_missing_the_law_is_chronometric():
 
 
 def test_a_move_is_worth_what_it_gains_and_costs_what_its_way_and_the_thrift_say():
-    # Without faces the sun counts, as 500 W/m2 of beam; by A from 10 to 0 deg and by B from 60 to 30 deg are 40 deg.
+    # Without faces the sun counts, as 500 W/m2 of beam, from A 10 to near 0 deg and from B 60 to near 30 deg.
     sun = normal_from_angles(0.0, 30.0)
     choice = OptimalLaw(replace(SETTINGS, thrift=2.0), LIMITS).choose(10.0, 60.0, sun, 1.0)
-    assert (choice.a_deg, choice.b_deg) == (pytest.approx(0.0, abs=1e-6), pytest.approx(30.0))
-    assert choice.price_w_m2 == pytest.approx(2.0 * (0.2 + 0.02 * 40.0))
-    cosine = math.cos(math.radians(10.0)) * math.cos(math.radians(30.0))
-    assert choice.gain_w_m2 == pytest.approx(500.0 * (1.0 - cosine))
+    # Each axis ends where one degree more would gain its 0.05 W/m2 and no more.
+    short_deg = math.degrees(math.asin(0.05 / (500.0 * math.radians(1.0))))
+    assert short_deg == pytest.approx(0.33, abs=0.01)
+    assert choice.b_deg == pytest.approx(30.0 + short_deg)
+    assert choice.a_deg == pytest.approx(short_deg, rel=1e-4)
+    assert choice.price_w_m2 == pytest.approx(2.0 * (0.15 + 0.025 * (40.0 - choice.a_deg - (choice.b_deg - 30.0))))
+    gained = math.cos(math.radians(choice.a_deg)) * math.cos(math.radians(choice.b_deg - 30.0))
+    assert choice.gain_w_m2 == pytest.approx(
+        500.0 * (gained - math.cos(math.radians(10.0)) * math.cos(math.radians(30.0)))
+    )
+
+
+@pytest.mark.parametrize("place", [(10.0, 60.0), (-40.0, 20.0), (0.0, 90.0), (30.0, 31.0)])
+@pytest.mark.parametrize("pose", [(-30.0, 40.0), (0.0, 30.0), (20.0, 75.0)])
+@pytest.mark.parametrize("price", [0.01, 0.1, 0.3])
+def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose, price):
+    vector = 200.0 * normal_from_angles(*pose)
+    here = np.asarray(place)
+    a, b = as_far_as_it_pays(vector, place, angles_within(vector, LIMITS), price, LIMITS)
+    reached = np.array([float(a), float(b)])
+
+    def worth(angles):
+        return float(product(vector, *angles)) - price * np.abs(angles - here).sum()
+
+    # One axis is chosen after the other: what that gives up is a hundredth of a W/m2.
+    grid = [np.array([one, other]) for one in np.arange(-50.0, 50.1, 1.0) for other in np.arange(15.0, 90.1, 1.0)]
+    assert worth(reached) >= max(worth(angles) for angles in grid) - 0.02
+    assert LIMITS.contain(*reached)
+    # Never beyond the best, and never away from it.
+    assert (np.abs(reached - np.asarray(pose)) <= np.abs(here - np.asarray(pose)) + 1e-6).all()
+
+
+def test_a_pose_beyond_a_limit_is_gone_to_as_far_as_the_limit():
+    # The slope does not vanish there: nothing is left out before the limit.
+    vector = 300.0 * normal_from_angles(-80.0, 5.0)
+    a, b = as_far_as_it_pays(vector, (0.0, 90.0), angles_within(vector, LIMITS), 0.05, LIMITS)
+    assert (a, b) == (LIMITS.a_min_deg, LIMITS.b_min_deg)
+
+
+def test_a_dear_degree_moves_nothing_and_a_free_one_goes_all_the_way():
+    vector = 200.0 * normal_from_angles(20.0, 40.0)
+    best = angles_within(vector, LIMITS)
+    assert as_far_as_it_pays(vector, (0.0, 90.0), best, 1e12, LIMITS) == (0.0, 90.0)
+    np.testing.assert_allclose(as_far_as_it_pays(vector, (0.0, 90.0), best, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
 
 
 def test_a_day_s_budget_that_runs_ahead_of_the_daylight_raises_the_price_by_its_sixth_power():
-    # Of the way 0.8 is left for 0.9 of the daylight.
-    law = OptimalLaw(SETTINGS, LIMITS)
+    # Of the way 0.8 is left for 0.9 of the daylight. Without a price by the degree no axis stops short.
+    law = OptimalLaw(replace(SETTINGS, price_per_degree_w_m2=0.0), LIMITS)
     sun = normal_from_angles(0.0, 30.0)
     usual = law.choose(10.0, 60.0, sun, 1.0).price_w_m2
     law.book(260.0)

@@ -1,0 +1,72 @@
+"""What the law `optimal` keeps of the bound's gain when something is wrong: faces, noise, gains, the ground, a budget.
+
+Usage: python tests/measurements/optimal_burdens.py LAT,LON,ALT WEATHER... [--sky SKY]
+
+The weather is by the minute, the tracker at 0.9 deg/s, as in `heliocube energy`. Two minutes for a year.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from daemon.studies.energy.benchmark import Terms, measured_minutes, under_sky
+from daemon.studies.inputs import parse_site
+from solar.energy import Drive, lay_out
+from solar.ephemeris import Site
+from solar.frames import Limits
+from solar.laws.optimal_live import LiveOptimalSettings, steer
+
+LIMITS = Limits()
+FACES = ("east", "south", "west", "zenith")
+GAINS = (1.03, 0.97, 1.02, 0.97)
+BUDGETS = ({"travel_per_day_deg": 900.0}, {"travel_per_day_deg": 650.0}, {"moves_per_day": 60})
+
+
+def without(days, *missing):
+    """Return the faces with some of them missing."""
+    faces = days.faces.copy()
+    faces[:, missing] = np.nan
+    return faces
+
+
+def noisy(days, rng):
+    """Return the faces with noise of 1 % and of 1 W/m2."""
+    one, other = rng.standard_normal((2, *days.faces.shape))
+    return days.faces * (1.0 + 0.01 * one) + other
+
+
+def say(name, days, faces, **settings):
+    """Drive the law by these faces and print what it keeps, and how far it goes."""
+    lit = days.weather.day_types() >= 0
+    done = days.run(steer(LiveOptimalSettings(**settings), days.weather, faces, LIMITS), Drive())
+    room = (days.bound_kwh_m2 - days.chronometric_kwh_m2)[lit].sum()
+    share = 100.0 * (done.energy_kwh_m2 - days.chronometric_kwh_m2)[lit].sum() / room
+    each = done.travel_deg[lit].sum() / days.weather.whole_days(), done.moves[lit].sum() / days.weather.whole_days()
+    print(f"{name:34} {share:6.1f} % {each[0]:6.0f} deg/day {each[1]:5.0f} moves", flush=True)
+
+
+def main():
+    """Print a line for each burden."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("site")
+    parser.add_argument("weather", nargs="+", type=Path)
+    parser.add_argument("--sky", default="perez1990")
+    asked = parser.parse_args()
+    site = Site(*parse_site(asked.site))
+    minutes = measured_minutes(asked.weather, site)
+    weather = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
+    days, snowy = (under_sky(weather, asked.sky, Terms(albedo, LIMITS, Drive())) for albedo in (0.2, 0.6))
+    say("nothing", days, days.faces)
+    for number, face in enumerate(FACES):
+        say(f"no {face} face", days, without(days, number))
+    say("neither east nor zenith face", days, without(days, 0, 3))
+    say("noise of 1 % and 1 W/m2", days, noisy(days, np.random.default_rng(1)))
+    say("gains off by +3, -3, +2, -3 %", days, days.faces * np.array(GAINS))
+    say("albedo 0.6", snowy, snowy.faces)
+    for budget in BUDGETS:
+        say(", ".join(f"{key} {value:g}" for key, value in budget.items()), days, days.faces, **budget)
+
+
+if __name__ == "__main__":
+    main()
