@@ -16,10 +16,18 @@ _PUZZLED_LOOKS = 2
 _OF_MISFITS = (Doubt.ODD, Doubt.SWAPPED, Doubt.TORN)
 # What these say of one face leaves the others open: they may contradict each other for a reason of their own.
 _OPEN = (Doubt.NONE, Doubt.OVER, *_OF_MISFITS)
+# A face that was told by what the others say it should read: one of these may be the wrong one.
+_BY_THE_OTHERS = Doubt.FROZEN
 
 
 class Contradictions:
-    """Looks at the last half hour every five minutes; what it finds stands until it looks again."""
+    """Looks at the last half hour every five minutes; what it finds stands until it looks again.
+
+    Attributes
+    ----------
+    acquitted
+        The face that was taken for frozen in place of the one that was found; None for none.
+    """
 
     def __init__(self) -> None:
         self._forget()
@@ -27,6 +35,7 @@ class Contradictions:
     def _forget(self) -> None:
         self._minutes = self._puzzled = 0
         self._fit: Misfits | None = None
+        self.acquitted: int | None = None
         self._found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
 
     def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> NDArray[np.int64]:
@@ -39,17 +48,18 @@ class Contradictions:
         whys
             What is said against each face already.
         """
-        if len(faces_w_m2) < MINUTES or any(why not in _OPEN for why in whys):
+        frozen = [face for face, why in enumerate(whys) if why is _BY_THE_OTHERS]
+        if len(faces_w_m2) < MINUTES or any(why not in (*_OPEN, _BY_THE_OTHERS) for why in whys):
             self._forget()
         elif self._minutes % _EVERY_MINUTES == 0:
             self._fit = misfits(faces_w_m2, sun)
-            self._found = self._judged(whys)
+            self._found = self._judged_beside(frozen) if frozen else self._judged(whys)
         self._minutes += 1
         return self._found
 
     def agrees(self, face: int, whys: Sequence[Doubt]) -> bool:
         """Tell whether what was found last says that a face doubted for this can be used again."""
-        if whys[face] not in _OF_MISFITS:
+        if whys[face] not in (*_OF_MISFITS, _BY_THE_OTHERS):
             return True
         if self._fit is None:
             return False
@@ -57,8 +67,19 @@ class Contradictions:
             return self._fit.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
         return self._fit.whole < AGREEMENT
 
+    def _judged_beside(self, frozen: Sequence[int]) -> NDArray[np.int64]:
+        """Accuse another face than the frozen one only where the others contradict each other without it as well."""
+        self._puzzled = 0
+        found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+        other = self._fit.instead_of(frozen[0]) if self._fit is not None and len(frozen) == 1 else None
+        self.acquitted = None if other is None else frozen[0]
+        if other is not None:
+            found[other] = Doubt.ODD
+        return found
+
     def _judged(self, whys: Sequence[Doubt]) -> NDArray[np.int64]:
         found = np.full(len(FACES), Doubt.NONE, dtype=np.int64)
+        self.acquitted = None
         if self._fit is None or not self._fit.contradict:
             self._puzzled = 0
             return found

@@ -13,6 +13,7 @@ from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
 from solar.ephemeris import SunDirection
+from solar.faces.contradiction import misfits
 from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
@@ -165,6 +166,7 @@ class FaceWatch:
             agrees = light and self._agrees(face, followed[face]) and not np.isnan(faces[face])
             self._count(face, Doubt(doubt), sound=agrees)
         self._narrow()
+        self._acquit()
 
     def _agrees(self, face: int, response: int) -> bool:
         """Tell whether a face has done what is asked of it after what was said against it."""
@@ -176,6 +178,13 @@ class FaceWatch:
         """Believe the others again once it is known which face they contradicted."""
         if Doubt.TORN in self._whys and any(why not in (Doubt.NONE, Doubt.TORN) for why in self._whys):
             self._whys = [Doubt.NONE if why is Doubt.TORN else why for why in self._whys]
+
+    def _acquit(self) -> None:
+        """Believe a frozen face again once it is known that another one has made it look frozen."""
+        face = self._contradictions.acquitted
+        if face is not None and self._whys[face] is Doubt.FROZEN and Doubt.ODD in self._whys:
+            self._whys[face] = Doubt.NONE
+            self._bad[face] = 0
 
     def _add_minute(self) -> None:
         (sums, _), counts = self._blocks[-1]
@@ -195,7 +204,13 @@ class FaceWatch:
             return np.full(len(FACES), Response.UNKNOWN, dtype=np.int64)
         faces, suns = (np.array(column) for column in zip(*self._minutes, strict=True))
         # Among faces that nobody can tell apart, one that stands still tells.
-        return responses(faces, suns, [why in (Doubt.NONE, Doubt.TORN) for why in self._whys])
+        found = responses(faces, suns, [why in (Doubt.NONE, Doubt.TORN) for why in self._whys])
+        stays = np.flatnonzero(found == Response.STAYS)
+        fit = misfits(faces, suns) if stays.size else None
+        if fit is not None:
+            # Where the others contradict each other, what they predict accuses nobody.
+            found[[face for face in stays.tolist() if not fit.bears(face)]] = Response.UNKNOWN
+        return found
 
     def _count(self, face: int, doubt: Doubt, *, sound: bool) -> None:
         if doubt is not Doubt.NONE:

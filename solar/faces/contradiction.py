@@ -45,6 +45,8 @@ class Misfits(NamedTuple):
         The same in the part of the time where they agree best.
     without
         By the three others, for each face, shape (4,).
+    least_without
+        The same in the part of the time where they agree best.
     swapped
         By all four with two swapped back, for each of `PAIRS`, shape (6,).
     """
@@ -52,6 +54,7 @@ class Misfits(NamedTuple):
     whole: float
     least: float
     without: Array
+    least_without: Array
     swapped: Array
 
     @property
@@ -71,6 +74,16 @@ class Misfits(NamedTuple):
         if swapped is not None:
             return PAIRS[swapped]
         return () if single is None else (single,)
+
+    def bears(self, face: int) -> bool:
+        """Tell whether it may be this face alone that is wrong: the three others agree."""
+        return float(self.without[face]) < AGREEMENT
+
+    def instead_of(self, face: int) -> int | None:
+        """Return the face that is wrong in place of this one, without which the others contradict each other still."""
+        if not float(self.least_without[face]) > MISFIT or len(self.accused) != 1:
+            return None
+        return self.accused[0]
 
     def in_order(self, places: Collection[int]) -> bool:
         """Tell whether the faces agree as they are, and would not with any two of these swapped."""
@@ -99,9 +112,9 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     left = _left_over(tried, up, used)
     there = (used * tried**2).sum(axis=-1)
     shares = np.sqrt(left.sum(axis=-1) / there.sum(axis=-1))
-    parts = zip(np.array_split(left[0], _PARTS), np.array_split(there[0], _PARTS), strict=True)
-    least = min(float(np.sqrt(over.sum() / all_of_it.sum())) for over, all_of_it in parts)
-    return Misfits(float(shares[0]), least, shares[1:5], shares[5:])
+    parts = zip(np.array_split(left, _PARTS, axis=-1), np.array_split(there, _PARTS, axis=-1), strict=True)
+    least = np.min([np.sqrt(over.sum(axis=-1) / all_of_it.sum(axis=-1)) for over, all_of_it in parts], axis=0)
+    return Misfits(float(shares[0]), float(least[0]), shares[1:5], least[1:5], shares[5:])
 
 
 def _clear(shares: Array) -> int | None:

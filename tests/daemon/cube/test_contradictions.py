@@ -7,6 +7,7 @@ from daemon.cube.contradictions import MINUTES, Contradictions
 from solar.faces.plausible import Doubt
 
 NONE, DEAD, OVER, ODD, SWAPPED, TORN = Doubt.NONE, Doubt.DEAD, Doubt.OVER, Doubt.ODD, Doubt.SWAPPED, Doubt.TORN
+FROZEN = Doubt.FROZEN
 SOUND = [NONE] * 4
 
 
@@ -98,3 +99,34 @@ def test_what_is_said_of_a_face_for_another_reason_ends_the_comparison():
     after(contradictions, 1, share=(1.0, 0.3, 1.0, 1.0))
     assert after(contradictions, 1, [DEAD, NONE, NONE, NONE], share=(1.0, 0.3, 1.0, 1.0)) == [SOUND]
     assert not contradictions.agrees(1, [DEAD, ODD, NONE, NONE])
+
+
+def test_a_face_that_only_looked_frozen_beside_another_in_the_shade_is_acquitted():
+    contradictions = Contradictions()
+    shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
+    assert after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded) == [[NONE, ODD, NONE, NONE]]
+    assert contradictions.acquitted == 2
+    # Once the right one is known, or the frozen one is the right one, nobody else is sought.
+    after(contradictions, 5, [NONE, ODD, NONE, NONE], **shaded)
+    assert contradictions.acquitted is None
+    assert after(contradictions, 5, [NONE, FROZEN, NONE, NONE], **shaded)[-1] == SOUND
+    assert contradictions.acquitted is None
+    assert after(Contradictions(), 6, [NONE, NONE, FROZEN, FROZEN], **shaded)[-1] == SOUND
+    assert after(Contradictions(), 6, [NONE, NONE, FROZEN, NONE], **TURNED)[-1] == SOUND
+
+
+def test_what_is_said_of_a_face_for_another_reason_acquits_nobody():
+    contradictions = Contradictions()
+    shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
+    after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded)
+    assert after(contradictions, 1, [DEAD, NONE, FROZEN, NONE], **shaded) == [SOUND]
+    assert contradictions.acquitted is None
+
+
+def test_a_frozen_face_is_used_again_only_after_all_four_agree():
+    contradictions = Contradictions()
+    frozen = [NONE, FROZEN, NONE, NONE]
+    after(contradictions, 1, frozen, share=(1.0, 0.3, 1.0, 1.0))
+    assert not contradictions.agrees(1, frozen)
+    after(contradictions, 5, frozen)
+    assert contradictions.agrees(1, frozen)

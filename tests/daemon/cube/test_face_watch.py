@@ -167,6 +167,7 @@ class WatchedDay:
         self.random = np.random.default_rng(1)
         self.order = [0, 1, 2, 3]
         self.share = [1.0] * 4
+        self.in_cloud_w_m2 = 150.0
 
     def minutes(self, count, frozen=None, at_w_m2=0.0, every_s=15.0, late_s=0.0):
         """Let scans come, up to so much late; returns after how many minutes each face was found, None for never."""
@@ -174,7 +175,7 @@ class WatchedDay:
         numbers = np.arange(1, int(60.0 * count / every_s) + 1)
         utc_s = self.clock.utc_s + every_s * numbers + late_s * np.random.default_rng(2).random(numbers.size)
         sun = sun_direction(utc_s, *self.site)
-        beam = np.where(utc_s % 1200 < 300, 150.0, 750.0) * (sun[:, 2] > 0)
+        beam = np.where(utc_s % 1200 < 300, self.in_cloud_w_m2, 750.0) * (sun[:, 2] > 0)
         light = sky("perez1990", sun, beam, np.where(sun[:, 2] > -0.05, 140.0, 0.0), extraterrestrial_dni(utc_s))
         normals = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, -1, 0], [0.0, 0, 1]])
         faces = np.stack([light.irradiance_on(normal[None, :]) for normal in normals], axis=-1)
@@ -199,8 +200,8 @@ MORNING_UTC_S = 1655283600.0  # 2022-06-15 09:00
 
 @pytest.mark.parametrize(("face", "at_w_m2"), [(0, 90.0), (0, 300.0), (1, 120.0), (1, 450.0), (3, 250.0), (3, 600.0)])
 def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_the_light(face, at_w_m2):
-    # The sun leaves the east face at noon.
-    day = WatchedDay(MORNING_UTC_S - (3600.0 if face == 0 else 0.0))
+    # The sun leaves the east face at noon; the south face is judged beside one that the sun reaches for hours.
+    day = WatchedDay(MORNING_UTC_S + {0: -3600.0, 1: 9000.0, 3: 0.0}[face])
     assert day.minutes(40) == [None] * 4
     found = day.minutes(60, frozen=face, at_w_m2=at_w_m2)
     assert found[face] is not None
@@ -317,6 +318,47 @@ def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_th
     day.share = [1.0] * 4
     day.minutes(60)
     assert day.doubted() == []
+
+
+@pytest.mark.parametrize(("face", "hour"), [(1, 1.0), (0, 0.0), (2, 4.0)])
+def test_a_face_that_goes_into_its_shade_in_a_clear_sky_makes_no_other_look_frozen(face, hour):
+    day = WatchedDay(MORNING_UTC_S + 3600.0 * hour)
+    day.in_cloud_w_m2 = 750.0
+    day.minutes(40)
+    day.share[face] = 0.1
+    found = day.minutes(60)
+    assert [each is not None for each in found] == [each == face for each in range(4)]
+
+
+def test_a_face_that_looked_frozen_is_used_again_once_it_is_known_which_face_was_in_the_shade():
+    day = WatchedDay(MORNING_UTC_S + 2.0 * 3600.0)
+    day.in_cloud_w_m2 = 750.0
+    day.minutes(40)
+    day.share[1] = 0.1
+    day.minutes(10)
+    assert day.doubted() == [3]
+    day.minutes(50)
+    assert day.doubted() == [1]
+    (alarm,) = day.alarms.active
+    assert "the south face reads" in alarm.text
+    assert "zenith" not in alarm.text
+
+
+@pytest.mark.parametrize("left", [0.02, 0.3])
+def test_a_face_that_comes_out_of_its_shade_makes_no_other_look_frozen_and_has_to_agree(left):
+    day = WatchedDay(MORNING_UTC_S - 3600.0)
+    day.minutes(40)
+    day.share = [1.0, left, 1.0, 1.0]
+    day.minutes(60)
+    assert day.doubted() == [1]
+    day.share = [1.0] * 4
+    day.minutes(25)
+    assert day.doubted() == [1], "to leave the shade at once is a change, and no agreement of half an hour"
+    day.minutes(50)
+    assert day.doubted() == []
+    day.share = [1.0, left, 1.0, 1.0]
+    day.minutes(60)
+    assert day.doubted() == [1]
 
 
 @pytest.mark.parametrize("hours", [9.0, -12.0, -3.0, 2.0 / 3.0])

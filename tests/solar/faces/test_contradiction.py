@@ -97,18 +97,48 @@ def test_a_sun_at_the_horizon_tells_nothing():
 )
 def test_who_is_accused_leaves_little_and_the_others_clearly_more(without, accused):
     nothing = np.full(len(PAIRS), 0.4)
-    assert Misfits(0.3, 0.151, np.array(without), nothing).accused == accused
-    assert Misfits(0.3, 0.149, np.array(without), nothing).accused == ()
+    assert Misfits(0.3, 0.151, np.array(without), np.array(without), nothing).accused == accused
+    assert Misfits(0.3, 0.149, np.array(without), np.array(without), nothing).accused == ()
 
 
 @pytest.mark.parametrize(
     ("whole", "swapped", "in_order"), [(0.079, 0.151, True), (0.081, 0.151, False), (0.079, 0.149, False)]
 )
 def test_faces_are_in_order_that_agree_and_would_contradict_each_other_swapped(whole, swapped, in_order):
-    found = Misfits(whole, 0.05, np.full(4, 0.05), np.array([swapped, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    found = Misfits(whole, 0.05, np.full(4, 0.05), np.full(4, 0.05), np.array([swapped, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert found.in_order((0, 1)) == in_order
     # One alone cannot be swapped.
     assert found.in_order((0,)) == (whole < 0.08)
+
+
+def test_a_face_is_to_blame_alone_only_where_the_three_others_agree():
+    faces, sun = half_hour()
+    faces[:, 1] *= 0.3
+    found = misfits(faces, sun)
+    assert [found.bears(face) for face in range(4)] == [False, True, False, False]
+    assert [found.instead_of(face) for face in range(4)] == [1, None, 1, 1]
+    sound = misfits(*half_hour())
+    assert [sound.bears(face) for face in range(4)] == [True] * 4
+    assert [sound.instead_of(face) for face in range(4)] == [None] * 4
+
+
+@pytest.mark.parametrize(("share", "bears"), [(0.079, True), (0.081, False)])
+def test_three_faces_agree_that_leave_less_than_8_percent_over(share, bears):
+    found = Misfits(0.3, 0.2, np.full(4, share), np.zeros(4), np.full(len(PAIRS), 0.4))
+    assert found.bears(0) == bears
+
+
+@pytest.mark.parametrize(("least", "instead"), [(0.149, None), (0.151, 2)])
+def test_another_face_is_to_blame_only_where_the_rest_contradicts_itself_without_this_one(least, instead):
+    without = np.array([0.4, 0.4, 0.02, 0.4])
+    found = Misfits(0.4, 0.3, without, np.array([least, 0.2, 0.01, 0.2]), np.full(len(PAIRS), 0.4))
+    assert found.instead_of(0) == instead
+
+
+def test_nobody_is_to_blame_instead_where_two_may_be_swapped():
+    found = Misfits(0.4, 0.3, np.full(4, 0.4), np.full(4, 0.3), np.array([0.01, 0.4, 0.4, 0.4, 0.4, 0.4]))
+    assert found.accused == (0, 1)
+    assert found.instead_of(2) is None
 
 
 def test_how_bright_the_light_is_makes_no_difference():
