@@ -245,13 +245,17 @@ class _CsvTable:
     def __init__(self, path: Path, columns: list[Column]) -> None:
         self.path, self.part = path, _part(path)
         self._values = _values_of(columns)
-        self._texts = [_TEXT[column.holds] for column in columns]
+        # The writer itself puts counts and words down as they are, and nothing for None.
+        self._texts = [(place, _TEXT[column.holds]) for place, column in enumerate(columns) if column.holds in _TEXT]
         self._file = self.part.open("w", newline="", encoding="utf-8", buffering=_BUFFER_BYTES)
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow([column.name for column in columns])
 
     def append(self, record: Row) -> None:
-        self._writer.writerow([text(value) for text, value in zip(self._texts, self._values(record), strict=True)])
+        cells = list(self._values(record))
+        for place, text in self._texts:
+            cells[place] = text(cells[place])
+        self._writer.writerow(cells)
 
     def finish(self) -> None:
         self._file.close()
@@ -322,10 +326,6 @@ def _time(time_s: float | None) -> str:
     return "" if time_s is None else iso_utc(time_s)
 
 
-def _count(value: int | None) -> str:
-    return "" if value is None else str(value)
-
-
 def _number(value: float) -> float | str:
     # Adding nothing takes the minus from nothing.
     return "" if value != value else value + 0.0
@@ -338,7 +338,5 @@ def _truth(value: bool) -> str:
 _TEXT: dict[str, Callable[[Any], object]] = {
     "time": _time,
     "float": _number,
-    "int": _count,
     "bool": _truth,
-    "text": str,
 }
